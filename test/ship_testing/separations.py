@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.protection_levels import SigmaMultipliers, SolutionSeparation, solution_separation
+from ship_estimation.protection_levels import ProtectionLevels, SigmaMultipliers, protection_levels
 from ship_geometry.rotations import FloatArray
 
 
@@ -14,7 +14,7 @@ def solution_separations(
     variance_0: FloatArray,
     k: SigmaMultipliers,
     subfilter_indices: Sequence[int] | None = None,
-) -> SolutionSeparation:
+) -> ProtectionLevels:
     """Return the separations of estimates without one source from that by all, and the levels.
 
     Args:
@@ -28,6 +28,6 @@ def solution_separations(
     components, of_all = np.eye(3), np.diag(variance_0)
     subfilter_covariances = variance[:, :, None] * components
     by_output = components, components, of_all
-    return solution_separation(
+    return protection_levels(
         k, subfilters, np.arange(3), by_output, np.zeros(3), distance, of_all[None], subfilter_covariances
     )

@@ -4,10 +4,11 @@ A wrong position, a step of UTC or a rotation of the deck changes all star measu
 sensors remain consistent with one another; only the INS, which drifts, is inconsistent with them. The filter follows
 the stars within its time constant, and after that no innovation shows the error.
 
-Without such an error the corrections by successive measurements are independent. The covariance of each is the decrease
-of the state covariance. Their sum over a window, with the sum of these covariances, is therefore the solution
-separation from a filter without the stars of that window (see :mod:`ship_estimation.protection_levels`). The window
-has two time constants of the filter: 78 to 86 % of a common error is absorbed in it, and the drift of the INS is small.
+Without such an error the corrections by successive measurements are independent. The covariance of a correction is the
+decrease of the state covariance by its measurement. The sum of the corrections over a window is the solution separation
+from a filter without the stars of that window (see :mod:`ship_estimation.protection_levels`), and the covariances add
+up to that of the separation. The window is two time constants of the filter long: 78 to 86 % of a common error is
+absorbed in it, and the drift of the INS is small.
 """
 
 import math
@@ -18,7 +19,7 @@ import numpy as np
 from ship_estimation import compiled_means
 from ship_estimation.chi_square import normal_value_above
 from ship_estimation.innovation_means import MEASUREMENTS_PER_H
-from ship_estimation.protection_levels import IntegrityConfig, SigmaMultipliers, SolutionSeparation
+from ship_estimation.protection_levels import IntegrityConfig, ProtectionLevels, SigmaMultipliers
 from ship_estimation.subfilters import FilterInnovations
 from ship_geometry.rotations import FloatArray
 
@@ -33,10 +34,10 @@ _COMPONENTS = 3
 
 
 class UnresolvedCommonError(NamedTuple):
-    """A common error of all stars that is detected by the INS, but below the threshold for their exclusion.
+    """A common error of all stars that is probable, but below the threshold at which the stars are excluded.
 
     Attributes:
-        variance: variance of the attitude due to it, about North, Up and East, rad², shape (3,).
+        variance: variance of the attitude due to this error, about North, Up and East, rad², shape (3,).
         until_ns: stamp until which the published covariance contains it.
     """
 
@@ -48,10 +49,10 @@ class CorrectionSums(NamedTuple):
     """Recent corrections of three states by the star sensors, about North, Up and East.
 
     Attributes:
-        sums: for each block, the newest first: the sum of the corrections, rad, the sum of their variances, rad², and
-            the remaining share of a common error; shape (b, 3, 3).
+        sums: sums over each block of measurements, the newest block first, shape (b, 3, 3). Second axis: sum of the
+            corrections, rad; sum of their variances, rad²; share of a common error that remains after the block.
         sigmas: largest component of the sum over all blocks, in its own sigmas.
-        unresolved: a common error that is detected but not isolated; None if there is none.
+        unresolved: common error that the published covariance contains; None if there is none.
     """
 
     sums: FloatArray
@@ -61,8 +62,8 @@ class CorrectionSums(NamedTuple):
     @property
     def correction_n(self) -> FloatArray:
         """Sum of the corrections about North, Up and East, rad, shape (3,)."""
-        turn_n: FloatArray = self.sums[:, 0].sum(axis=0)
-        return turn_n
+        rotation_n: FloatArray = self.sums[:, 0].sum(axis=0)
+        return rotation_n
 
     @property
     def variance(self) -> FloatArray:
@@ -85,7 +86,7 @@ class CorrectionSums(NamedTuple):
 
     @property
     def error_variance(self) -> FloatArray:
-        """Variance of that common error, rad², shape (3,); infinite if nothing was absorbed."""
+        """Variance of the common error :attr:`error_n`, rad², shape (3,); infinite if nothing was absorbed."""
         response = self.absorbed_share
         is_known = response > 0.0
         variance: FloatArray = np.where(is_known, self.variance / np.where(is_known, response, 1.0) ** 2, np.inf)
@@ -96,7 +97,7 @@ class CorrectionSums(NamedTuple):
 
         Args:
             innovations: innovations of the measurement; the main filter was updated with it.
-            jacobian: of the measurement, shape (m, n).
+            jacobian: Jacobian of the measurement, shape (m, n).
             first: index of the first of the three states.
 
         Example:
@@ -136,13 +137,14 @@ class CorrectionSums(NamedTuple):
         return found
 
     def with_unresolved_error(self, time_ns: int, hold_ns: int) -> "CorrectionSums":
-        """Return the sums with the unresolved common error at a time, present or held from before.
+        """Return the sums with the unresolved common error at a time.
 
-        The filter follows a common error within seconds. The published covariance must contain it longer.
+        The filter follows a common error within seconds, and then the sum is small again. The published covariance must
+        contain the error longer, so it is held.
 
         Args:
             time_ns: stamp of the last correction.
-            hold_ns: time for which it is held after the last sum above :data:`COMMON_ERROR_START_SIGMAS`, ns.
+            hold_ns: time for which an error is held after the last sum above :data:`COMMON_ERROR_START_SIGMAS`, ns.
         """
         before = self.unresolved if self.unresolved is not None and time_ns < self.unresolved.until_ns else None
         if not self.sigmas > COMMON_ERROR_START_SIGMAS:
@@ -160,8 +162,8 @@ NO_CORRECTIONS = CorrectionSums(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BL
 def common_threshold(config: IntegrityConfig) -> float:
     """Return the threshold of a sum of corrections above which all star sensors are inconsistent with the INS, sigmas.
 
-    Its rate of false exclusions is a quarter of the configured one, in addition to it. It is allocated to the three
-    components of each measurement in an hour, as if all sums were independent.
+    The test adds at most a quarter of the configured rate of false exclusions. The quarter is allocated equally to the
+    three components of each measurement in an hour, as if all sums were independent.
 
     Example:
         >>> print(round(common_threshold(IntegrityConfig()), 2))
@@ -172,27 +174,27 @@ def common_threshold(config: IntegrityConfig) -> float:
 
 
 def with_common_error(
-    found: SolutionSeparation,
+    found: ProtectionLevels,
     k: SigmaMultipliers,
     missed_detection: float,
     threshold: float,
     corrections: CorrectionSums,
     by_states: FloatArray,
     covariance: FloatArray,
-) -> SolutionSeparation:
-    """Return the separations and levels of an output with a common error of all stars as last hypothesis.
+) -> ProtectionLevels:
+    """Return the protection levels of an output with a common error of all stars as last hypothesis.
 
-    If no sum of corrections exceeds its threshold, such an error is at most the threshold. The estimate without the
-    stars of the window is then correct within ``missed_detection`` times its sigma.
+    If the sum of corrections is within its threshold, the separation from the filter without the stars of the window is
+    within that threshold. This filter is correct within ``missed_detection`` times its sigma.
 
     Args:
-        found: separations and levels of all other hypotheses.
+        found: protection levels with all other hypotheses.
         k: their sigma multipliers.
         missed_detection: K_md of this hypothesis.
-        threshold: of the sum of corrections, by :func:`common_threshold`, sigmas.
+        threshold: threshold of the sum of corrections (:func:`common_threshold`), sigmas.
         corrections: recent corrections by all stars.
-        by_states: derivative of the components by the errors about North, Up and East, shape (3, 3).
-        covariance: of the components in the main filter, rad², shape (3, 3).
+        by_states: Jacobian of the components with respect to the errors about North, Up and East, shape (3, 3).
+        covariance: covariance of the components in the main filter, rad², shape (3, 3).
 
     Example:
         The corrections determine a common error to 2″, the output has 1″ in each component:
@@ -200,7 +202,7 @@ def with_common_error(
         >>> sums, every = np.zeros((1, 3, 3)), np.eye(3)
         >>> sums[0, 1] = 4.0
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
-        >>> others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+        >>> others = ProtectionLevels(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
 
         >>> found = with_common_error(others, k, 1.0, 6.0, CorrectionSums(sums, 3.0), every, every)
         >>> print(found.statistic, found.level.round(1), found.dominant)
@@ -211,7 +213,7 @@ def with_common_error(
         # A component may be independent of an unknown error: infinity times zero would be NaN.
         of_error = sum(square * one for square, one in zip(by_state, variance, strict=True) if square)
         level.append(threshold * math.sqrt(of_error) + missed_detection * math.sqrt(own + of_error))
-    # In units of the threshold of all other hypotheses of the report.
+    # The report has one threshold for all statistics, K_fa; this statistic is scaled from its own threshold to K_fa.
     statistic = np.append(found.statistic, corrections.sigmas * k.false_exclusion / threshold)
     largest = found.level.max()
     is_largest = not all(one <= largest for one in level)  # NaN is

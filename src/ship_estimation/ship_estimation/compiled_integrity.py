@@ -51,7 +51,7 @@ def solution_separation(
     share: cython.double,
     tiny: cython.double,
 ):
-    """Return the fields of :class:`ship_estimation.protection_levels.SolutionSeparation` for the tested hypotheses.
+    """Return the fields of :class:`ship_estimation.protection_levels.ProtectionLevels` for the tested hypotheses.
 
     Args:
         states: indices of the states that determine the components, shape (n,).

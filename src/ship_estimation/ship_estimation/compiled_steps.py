@@ -3,11 +3,11 @@
 
 This is the only implementation of these steps. It is Python with C types, compiled by Cython when the package is built.
 It works for any number of states, sources, filters and residuals. The functions are documented where they are called,
-in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.subfilters`; the tests contain the same in plain numpy.
+in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.subfilters`; the tests compare them with plain numpy.
 
 A measurement with Jacobian H, gain K and noise N changes a covariance P to (I - K H) P (I - K H)ᵀ + K N Kᵀ. The matrix
-I - K H is never formed: two thin factors of K H are applied from the right and from the left, a fifth of the work for
-19 states and 3 residuals.
+I - K H is never formed. Instead P is multiplied by the two thin factors of K H, which needs a fifth of the operations
+for 19 states and 3 residuals.
 
 Matrices are stored row by row. The inner loops add weighted rows to another row (:func:`_add_rows`), which compilers
 vectorise.
@@ -58,7 +58,7 @@ def _add_rows(
         target: row of ``count`` numbers.
         sign: factor of all weights.
         weights: one for each row, with spacing ``step``.
-        step: 1 along a row of a matrix, its width along a column.
+        step: spacing of the weights: 1 if they are a row of a matrix, the width of the matrix if they are a column.
         inner: number of rows.
         rows: the rows, with spacing ``stride``.
         stride: width of their matrix.
@@ -82,7 +82,7 @@ def _add_rows(
         k += 4
     if k == inner:
         return
-    # Up to three rows remain; for an attitude these are all.
+    # Up to three rows remain: all of them, if they belong to the three residuals of an attitude.
     row = rows + k * stride
     first = sign * weights[k * step]
     if inner - k == 1:
@@ -479,7 +479,7 @@ def total(stack: cython.const[cython.double][:, :, ::1], sources: cython.Py_ssiz
 def variance_along(
     weights: cython.const[cython.double][::1], covariance: cython.const[cython.double][:, :]
 ) -> cython.double:
-    """Return the variance of a weighted sum of states: shapes (n,) and (n, n); most of the weights are zero."""
+    """Return the variance of a weighted sum of states: weights (n,), mostly zero, and covariance (n, n)."""
     n: cython.Py_ssize_t = weights.shape[0]
     check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
     total: cython.double = 0.0
@@ -625,7 +625,7 @@ def _whitened_noise(
     noise: cython.const[cython.double][:, ::1],
     share: cython.p_double,
 ) -> cython.void:
-    """Write the part of the measurement noise in the covariance of the whitened innovation, shape (3, 3)."""
+    """Write the covariance of the whitened innovation from the measurement noise alone, shape (3, 3)."""
     m: cython.Py_ssize_t = noise.shape[0]
     scratch: cython.double[::1] = np.empty(9 * m)
     weights: cython.p_double = cython.address(scratch[0])
@@ -738,7 +738,7 @@ def update(
     own: cython.double[:, ::1] = np.empty((n, m))
     states: cython.Py_ssize_t[::1] = np.empty(n, dtype=np.intp)
     seen: cython.Py_ssize_t = _observed_states(jacobian, states)
-    # Selecting states is cheaper than multiplying by H.
+    # If few states are observed, selecting them is cheaper than multiplying by H.
     chosen: cython.Py_ssize_t = seen if seen <= 2 * m else 0
     room: cython.double[::1] = np.empty(3 * n * max(m, chosen) + n * n + 2 * n * m)
     scratch: cython.p_double = cython.address(room[0])
@@ -822,9 +822,10 @@ def _thin_factor(
     chosen: cython.Py_ssize_t,
     scratch: cython.p_double,
 ) -> cython.void:
-    """Write the left factor A of K H into the scratch, shape (n, r), and its transpose after it.
+    """Write the left factor A of K H = A B into the scratch, shape (n, r), and its transpose after it.
 
-    A is K, with H as the right factor. If ``chosen`` is not zero, A is K H of the observed states.
+    If ``chosen`` is zero, A is K and B is H. Otherwise A is the columns of K H for the observed states, and B selects
+    these states.
     """
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
@@ -853,7 +854,7 @@ def _times_right_factor(
     n: cython.Py_ssize_t,
     out: cython.p_double,
 ) -> cython.void:
-    """Write the right factor of K H times a matrix: H times it, or its rows of the observed states."""
+    """Write the product of the right factor of K H and a matrix: H times it, or its rows for the observed states."""
     k: cython.Py_ssize_t
     if not chosen:
         _product(jacobian, m, n, matrix, n, out)
@@ -873,7 +874,7 @@ def _joseph_update(
     scratch: cython.p_double,
     out: cython.p_double,
 ) -> cython.void:
-    """Write the upper triangle of (I - A B) P (I - A B)ᵀ, with A in the scratch."""
+    """Write the upper triangle of (I - A B) P (I - A B)ᵀ, with A from :func:`_thin_factor` in the scratch."""
     r: cython.Py_ssize_t = chosen or m
     transposed: cython.p_double = scratch + n * r
     across: cython.p_double = transposed + n * r
@@ -898,7 +899,7 @@ def _add_noise(
     out: cython.p_double,
     scratch: cython.double[::1],
 ) -> cython.void:
-    """Add K N Kᵀ to the upper triangle of a covariance; use the end of the scratch."""
+    """Add K N Kᵀ to the upper triangle of a covariance; the end of the scratch is overwritten."""
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
     transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])

@@ -2,11 +2,11 @@
 
 Every subfilter (:mod:`ship_estimation.subfilters`) computes innovations for the measurements of every source. Windowed
 innovation means (:mod:`ship_estimation.innovation_means`) show how consistent a filter is with each source. A fault is
-detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold. The source
-is isolated if the subfilter without it is consistent with all sources that it uses.
+detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold. A source
+is isolated as faulty if the subfilter without it is consistent with all sources that it uses.
 
 An excluded source is monitored by the subfilter without it. The source is reinstated after a time of consistency. By
-then its mounting is known, unchanged or, after a mounting shift, estimated again.
+then its mounting is known: it is unchanged, or it was estimated again after a mounting shift.
 """
 
 from collections.abc import Sequence
@@ -23,13 +23,14 @@ MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
 """Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
 _CHI2_MARGIN = 0.6
-"""Margin, as a share of the chi² limit, by which the subfilter that explains a fault must be better than any other.
+"""Minimum difference of the largest excess between any other subfilter and the one that isolates a fault.
 
-With the usual limits the fault is then 75 000 times as probable there. A drifting source is tested at hundreds of
-measurements before it is isolated: with a ratio of 2 000, six voyages of 40 isolated a healthy sensor."""
+The excess is chi² of an innovation mean over its limit. With the usual limits the margin is a likelihood ratio of
+75 000. A drifting source is tested at hundreds of measurements before it is isolated: with a ratio of 2 000 a healthy
+sensor was excluded in six of 40 voyages."""
 
 _SEPARATION_RATIO = 1.3
-"""Ratio of the largest solution separation to the second by which it isolates a fault that no innovation shows."""
+"""Minimum ratio of the largest solution separation to the second largest if no innovation isolates the fault."""
 
 _MOST_DOUBLINGS = 6
 
@@ -37,12 +38,12 @@ _MAX_REMAINING_RATIO = 0.5
 """Maximum remaining offset ratio at which a source whose mounting did not shift is reinstated."""
 
 _DRIFT_SIGMAS = 3.0
-"""Least size of half of the offset, in standard deviations of the error of the other sources, for a reinstatement.
+"""Minimum size of half of the offset, in standard deviations by the error of the other sources, for a reinstatement.
 
-An INS that propagates alone drifts by as much in time."""
+Otherwise the remaining offset is not observable: an INS without stars may itself have drifted by half of the offset."""
 
 _RATIO_WINDOW = 20
-"""Number of measurements over which the remaining offset ratio is averaged: a single one is too noisy."""
+"""Number of measurements over which the remaining offset ratio is averaged, because a single ratio is noisy."""
 
 _MAX_OFFSET_RATIO = 2.0
 """Bound of the measured offset ratio: one gross error delays a reinstatement by some measurements only."""
@@ -56,13 +57,13 @@ class ExcludedSource:
         since_ns: stamp of the measurement that led to the exclusion.
         exclusion_count: number of exclusions of this source, this one included; each doubles the reinstatement time.
         consistent_since_ns: stamp since which it has been consistent with the other sources; None if it is not.
-        offset: rotation vector of the device from the other sources at the exclusion, rad, shape (3,), which must
-            vanish before the reinstatement; None if the mounting is estimated again.
+        offset: rotation vector from the attitude by the other sources to the measured one at the exclusion, rad, shape
+            (3,), in the device frame; it must vanish before the reinstatement. None if the mounting is estimated again.
         remaining_offset_ratio: share of ``offset`` that remains, mean over some measurements.
         growing_since_ns: stamp since which the offset is much larger than at the exclusion, in the same direction; None
             if it is not.
         is_shared: True if all star sensors were excluded together, for an error that they may share.
-        is_self_reported: True if the source reported the fault itself and no other source has contradicted it yet.
+        is_self_reported: True if only the source itself has reported the fault: no other source has contradicted it.
     """
 
     since_ns: int
@@ -113,9 +114,9 @@ def isolate_fault(
         candidates: subfilters that may explain a fault, in order of preference.
         now_ns: the time.
         degraded_after: number of successive rejections after which a filter is inconsistent with a source.
-        larger_subfilters: subfilters that exclude more sources than a candidate. Such a subfilter explains everything
-            that a candidate contained in it explains. It is therefore tested only if all candidates are inconsistent,
-            or if its separation is clearly the largest.
+        larger_subfilters: subfilters that exclude a candidate's source and a second one. Such a subfilter explains
+            every fault that the candidate explains. It is therefore tested only if all candidates are inconsistent, or
+            if its separation is clearly the largest.
 
     Example:
         Three filters: with both sources, without the first, without the second. Every filter that uses the first source
@@ -123,15 +124,15 @@ def isolate_fault(
 
         >>> from ship_estimation.innovation_means import initial_means
         >>> excess, measured_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
-        >>> seen = replace(initial_means(3, 2), excess=excess, last_measured_ns=measured_ns)
+        >>> means = replace(initial_means(3, 2), excess=excess, last_measured_ns=measured_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
 
-        >>> isolate_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
+        >>> isolate_fault(means, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         FaultIsolation(is_detected=True, subfilter=1, explaining_subfilters=(1,))
     """
-    agrees = _is_main_filter_consistent(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
+    is_main_consistent = _is_main_filter_consistent(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
     sigmas = separations.tolist()
-    if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
+    if is_main_consistent and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
         return _NO_FAULT
     is_recent = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
     counts = uses & is_recent
@@ -151,10 +152,10 @@ def isolate_fault(
     if all(not worst[row] < worst[best] + _CHI2_MARGIN for row in tested if row != best):
         return FaultIsolation(is_detected=True, subfilter=best, explaining_subfilters=tuple(explaining))
     row = None
-    # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
-    if agrees and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
-        both = [*explaining, *(row for row in larger_subfilters if explains[row])]
-        row = _largest_separation(both, separations, threshold) or _largest_separation(
+    # After a rejection the main filter lacks data that the subfilters used: its separations show no fault of a source.
+    if is_main_consistent and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
+        with_larger = [*explaining, *(row for row in larger_subfilters if explains[row])]
+        row = _largest_separation(with_larger, separations, threshold) or _largest_separation(
             explaining, separations, threshold
         )
     return FaultIsolation(is_detected=True, subfilter=row, explaining_subfilters=tuple(explaining))
@@ -169,7 +170,7 @@ def is_consistent_with_all(means: InnovationMeans, degraded_after: int) -> bool:
         True
     """
     by_source = zip(means.excess[0].tolist(), means.rejection_counts[0].tolist(), strict=True)
-    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
+    return all(excess <= 1.0 and rejected < degraded_after for excess, rejected in by_source)  # NaN is inconsistent
 
 
 def _is_main_filter_consistent(
@@ -185,8 +186,8 @@ def _is_main_filter_consistent(
     )
     # NaN is inconsistent.
     return all(
-        excess <= 1.0 and refused < degraded_after
-        for excess, refused, measured_ns, used in by_source
+        excess <= 1.0 and rejected < degraded_after
+        for excess, rejected, measured_ns, used in by_source
         if used and measured_ns >= since_ns
     )
 
@@ -209,37 +210,39 @@ def evaluate_reinstatement(
 ) -> tuple[ExcludedSource, bool]:
     """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
-    If its mounting is not estimated again, its offset must have vanished. A covariance of the other sources that has
-    grown beyond the offset is not consistency.
+    The source must be consistent for :func:`reinstatement_time_s`. If its mounting is not estimated again, its offset
+    must also have vanished, and the offset must still be observable: the covariance by the other sources grows while
+    the source is excluded, and then covers any offset.
 
     Args:
         excluded: state of the source before the measurement.
-        means: innovation means with that measurement; the first filter is the one without the source.
+        means: innovation means with that measurement; the main filter no longer uses the source.
         source: index of the source.
         time_ns: stamp of the measurement.
         return_after_s: reinstatement time after the first exclusion, s.
-        measured_ratio: share of :attr:`ExcludedSource.offset` that remains by that measurement.
-        ratio_sigma: its standard deviation by the error of the other sources, without the noise of the measurement.
+        measured_ratio: share of :attr:`ExcludedSource.offset` that remains in that measurement.
+        ratio_sigma: standard deviation of that ratio from the error of the other sources, without measurement noise.
 
     Example:
         >>> from ship_estimation.innovation_means import initial_means
-        >>> agreed = ExcludedSource(since_ns=0, consistent_since_ns=5 * SECOND_NS)
-        >>> evaluate_reinstatement(agreed, initial_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
+        >>> excluded = ExcludedSource(since_ns=0, consistent_since_ns=5 * SECOND_NS)
+        >>> evaluate_reinstatement(excluded, initial_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = (
+    is_consistent = (
         means.excess[0, source] <= CONSISTENT_RATIO and means.rejection_counts[0, source] == 0
     )  # NaN is inconsistent
     if excluded.offset is not None:
         measured_ratio = (
             measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO
         )  # NaN is gross
-        share_left = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (
+        remaining_ratio = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (
             _RATIO_WINDOW + 1.0
         )
-        excluded = replace(excluded, remaining_offset_ratio=share_left)
-        agrees = agrees and share_left <= _MAX_REMAINING_RATIO and _DRIFT_SIGMAS * ratio_sigma <= _MAX_REMAINING_RATIO
-    if not agrees:
+        excluded = replace(excluded, remaining_offset_ratio=remaining_ratio)
+        is_observable = _DRIFT_SIGMAS * ratio_sigma <= _MAX_REMAINING_RATIO
+        is_consistent = is_consistent and remaining_ratio <= _MAX_REMAINING_RATIO and is_observable
+    if not is_consistent:
         return replace(excluded, consistent_since_ns=None), False
     since_ns = time_ns if excluded.consistent_since_ns is None else excluded.consistent_since_ns
     return replace(excluded, consistent_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= reinstatement_time_s(

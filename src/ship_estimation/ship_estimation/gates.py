@@ -21,24 +21,24 @@ class GateConfig:
     )
     degraded_after: int = parameter(
         3,
-        doc="successive rejections that make a source inconsistent; if all sources are, the output is DEGRADED",
+        doc="successive rejections after which a source is inconsistent; if all sources are, the output is DEGRADED",
         minimum=1,
         maximum=1000,
         live=True,
     )
     reopen_after: int = parameter(
-        0, doc="successive rejections that inflate the covariance to re-admit the source; 0 never", minimum=0, live=True
+        0, doc="successive rejections of one source that inflate the covariance; 0 never", minimum=0, live=True
     )
     reopen_factor: float = parameter(
-        100.0, doc="factor of an inflation of the covariance", minimum=1.0, maximum=1e9, live=True
+        100.0, doc="factor of this inflation of the covariance", minimum=1.0, maximum=1e9, live=True
     )
 
 
 def chi_square_gate(probability: float, degrees: int) -> float:
-    """Return the chi² value below which a consistent measurement of ``degrees`` components is with ``probability``.
+    """Return the gate of the NIS: the quantile ``probability`` of chi² with ``degrees`` degrees of freedom.
 
     Example:
-        An attitude (three components) passes with 99.99 % up to a normalised innovation squared of 21.1:
+        With probability 99.99 % the NIS of a consistent attitude (three components) is below 21.1:
 
         >>> print(round(chi_square_gate(0.9999, 3), 2))
         21.11
@@ -61,7 +61,7 @@ def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> Float
 
 
 def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tuple[float, float]:
-    """Return the two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` each.
+    """Return the two-sided band of the mean of ``samples`` chi² values, independent, with ``degrees`` of freedom.
 
     Example:
         The mean NEES of 200 consistent attitudes, three angles each, is near 3:

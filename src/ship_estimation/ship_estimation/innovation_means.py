@@ -36,7 +36,7 @@ FIELDS_BY_SUBFILTER = ("running", "excess", "rejection_counts")
 _MAX_INNOVATION_RATIO = math.sqrt(0.5)
 """Bound of a whitened innovation, as a share of the square root of the chi² limit.
 
-Two successive gross errors keep the mean over three measurements below the limit, the third does not."""
+The mean over three measurements stays below its limit after two successive gross errors, and exceeds it after three."""
 
 _WINDOW_WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])
 """Weight of a measurement in each mean, shape (w,)."""
@@ -53,9 +53,10 @@ class InnovationMeans:
 
     Attributes:
         running: shape (h, s, w, 5). Columns 0 to 2: the mean innovation. Column 3: the filled share of the window, 0 at
-            the start, soon 1. Column 4: the variance of a mean of independent innovations as a share of that of one.
-        excess: largest chi² of a mean over its limit, shape (h, s). For a source that a filter excludes, it is used in
-            the main filter only.
+            the start, soon 1. Column 4: the variance of the mean if the innovations are independent; that of a single
+            whitened innovation is 1.
+        excess: ratio of chi² to its limit, the largest of the w means, shape (h, s). In a subfilter it is not used for
+            the source that this subfilter excludes.
         rejection_counts: number of successive rejections, shape (h, s).
         last_measured_ns: stamp of the last measurement of each source, shape (s,).
         inconsistent_since_ns: stamp since which the main filter is inconsistent with each source, shape (s,);
@@ -88,7 +89,7 @@ def initial_means(subfilters: int, sources: int) -> InnovationMeans:
 def excess_limit(config: IntegrityConfig, sources: int) -> float:
     """Return the chi² limit of an innovation mean, for half of the configured rate of false exclusions.
 
-    A mean over N measurements has one independent value in N measurements.
+    Of a mean over N measurements, one value in N is independent.
 
     Example:
         >>> print(round(excess_limit(IntegrityConfig(), sources=2), 1))
@@ -111,20 +112,20 @@ def updated_means(
 
     Args:
         means: before the measurement.
-        source: index of the source; or indices of l sources, and the arrays have one axis more.
-        innovation: whitened innovation in every filter, shape (h, 3) or (h, l, 3).
-        accepted: True if its NIS passed the gate of each filter, shape (h,) or (h, l).
+        source: index of the source, or indices of l sources.
+        innovation: whitened innovation in every filter, shape (h, 3), or (h, l, 3) for l sources.
+        accepted: True for each filter whose gate the NIS passed, shape (h,), or (h, l) for l sources.
         time_ns: stamp of the measurement.
-        limit: chi² limit by :func:`excess_limit`.
-        whitened_noise: part of the measurement noise in the whitened covariance, shape (3, 3), if the main filter
-            excludes the source; None otherwise.
+        limit: chi² limit (:func:`excess_limit`).
+        whitened_noise: covariance of the whitened innovation from the measurement noise alone, shape (3, 3), if the
+            main filter does not use the source; None if it does.
 
     Example:
         Innovations of three sigmas in the same direction exceed the limit after a few measurements:
 
-        >>> found, turn = initial_means(1, 1), np.array([[3.0, 0.0, 0.0]])
+        >>> found, innovation = initial_means(1, 1), np.array([[3.0, 0.0, 0.0]])
         >>> for number in range(8):
-        ...     found = updated_means(found, 0, turn, np.array([True]), number, limit=37.4)
+        ...     found = updated_means(found, 0, innovation, np.array([True]), number, limit=37.4)
         ...     if found.excess[0, 0] > 1.0: break
         >>> number
         4
@@ -152,9 +153,9 @@ def updated_means(
     if after is not None:
         return InnovationMeans(*after)
     # A NaN does not enter the means; it counts as a rejection.
-    refused = means.rejection_counts.copy()
-    refused[:, list(source)] += 1
-    return replace(means, rejection_counts=refused)
+    rejection_counts = means.rejection_counts.copy()
+    rejection_counts[:, list(source)] += 1
+    return replace(means, rejection_counts=rejection_counts)
 
 
 def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
@@ -181,13 +182,13 @@ def cleared_means(
     """Return the means with those of some filters and sources cleared.
 
     Example:
-        >>> seen = replace(initial_means(2, 2), rejection_counts=np.array([[1, 2], [3, 4]]))
-        >>> cleared_means(seen, slice(None), [1]).rejection_counts.tolist()
+        >>> means = replace(initial_means(2, 2), rejection_counts=np.array([[1, 2], [3, 4]]))
+        >>> cleared_means(means, slice(None), [1]).rejection_counts.tolist()
         [[1, 0], [3, 0]]
     """
-    cut = {}
+    cleared = {}
     for name in FIELDS_BY_SUBFILTER:
         values = getattr(means, name).copy()
         values[subfilters, sources] = 0
-        cut[name] = values
-    return replace(means, **cut)
+        cleared[name] = values
+    return replace(means, **cleared)

@@ -2,12 +2,12 @@
 
 A state vector consists of named blocks (:class:`StateBlock`, :class:`StateModel`). A block defines which slice of the
 state is which quantity, how it evolves, and to which error source its process noise belongs. The covariance P is kept
-as ``parts``, shape (n_sources, n, n), with P = parts.sum(axis=0). All steps are linear in P (the update in Joseph's
-form). Each part is therefore propagated and updated with the gain of the filter, and the sum stays exact. This is the
-covariance by error source, the error budget.
+as ``parts``, shape (n_sources, n, n), with P = parts.sum(axis=0). All steps are linear in P; the measurement update has
+Joseph's form. Each part is therefore propagated like P and updated with the gain of P, and the parts always add up to
+P. This is the covariance by error source, the error budget.
 
-:func:`predict` is the time update, :func:`innovation` and :func:`update` are the measurement update. The arithmetic is
-compiled (:mod:`ship_estimation.compiled_steps`).
+:meth:`StateModel.propagate` and :func:`propagate_covariance` are the time update. :func:`innovation` and :func:`update`
+are the measurement update. The arithmetic is compiled (:mod:`ship_estimation.compiled_steps`).
 """
 
 from collections.abc import Mapping
@@ -28,9 +28,9 @@ _NO_TIME_S = 1e-200
 class StateBlock:
     """One named block of the state with the process that drives it.
 
-    Every element is a first-order Gauss–Markov process x' = -x / T + noise with steady standard deviation
-    ``sigma``. If ``time_s`` is infinite, it is a constant that starts with ``sigma`` and walks by ``walk``
-    per square root of a second. ``time_s`` = 0 is white noise: independent at every time.
+    Every element is a first-order Gauss–Markov process x' = -x / T + noise with steady standard deviation ``sigma``.
+    An element with infinite ``time_s`` is a constant with prior ``sigma``, plus a random walk if ``walk`` is not zero.
+    An element with ``time_s`` = 0 is white noise: independent at every time.
 
     Attributes:
         name: for example ``ins.attitude`` or ``star.fore.installation``.
@@ -76,10 +76,10 @@ def block(
 
 
 class StateModel:
-    """Blocks laid end to end, with the transition of the whole vector.
+    """State vector that consists of blocks, and its propagation.
 
     Args:
-        blocks: in order.
+        blocks: blocks in the order of their states.
         noise_sources: error sources of measurement noise, in addition to those of the blocks.
 
     Attributes:
@@ -157,20 +157,20 @@ class StateModel:
     def propagate(
         self, dt_s: float, means: FloatArray, stack: FloatArray, correlated: str
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Propagate the main filter and all subfilters by a time.
+        """Propagate the main filter and all subfilters over ``dt_s``.
 
         Args:
-            dt_s: the time, s, not negative.
+            dt_s: time step, s, not negative.
             means: states of h filters, shape (h, n). The correlated error is propagated by
                 :func:`propagate_correlated_error`.
             stack: their covariances (:mod:`ship_estimation.subfilters`), shape (n_sources + h - 1, n, n).
             correlated: name of the block of the correlated error.
 
         Returns:
-            Decay factor of each state, shape (n,); means and stack after that time.
+            Decay factor of each state, shape (n,), and the propagated means and stack.
 
         Example:
-            After half an hour the error of 8 has decayed to 3; the step of 3600 remains:
+            After half an hour the error of 8 has decayed to 2.9. The error of 3600 is a step and does not decay:
 
             >>> model = StateModel([block("ins", [10.0, 10.0], "ins_drift", time_s=1800.0)], noise_sources=[])
             >>> _, means, stack = model.propagate(1800.0, np.array([[8.0, 3600.0]]), 4.0 * np.eye(2)[None], "ins")
@@ -193,7 +193,7 @@ class StateModel:
 
 
 def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Propagate a correlated error, shape (n,): it decays, but an element far beyond its sigma (a step) is kept.
+    """Propagate a correlated error, shape (n,): an element decays unless it is a step (:func:`exceeds_model`).
 
     Args:
         error: the error, shape (n,).
@@ -209,7 +209,7 @@ def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: Floa
 
 
 def exceeds_model(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """True for each element of a correlated error that is beyond five sigma and does not decay, shape (n,).
+    """True for each element of a correlated error that is beyond five sigma: it is taken as a step, shape (n,).
 
     Example:
         >>> print(exceeds_model(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))
@@ -228,7 +228,7 @@ class LinearMeasurement:
         jacobian: shape (m, n).
         noise_by_source: covariance of the measurement noise, shape (m, m), by the index of its error source.
         noise: covariance of the whole measurement noise, shape (m, m).
-        noise_parts: the noise by source, contiguous, for the compiled steps.
+        noise_parts: ``noise_by_source`` as contiguous matrices, for the compiled steps.
     """
 
     residual: FloatArray
@@ -238,7 +238,7 @@ class LinearMeasurement:
     noise_parts: tuple[tuple[int, FloatArray], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # The compiled steps read matrices row by row.
+        # The compiled steps need C-contiguous matrices.
         noise_parts = tuple((index, np.ascontiguousarray(part)) for index, part in self.noise_by_source.items())
         (_, total), *others = noise_parts
         for _, part in others:
@@ -261,31 +261,31 @@ class InnovationAndGain(NamedTuple):
     gain: FloatArray
 
 
-def predict(
+def propagate_covariance(
     stack: FloatArray, decay: FloatArray, noise: FloatArray, source_of: NDArray[np.intp], filter_count: int = 1
 ) -> FloatArray:
-    """Return the predicted covariances (time update) for a diagonal transition and process noise, shapes (n,).
+    """Return the propagated covariances (time update), for a diagonal transition matrix and diagonal process noise.
 
     Args:
-        stack: covariance by error source, followed by those of the subfilters (:mod:`ship_estimation.subfilters`), if
-            there are any, shape (n_sources + h - 1, n, n); several stacks may be given, as a leading axis.
-        decay: decay factor of each state.
-        noise: variance of the process noise.
-        source_of: index of its error source (:attr:`StateModel.source_of`).
-        filter_count: h; the subfilters have no covariance by error source.
+        stack: parts of the main filter, then one covariance for each subfilter (:mod:`ship_estimation.subfilters`),
+            shape (n_sources + h - 1, n, n); or several stacks, with a leading axis.
+        decay: decay factor of each state, shape (n,).
+        noise: variance of the process noise of each state, shape (n,).
+        source_of: index of the error source of that noise, shape (n,) (:attr:`StateModel.source_of`).
+        filter_count: number of filters in the stack, h.
 
     Example:
         One state, whose covariance of 4 belongs to the first of two sources, decays by half; noise of 1 is added:
 
         >>> parts = np.array([[[4.0]], [[0.0]]])
-        >>> print(predict(parts, decay=np.array([0.5]), noise=np.array([1.0]), source_of=np.array([0])).ravel())
+        >>> print(propagate_covariance(parts, np.array([0.5]), np.array([1.0]), source_of=np.array([0])).ravel())
         [2. 0.]
     """
     stacks = np.ascontiguousarray(stack).reshape(-1, *stack.shape[-3:])
-    predicted: FloatArray = compiled_steps.predicted_covariances(
+    propagated: FloatArray = compiled_steps.predicted_covariances(
         stacks, stack.shape[-3] - filter_count + 1, decay, noise, source_of
     )
-    return predicted.reshape(stack.shape)
+    return propagated.reshape(stack.shape)
 
 
 def innovation(parts: FloatArray, measurement: LinearMeasurement) -> InnovationAndGain:
@@ -304,9 +304,9 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> InnovationA
         [[4.]] 4.0 [[0.75]]
     """
     mean, residual = np.zeros((1, parts.shape[-1])), measurement.residual
-    stack, no_turn = np.ascontiguousarray(parts), np.zeros((len(residual), 3))
+    stack, no_rotation = np.ascontiguousarray(parts), np.zeros((len(residual), 3))
     _, covariance, nis, gain, *_ = compiled_steps.innovations(
-        mean, stack, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
+        mean, stack, residual, measurement.jacobian, measurement.noise, mean[0], no_rotation
     )
     return InnovationAndGain(covariance[0], float(nis[0]), gain[0])
 
@@ -322,7 +322,7 @@ def update(
         gain: as returned by :func:`innovation`; Joseph's form is valid for any gain.
 
     Example:
-        The measurement of :func:`innovation` has the weight 3/4, and the parts add up to the new variance 3/4:
+        The example of :func:`innovation` continued: the gain is 3/4, and the parts add up to the new variance, 3/4:
 
         >>> measured = LinearMeasurement(np.array([4.0]), np.array([[1.0]]), {1: np.array([[1.0]])})
         >>> parts = np.array([[[3.0]], [[0.0]]])  # by the INS, by the stars

@@ -1,8 +1,8 @@
 """Outcome of an input: measurement decisions, estimates and failures, the same types for every estimator.
 
-A core answers each input with an :class:`Outcome`: the rejection of that input, the decisions about measurements that
-could be evaluated now, and the estimates to publish. :class:`MeasurementDecision` holds what all decisions have in
-common; an estimator adds fields in a subclass.
+A core returns an :class:`Outcome` for each input: the rejection of that input, the decisions about measurements that
+could be evaluated now, and the estimates to publish. :class:`MeasurementDecision` has the fields that all decisions
+have in common; an estimator adds fields in a subclass.
 """
 
 import enum
@@ -44,11 +44,11 @@ class Measurement(Protocol):
 
     @property
     def reach_ns(self) -> int:
-        """Time before and after the stamp that belongs to the measurement, ns: half of an exposure; mostly 0."""
+        """Half of the duration of the measurement, ns: half of an exposure, about the stamp; 0 if instantaneous."""
         ...
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes. Repeated messages have equal bytes; the bytes put conflicting ones in order."""
         ...
 
 
@@ -61,7 +61,7 @@ class MeasurementDecision(Generic[MeasurementT]):
 
     Attributes:
         measurement: the measurement itself.
-        reason: reason of the rejection, or of a remark on an accepted measurement; NONE if there is neither.
+        reason: reason of the rejection, or of the remark in ``text`` on an accepted measurement; NONE for neither.
         accepted: True if the measurement updated the estimate.
         components: names of the residuals.
         residual: measured minus predicted, rad, shape (m,); empty if no residual was computed.
@@ -70,9 +70,9 @@ class MeasurementDecision(Generic[MeasurementT]):
         gate: the value that ``nis`` must not exceed.
         text: explanation for people.
         rejected_parts: parts of the measurement (stars, beacons) that were not used, by name, with the reason.
-        revised: True if a measurement that arrived late changed an earlier decision.
+        revised: True if this decision replaces an earlier one, because another measurement arrived late.
         covariance: innovation covariance, rad², shape (m, m).
-        noise: measurement noise, a part of it, rad², shape (m, m).
+        noise: part of ``covariance`` from the measurement noise, rad², shape (m, m).
     """
 
     measurement: MeasurementT

@@ -1,14 +1,13 @@
 """Protection levels: bounds of the error of an output under an undetected fault of one source.
 
 The main filter uses all sources; subfilter i excludes source i. Without a fault of source i their solution separation
-d_i has the covariance P_i - P_0. A source with |d_i| above K_fa σ(d_i) is excluded. The error of a component under a
-fault that was not excluded is bounded by the protection level
+d_i has the covariance P_i - P_0. If |d_i| exceeds its threshold K_fa σ(d_i), a fault is detected. The error of a
+component under an undetected fault is bounded by the protection level
 
     max( K_0 σ_0,  max over i of  K_fa σ(d_i) + K_md,i σ_i )
 
-If source i is faulty, subfilter i is fault-free, and the main filter is at most the threshold away from it. This is the
-solution separation of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51, DOI
-10.1109/TAES.2014.130739).
+If source i is faulty, subfilter i is fault-free, and the solution separation d_i is within its threshold. This is the
+method of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51, DOI 10.1109/TAES.2014.130739).
 """
 
 import enum
@@ -36,15 +35,16 @@ NORMAL_95 = 1.96
 
 _COMPONENTS = 3
 LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
-"""Least variance of a solution separation, as a share of the main filter's variance and absolute, rad².
+"""Minimum variance of a solution separation: as a share of the main filter's variance, and absolute, rad².
 
-They keep rounding errors from exceeding a threshold where a source is taken as exact."""
+The two variances may be equal, or zero for exact sources. Without the minimum, rounding errors of the means would then
+exceed the threshold."""
 INFLATION_START_SIGMAS = 3.0
 """Solution separation above which the published covariance is inflated, sigmas; smaller ones are usual."""
 _NO_LEVEL = np.full(_COMPONENTS, np.nan)
 _NO_LEVEL.flags.writeable = False
 _MAX_MISSED_DETECTION = 0.5
-"""Largest probability of a missed detection: a protection level is never below the threshold itself."""
+"""Maximum probability of a missed detection: K_md is not negative, so no level is below K_fa σ(d_i)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class PriorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class IntegrityConfig:
-    """Probabilities of the protection levels, of fault exclusion, and the time until reinstatement."""
+    """Parameters of the protection levels, and of fault exclusion and reinstatement."""
 
     p_hmi: float = parameter(
         1e-5,
@@ -120,9 +120,9 @@ class IntegrityConfig:
 def joint_prior_per_h(priors_per_h: Sequence[float]) -> float:
     """Return the rate of simultaneous faults of independent sources, 1/h: the product of their hourly probabilities.
 
-    The probability of several faults at a time is the product of the single ones (Blanch et al. 2015, fault modes of
-    section III). Each is that of one exposure, here the hour of ``p_hmi``: the faults begin in the same hour, in any
-    order. An older undetected fault followed by a second one is not counted.
+    Each probability is that of a fault that begins in the exposure time of ``p_hmi``, one hour (Blanch et al. 2015,
+    fault modes of section III). So both faults begin in the same hour, in any order. A second fault that follows an
+    older undetected one is not counted.
 
     Example:
         Two sources with one fault in a thousand hours each:
@@ -152,13 +152,13 @@ def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) ->
     """Return the sigma multipliers for the configured probabilities.
 
     The probability of misleading information is allocated in equal parts to the fault-free case and to each hypothesis.
-    Half of the false exclusions is allocated to all solution separations and to their independent values in an hour
-    (:data:`TESTS_PER_H`).
+    Half of the rate of false exclusions is allocated equally to the solution separations: one for each hypothesis and
+    component, each with :data:`TESTS_PER_H` independent values in an hour.
 
     Args:
         config: the probabilities.
-        priors_per_h: fault rate of each hypothesis, 1/h; for several sources by :func:`joint_prior_per_h`. If it is at
-            most twice the allocated probability, the protection level is the threshold alone.
+        priors_per_h: fault rate of each hypothesis, 1/h; for several sources by :func:`joint_prior_per_h`. K_md is zero
+            if the rate is at most twice the probability that is allocated to the hypothesis.
 
     Example:
         Two star sensors and an INS with one fault in a thousand hours each:
@@ -178,14 +178,14 @@ def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) ->
     )
 
 
-class SolutionSeparation(NamedTuple):
-    """Solution separations and protection levels of an output; h tested hypotheses, three components.
+class ProtectionLevels(NamedTuple):
+    """Protection levels of an output, and its solution separations; h tested hypotheses, three components.
 
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
         level: protection level of each component, shape (3,).
         dominant: index of the hypothesis with the largest level; -1 for the fault-free case.
-        largest_sigma: largest sigma, in any subfilter, of a state that determines the components.
+        largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components.
     """
 
     statistic: FloatArray
@@ -194,24 +194,27 @@ class SolutionSeparation(NamedTuple):
     largest_sigma: float
 
 
-def solution_separation(
+def protection_levels(
     k: SigmaMultipliers,
     tested_subfilters: NDArray[np.intp],
     states: NDArray[np.intp],
-    by_output: tuple[FloatArray, FloatArray, FloatArray],
+    output_errors: tuple[FloatArray, FloatArray, FloatArray],
     mean: FloatArray,
     means: FloatArray,
     covariance_by_source: FloatArray,
     subfilter_covariances: FloatArray,
-) -> SolutionSeparation:
-    """Return the solution separations of the subfilters from the main filter, and the protection levels.
+) -> ProtectionLevels:
+    """Return the protection levels of an output, and the solution separations of the subfilters from the main filter.
+
+    The error of an output is that of its states plus noise of its own, which is the same in every filter.
 
     Args:
         k: sigma multipliers of h hypotheses.
-        tested_subfilters: indices of the hypotheses that are tested and reported.
+        tested_subfilters: indices of the subfilters that are tested: those whose sources are not excluded already.
         states: indices of the n states that determine the components, shape (n,).
-        by_output: derivative of the components by the errors of the output, shape (3, 3), and by these states, shape
-            (3, n); covariance of the errors of the output in the main filter, shape (3, 3).
+        output_errors: three arrays: Jacobian of the components with respect to the error of the output, shape (3, 3);
+            their Jacobian with respect to these states, shape (3, n); covariance of the error of the output by the main
+            filter, its own noise included, shape (3, 3).
         mean: states of the main filter, shape (m,).
         means: states of each subfilter, shape (h, m).
         covariance_by_source: covariance of the main filter by error source, shape (p, m, m).
@@ -222,14 +225,14 @@ def solution_separation(
 
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
         >>> every = np.eye(3)
-        >>> found = solution_separation(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
+        >>> found = protection_levels(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
         ...                    np.full((1, 3), 4.0), 3.24 * every[None], 9.0 * every[None])
         >>> print(found.statistic.round(2), found.level.round(1), found.dominant, found.largest_sigma)
         [1.67] [18. 18. 18.] 0 3.0
     """
     found = compiled_integrity.solution_separation(
         states,
-        *by_output,
+        *output_errors,
         mean,
         means,
         covariance_by_source,
@@ -241,7 +244,7 @@ def solution_separation(
         LEAST_SHARE,
         LEAST_VARIANCE_RAD2,
     )
-    return SolutionSeparation(*found)
+    return ProtectionLevels(*found)
 
 
 def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray:
@@ -263,18 +266,17 @@ def separation_inflation(separations: FloatArray, statistic: FloatArray) -> Floa
     """Return the covariance that is added to an output because of its solution separations.
 
     A drifting source separates the main filter from its subfilter long before the separation exceeds the threshold.
-    Until then the fault is unresolved, and the published covariance covers both solutions: each subfilter adds
-    d dᵀ (1 - 9 / s²) if its separation s exceeds three sigmas. The term starts at zero there, so it does not jump.
+    Until then the published covariance covers both solutions. Each subfilter whose separation d exceeds three sigmas
+    adds d dᵀ (1 - 9 / s²), where s is the separation in sigmas. The term is continuous: it is zero at s = 3.
 
     The term is added to published covariances only. States, separations and protection levels do not contain it.
 
     Args:
-        separations: components of each subfilter minus those of the main filter, or the states that determine them,
-            shape (h, n).
-        statistic: separation of each subfilter, sigmas, shape (h,). A subfilter with a NaN adds nothing.
+        separations: solution separations of each subfilter, in n components or in n states, shape (h, n).
+        statistic: largest separation of each subfilter, sigmas, shape (h,). A subfilter with a NaN adds nothing.
 
     Returns:
-        Covariance of the components, shape (n, n).
+        Covariance of these components or states, shape (n, n).
 
     Example:
         One subfilter is separated by 10″ in the second component, six sigmas; another one by less than three sigmas:
@@ -306,15 +308,15 @@ class IntegrityReport(NamedTuple):
 
     Attributes:
         time_ns: stamp of the output.
-        state: of the levels against their limits.
+        state: state of the levels against their alert limits.
         level: protection level of each component, rad, shape (3,); NaN if there is none.
         hypotheses: the source that each subfilter excludes.
-        statistic: largest solution separation of each, sigmas, shape (h,).
-        threshold: of the separations, sigmas.
+        statistic: largest solution separation of each subfilter, sigmas, shape (h,).
+        threshold: threshold of the solution separations, K_fa, sigmas.
         excluded: the excluded sources, and the stamp since which each is excluded.
         dominant: the hypothesis with the largest level; empty for the fault-free case.
-        largest_sigma: largest sigma, in any subfilter, of a state that determines the components, rad: it enters the
-            components in proportion to a rotation of their directions.
+        largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components, rad. If
+            the directions of the components rotate, the levels change in proportion to it.
     """
 
     time_ns: int
@@ -333,7 +335,7 @@ def integrity_report(
     config: IntegrityConfig,
     k: SigmaMultipliers,
     names: tuple[str, ...],
-    found: SolutionSeparation,
+    found: ProtectionLevels,
     excluded: tuple[tuple[str, int], ...],
     is_checked: bool,
 ) -> IntegrityReport:
@@ -343,16 +345,16 @@ def integrity_report(
         time_ns: stamp of the output.
         config: with the alert limits.
         k: sigma multipliers.
-        names: of the tested hypotheses; sources that are excluded already are not tested.
-        found: solution separations and levels of these hypotheses.
+        names: names of the tested hypotheses; sources that are excluded already are not tested.
+        found: protection levels and solution separations of these hypotheses.
         excluded: the excluded sources, and the stamp since which each is excluded.
-        is_checked: True if the sources in use can check one another. Otherwise there is no level, nor is there one if a
+        is_checked: True if the sources in use can check one another. There is a level only if they can, and if no
             separation exceeds the threshold.
 
     Example:
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
-        >>> found = SolutionSeparation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
+        >>> found = ProtectionLevels(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
 
         >>> report = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), is_checked=True)
         >>> print(report.state.name, report.dominant, (report.level / ARCSEC).round(1))

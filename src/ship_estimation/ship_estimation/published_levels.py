@@ -1,8 +1,8 @@
 """The protection levels published last, and their coverage of later outputs.
 
-A protection level belongs to one output. The levels of the following outputs are mostly the same. They are therefore
-published once a period, and before an output that the published ones do not cover: its levels are larger or not
-available, or the excluded sources have changed.
+A protection level belongs to one output. The levels of the following outputs are mostly the same, so levels are
+published only once a period. They are also published before an output that the published levels do not cover: its
+levels are larger, or its integrity state or the excluded sources have changed.
 """
 
 from typing import Any, Protocol
@@ -18,7 +18,7 @@ MAX_LEVEL_RATIO = 1.05
 """Ratio by which an output's protection level may exceed the published one before a new report is due."""
 
 _MAX_LEVEL_SIGMAS = 2.0
-"""Upper bound of a protection level, in units of its threshold times the sigma of a subfilter."""
+"""Upper bound of a protection level, in units of K_fa σ_i: K_fa σ(d_i) + K_md,i σ_i ≤ 2 K_fa σ_i."""
 _TINY = 1e-12
 
 
@@ -36,13 +36,13 @@ class PublishedLevels:
     rotation of the directions in which the errors are measured.
 
     Attributes:
-        report: published last; None before the first.
+        report: report published last; None before the first.
         state: filter state of the last output that was evaluated.
-        redundancy_key: further conditions on which the existence of a level depends.
-        directions: direction cosines in which the errors of that output are measured, shape (k, l).
-        until_ns: stamp from which levels are published in any case.
-        max_variance: trace of an output's covariance up to which the published levels cover it, rad².
-        max_direction_change: change of each direction cosine up to which they do.
+        redundancy_key: further attributes of that output, such as its sources; if they change, an output is evaluated.
+        directions: direction cosines of the components whose errors are bounded, at that output, shape (k, l).
+        until_ns: stamp from which the next report is due.
+        max_variance: maximum trace of the covariance of an output that the published levels cover, rad².
+        max_direction_change: maximum change of each direction cosine for an output that they cover.
 
     Example:
         >>> from types import SimpleNamespace
@@ -55,7 +55,8 @@ class PublishedLevels:
         >>> [published.needs_update(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
         [True, False, False, True, False]
 
-        10.6 is published, and 11.0 may still grow by a hundredth: half by the variance, half by a rotation.
+        The published level of 10.6 covers levels up to 11.1, so the last one, 11.0, may grow by 1.2 %. Half of this
+        growth is allocated to the variance, half to a rotation of the directions.
 
         >>> print(round(published.max_variance, 3), round(published.max_direction_change, 4))
         3.012 0.0065
@@ -69,12 +70,12 @@ class PublishedLevels:
         self.until_ns, self.max_variance, self.max_direction_change = 0, 0.0, 0.0
 
     def covered_count(self, times_ns: NDArray[np.int64], covariances_n: FloatArray, directions: FloatArray) -> int:
-        """Return the number of leading outputs, of N from the same state, that the published levels certainly cover.
+        """Return the number of outputs, from the first of N on, that the published levels cover without computation.
 
         Args:
-            times_ns: stamps, shape (N,).
-            covariances_n: of their errors, rad², shape (N, 3, 3).
-            directions: direction cosines of each, shape (N, k, l).
+            times_ns: stamps of the outputs, which are from the same filter state, shape (N,).
+            covariances_n: covariances of their errors, rad², shape (N, 3, 3).
+            directions: direction cosines of each output, shape (N, k, l).
         """
         until, published = (self.until_ns, self.max_variance), (self.directions, self.max_direction_change)
         count: int = compiled_integrity.covered_count(times_ns, covariances_n, directions, *until, *published)
@@ -86,7 +87,7 @@ class PublishedLevels:
         Args:
             output: the output.
             report: its protection levels.
-            period_ns: period of publication in any case, ns.
+            period_ns: maximum time between two reports, ns.
         """
         published = self.report
         if published is not None and output.time_ns < self.until_ns and _has_same_state(report, published):
@@ -106,7 +107,7 @@ def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool
 def _coverage(
     output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport
 ) -> tuple[bool, float, float]:
-    """True if published levels cover those of an output; and the variance and rotation up to which they do later."""
+    """Return true if published levels cover an output, and the bounds for later outputs: variance and rotation."""
     entering = _MAX_LEVEL_SIGMAS * report.threshold * report.largest_sigma
     found: tuple[bool, float, float] = compiled_integrity.coverage(
         report.level, published.level, output.covariance_n, entering, MAX_LEVEL_RATIO, _TINY

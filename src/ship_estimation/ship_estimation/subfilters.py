@@ -2,12 +2,12 @@
 
 The innovations of a measurement are computed for all filters at once. A subfilter that excludes the source of a
 measurement updates only the states that belong to that source alone (its installation). The other states and their
-covariance are, to the last digit, those of a filter that never received the source. So the subfilter monitors the
-source that it excludes, and its mounting is known when the source is reinstated.
+covariance are, to the last digit, those of a filter without the source. So the subfilter monitors the source that it
+excludes, and the mounting of that source is known when the source is reinstated.
 
 The main filter keeps its covariance by error source; each subfilter keeps one matrix. All are kept in one stack: the
-n_sources parts of the main filter, then the covariances of the h - 1 subfilters. The terms are those of solution
-separation (Blanch et al. 2015, see :mod:`ship_estimation.protection_levels`).
+n_sources parts of the main filter, then the covariances of the h - 1 subfilters. Main filter, subfilter and solution
+separation are terms of ARAIM (Blanch et al. 2015, see :mod:`ship_estimation.protection_levels`).
 """
 
 from typing import NamedTuple
@@ -29,11 +29,12 @@ class FilterInnovations(NamedTuple):
         covariance: innovation covariance, shape (h, m, m).
         nis: normalised innovation squared, shape (h,).
         gain: Kalman gain, shape (h, n, m).
-        whitened_innovation: rotation of the device by least squares from the residual, whitened: unit covariance if the
-            filter is consistent, shape (h, 3).
-        whitened_noise: part of the measurement noise in that unit covariance in the main filter, shape (3, 3).
-        whitening_root: square root of the covariance of that rotation, rad, shape (h, 3, 3):
-            ``whitening_root @ whitened_innovation`` is in rad.
+        whitened_innovation: innovation as a rotation vector of the device (least squares), whitened: its covariance is
+            the unit matrix if the filter is consistent, shape (h, 3).
+        whitened_noise: covariance of the main filter's whitened innovation from the measurement noise alone; the rest
+            of the unit matrix is from the state; shape (3, 3).
+        whitening_root: square root of the covariance of the rotation vector, rad, shape (h, 3, 3). The rotation vector
+            is ``whitening_root @ whitened_innovation``.
     """
 
     residual: FloatArray
@@ -89,8 +90,8 @@ def add_error(
 def solution_separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
     """Return the solution separations of the filters from the main filter in k states.
 
-    The sigmas are those of :func:`ship_estimation.protection_levels.separation_sigma`. A separation that is NaN gives a
-    statistic that is NaN.
+    Their standard deviations are as in :func:`ship_estimation.protection_levels.separation_sigma`. The test statistic
+    of a filter is NaN if one of its separations is.
 
     Args:
         means: shape (h, n).
@@ -98,14 +99,14 @@ def solution_separations(means: FloatArray, stack: FloatArray, states: slice) ->
         states: the k states.
 
     Returns:
-        The separations, shape (h, k), and the largest of each filter in sigmas, shape (h,).
+        Separations, shape (h, k), and the test statistic of each filter: its largest separation in sigmas, shape (h,).
 
     Example:
         A subfilter of variance 13 is separated by six from the main filter, whose two parts are 1 and 3:
 
         >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
-        >>> apart, sigmas = solution_separations(np.array([[0.0], [6.0]]), stack, slice(0, 1))
-        >>> print(apart.ravel(), sigmas)
+        >>> separations, sigmas = solution_separations(np.array([[0.0], [6.0]]), stack, slice(0, 1))
+        >>> print(separations.ravel(), sigmas)
         [0. 6.] [0. 2.]
     """
     first, end, _ = states.indices(means.shape[1])
@@ -133,8 +134,8 @@ def are_consistent(means: FloatArray, stack: FloatArray, states: slice, threshol
 def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int) -> FloatArray:
     """Return the stack with all filters restarted from one subfilter.
 
-    A subfilter has no covariance by error source. The parts of the main filter are transformed by the linear map that
-    takes its covariance to that of the subfilter. Their sum is exact; the share of each source is approximately kept.
+    A subfilter has no covariance by error source. A linear map transforms the covariance of the main filter to that of
+    the subfilter, and the same map transforms each part. The sum of the parts is exact, their shares are approximate.
 
     Args:
         stack: shape (n_sources + h - 1, n, n).
@@ -152,10 +153,10 @@ def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int)
     values, vectors = np.linalg.eigh(both / (scale[:, None] * scale))
     root = np.sqrt(np.maximum(values, 0.0))
     inverse = np.where(root[0] > 1e-7 * root[0, -1], 1.0 / np.where(root[0] > 0.0, root[0], 1.0), 0.0)
-    to_row = (vectors[1] * root[1]) @ vectors[1].T @ (vectors[0] * inverse) @ vectors[0].T
-    to_row = scale[:, None] * to_row / scale
-    parts = to_row @ stack[: len(stack) - filter_count + 1] @ to_row.T
-    # States that are known exactly stay exact in spite of rounding.
+    to_subfilter = (vectors[1] * root[1]) @ vectors[1].T @ (vectors[0] * inverse) @ vectors[0].T
+    to_subfilter = scale[:, None] * to_subfilter / scale
+    parts = to_subfilter @ stack[: len(stack) - filter_count + 1] @ to_subfilter.T
+    # Rounding must not give a variance to states that are known exactly.
     parts[:, sigma == 0.0, :] = parts[:, :, sigma == 0.0] = 0.0
     parts[np.argmax(np.trace(parts, axis1=-2, axis2=-1))] += both[1] - parts.sum(axis=0)
     return np.concatenate([parts, np.tile(both[1], (filter_count - 1, 1, 1))])
@@ -175,7 +176,7 @@ def subfilter_innovations(
         stack: their covariances, shape (n_sources + h - 1, n, n).
         measurement: linearised at the state ``linearisation_mean``.
         linearisation_mean: shape (n,).
-        rotation_jacobian: derivative of the residual by a rotation of the device, shape (m, 3).
+        rotation_jacobian: derivative of the residual with respect to a rotation vector of the device, shape (m, 3).
 
     Raises:
         numpy.linalg.LinAlgError: an innovation covariance is not positive definite.
@@ -186,8 +187,8 @@ def subfilter_innovations(
 
         >>> stack = np.array([[[5.0]], [[4.0]], [[16.0]]])
         >>> measured = LinearMeasurement(np.array([10.0]), np.array([[1.0]]), {0: np.array([[16.0]])})
-        >>> means, by_turn = np.array([[0.0], [5.0]]), np.array([[1.0, 0.0, 0.0]])
-        >>> found = subfilter_innovations(means, stack, measured, np.array([0.0]), by_turn)
+        >>> means, by_rotation = np.array([[0.0], [5.0]]), np.array([[1.0, 0.0, 0.0]])
+        >>> found = subfilter_innovations(means, stack, measured, np.array([0.0]), by_rotation)
         >>> print(found.nis, found.gain.ravel())
         [4.      0.78125] [0.36 0.5 ]
     """
@@ -208,17 +209,17 @@ def update_subfilters(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the corrections, shape (h, n), and the stack of covariances after a measurement update of all filters.
 
-    The update has Joseph's form, which is valid for any gain, also for a subfilter that updates only some states.
+    The update has Joseph's form, which is valid for any gain. A state that is not updated has a gain of zero.
 
     Args:
         stack: before the measurement, shape (n_sources + h - 1, n, n).
-        measurement: the same as for ``innovations``.
-        innovations: by :func:`subfilter_innovations`.
+        measurement: the measurement.
+        innovations: its innovations, from :func:`subfilter_innovations`.
         updated_states: states that each filter updates, shape (h, n); none if it rejects the measurement.
 
     Example:
-        The sum of two states of variance 4 is measured with sigma 1. The subfilter updates only the second state: the
-        variance of the first one stays, and the two become correlated:
+        The sum of two states of variance 4 is measured with sigma 1. The subfilter updates only the second state. The
+        variance of the first state stays, and the two states become correlated:
 
         >>> stack = np.tile(4.0 * np.eye(2), (2, 1, 1))
         >>> measured = LinearMeasurement(np.array([9.0]), np.array([[1.0, 1.0]]), {0: np.array([[1.0]])})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, propagate_covariance, update
 
 TIMES_S = [0.0, 0.0, 3.0, 10.0, 11.0, 60.0, 61.5, 200.0]
 DRIFT_SIGMA, DRIFT_TIME_S, WHITE_SIGMA, CONSTANT_SIGMA, WALK_SIGMA, WALK = 4.0, 30.0, 0.7, 6.0, 2.0, 0.3
@@ -28,7 +28,7 @@ def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
     mean, parts, last_s = np.zeros(4), model.initial_covariance_by_source(), 0.0
     for time_s, jacobian, value in zip(TIMES_S, jacobians, values, strict=True):
         decay, noise = model.transition(time_s - last_s)
-        mean, parts, last_s = decay * mean, predict(parts, decay, noise, model.source_of), time_s
+        mean, parts, last_s = decay * mean, propagate_covariance(parts, decay, noise, model.source_of), time_s
         measurement = LinearMeasurement(value - jacobian @ mean, jacobian, {model.sources.index("noise"): NOISE})
         _, _, gain = innovation(parts, measurement)
         correction, parts = update(parts, measurement, gain)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.common_error import NO_CORRECTIONS, CorrectionSums, with_common_error
-from ship_estimation.protection_levels import SigmaMultipliers, SolutionSeparation
+from ship_estimation.protection_levels import ProtectionLevels, SigmaMultipliers
 from ship_estimation.subfilters import FilterInnovations
 from ship_geometry.rotations import FloatArray
 
@@ -80,7 +80,7 @@ def test_restart_clears_the_corrections_but_not_their_variance() -> None:
 
 
 def test_without_measurements_the_error_variance_is_infinite() -> None:
-    others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+    others = ProtectionLevels(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
     k, level_of = SigmaMultipliers(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
     assert with_common_error(others, k, 1.0, 6.0, NO_CORRECTIONS, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_integrity
-from ship_estimation.protection_levels import SigmaMultipliers, separation_sigma, solution_separation
+from ship_estimation.protection_levels import SigmaMultipliers, protection_levels, separation_sigma
 from ship_geometry.rotations import FloatArray
 from ship_testing.separations import solution_separations
 
@@ -45,8 +45,8 @@ def test_separations_and_levels_by_states_equal_numpy(count: int) -> None:
     means = mean + 1e-6 * rng.standard_normal((count, STATES))
     k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count)), np.arange(count)[::2]
     by_output = to_components, by_states, covariance
-    found = solution_separation(k, subfilters, CHOSEN, by_output, mean, means, parts, left_out)
-    first, without_source = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
+    found = protection_levels(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
+    first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
     without = np.diagonal(of_all + by_states @ (without_source - first) @ by_states.T, axis1=-2, axis2=-1)
     distance, in_question = (

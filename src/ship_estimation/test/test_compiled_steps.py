@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_steps
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, propagate_correlated_error
+from ship_estimation.kalman import (
+    LinearMeasurement,
+    StateModel,
+    block,
+    propagate_correlated_error,
+    propagate_covariance,
+)
 from ship_estimation.subfilters import (
     FilterInnovations,
     add_error,
@@ -83,7 +89,7 @@ def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> 
     expected = stack * decay[:, None] * decay
     for state, source in enumerate(source_of):
         expected[[source, *range(sources, len(stack))], state, state] += noise[state]
-    equal(predict(stack, decay, noise, source_of, filters), expected)
+    equal(propagate_covariance(stack, decay, noise, source_of, rows), expected)
     total = stack[:sources].sum(axis=0)
     equal(filter_covariances(stack, filters), np.concatenate([total[None], stack[sources:]]))
     np.testing.assert_array_equal(compiled_steps.total(stack, sources), filter_covariances(stack, filters)[0])
@@ -104,7 +110,9 @@ def test_propagated_states_equal_numpy(dt_s: float) -> None:
     expected[:, states] = propagate_correlated_error(means[:, states], decay[states], slow.sigma)
     found = model.propagate(dt_s, means, stack, "slow")
     for one, other in zip(
-        found, (decay, expected, predict(stack, decay, noise, model.source_of, filter_count=9)), strict=True
+        found,
+        (decay, expected, propagate_covariance(stack, decay, noise, model.source_of, filter_count=9)),
+        strict=True,
     ):
         np.testing.assert_array_equal(one, other)
 
@@ -222,4 +230,4 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         with pytest.raises(ValueError, match="do not fit together"):
             model.propagate(1.0, *wrong, "slow")
     with pytest.raises(ValueError, match="stacks"):
-        predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)
+        propagate_covariance(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, propagate_covariance, update
 
 SOURCES = ["drift", "white", "installation", "star_noise", "reference_noise"]
 
@@ -54,7 +54,7 @@ def test_sum_of_parts_is_the_textbook_filter(seed: int) -> None:
     P = parts.sum(axis=0)
     for dt_s, measurement in random_measurements(model, 60, seed):
         decay, noise = model.transition(dt_s)
-        parts = predict(parts, decay, noise, model.source_of)
+        parts = propagate_covariance(parts, decay, noise, model.source_of)
         F = np.diag(decay)
         P = F @ P @ F.T + np.diag(noise)
         covariance, nis, gain = innovation(parts, measurement)
@@ -85,7 +85,7 @@ def test_every_part_stays_symmetric_and_positive_semidefinite() -> None:
     parts = model.initial_covariance_by_source()
     for dt_s, measurement in random_measurements(model, 400, 7):
         decay, noise = model.transition(dt_s)
-        parts = predict(parts, decay, noise, model.source_of)
+        parts = propagate_covariance(parts, decay, noise, model.source_of)
         _, _, gain = innovation(parts, measurement)
         _, parts = update(parts, measurement, gain)
         np.testing.assert_array_equal(parts, parts.transpose(0, 2, 1))
@@ -119,7 +119,7 @@ def test_covariance_by_source_is_the_variance_of_each_source_alone() -> None:
     errors = start_sigma[:, None, :] * rng.standard_normal((len(SOURCES), draws, model.size))
     for dt_s, measurement in random_measurements(model, 25, 9):
         decay, noise = model.transition(dt_s)
-        parts = predict(parts, decay, noise, model.source_of)
+        parts = propagate_covariance(parts, decay, noise, model.source_of)
         driven = np.sqrt(noise) * rng.standard_normal((draws, model.size))
         errors = decay * errors + rows[:, None, :] * driven
         covariance, _, gain = innovation(parts, measurement)
@@ -160,7 +160,7 @@ def test_inputs_are_left_as_they_were() -> None:
     gain_before = gain.copy()
     update(parts, measurement, gain)
     decay, noise = model.transition(1.0)
-    predict(parts, decay, noise, model.source_of)
+    propagate_covariance(parts, decay, noise, model.source_of)
     for array, copy in zip((*arrays, gain), (*copies, gain_before), strict=True):
         np.testing.assert_array_equal(array, copy)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ship_estimation.kalman import StateModel, block, predict
+from ship_estimation.kalman import StateModel, block, propagate_covariance
 
 DRIFT, WHITE, CONSTANT, WALK = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
 
@@ -115,7 +115,7 @@ def test_covariance_by_source_keeps_correlations_within_a_source_and_the_sum(mod
 
 def test_process_noise_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
     decay, noise = model.transition(10.0)
-    parts = predict(model.initial_covariance_by_source(), decay, noise, model.source_of)
+    parts = propagate_covariance(model.initial_covariance_by_source(), decay, noise, model.source_of)
     np.testing.assert_allclose(np.diagonal(parts.sum(axis=0)), [4.0, 9.0, 1.0, 25.0, 36.0, 0.25 + 0.1], rtol=1e-14)
     assert parts[2, 5, 5] == pytest.approx(0.35)
     np.testing.assert_array_equal(parts[3], 0.0)

@@ -44,8 +44,8 @@ class CorrectedIns:
     Attributes:
         state: the filter state.
         time_offset_s: estimated time offset tau of the INS, in addition to the configured one, s.
-        since_ns: time of the state, from which the error is propagated; later than all samples before the first
-            measurement.
+        since_ns: time of the state, from which the error is propagated. Before the first measurement it is later than
+            every sample, so that nothing is propagated.
         newest_star_ns: stamp of the last accepted star measurement; None for none.
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components that do not decay, because they exceed the error model, shape (3,),
@@ -69,7 +69,7 @@ class CorrectedIns:
             model.sources.index(SOURCE_INS_NOISE),
             model.sources.index(SOURCE_INTERPOLATION),
         )
-        self._filter, self._slow_sigma = filter_, ins_attitude.sigma
+        self._filter, self._correlated_sigma = filter_, ins_attitude.sigma
         self.error_propagation: InsErrorPropagation | None = None
         if filter_.vertical is not None:
             assert model.ins_process is not None
@@ -92,7 +92,7 @@ class CorrectedIns:
         rows, self.state = self._rows, state
         mean = self._mean = state.mean[rows]
         self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
-        self.exceeds_model = exceeds_model(self.error_n, self._slow_sigma).view(np.uint8)
+        self.exceeds_model = exceeds_model(self.error_n, self._correlated_sigma).view(np.uint8)
         self.covariance_by_source: FloatArray = state.covariance_by_source[:, rows[:, None], rows]
         self.since_ns = _AFTER_ALL_SAMPLES_NS if state.time_ns is None else state.time_ns
         self.newest_star_ns = newest_star_ns(self._filter, state)
@@ -101,10 +101,10 @@ class CorrectedIns:
         """Return the INS errors at some times, if the filter needs the vertical."""
         assert self.error_propagation is not None
         since_ns = self.state.time_ns
-        # A sample older than the state counts as of the time of the state.
-        moments_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
+        # For a sample older than the state the errors are those at the time of the state.
+        error_times_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
         return self.error_propagation.errors(
-            since_ns, self.state.vertical, self._mean, self.covariance_by_source, moments_ns
+            since_ns, self.state.vertical, self._mean, self.covariance_by_source, error_times_ns
         )
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
@@ -166,7 +166,7 @@ def corrected_attitudes(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the corrected attitudes at N times and their covariance by error source, horizon frame, rad².
 
-    Each attitude is bit-identical to that computed alone.
+    The result does not depend, to the last bit, on which attitudes are computed together.
 
     Args:
         corrected: corrections by states of one filter.

@@ -116,7 +116,7 @@ class FaultDetector:
         used: NDArray[np.bool_] = self.subfilters.uses & ~excluded
         return used
 
-    def update(
+    def update_filters(
         self,
         state: FilterState,
         predicted: FilterState,
@@ -125,9 +125,9 @@ class FaultDetector:
         innovations: FilterInnovations,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
-        """Return the state with all filters updated by a measurement.
+        """Return the state after the measurement update of all filters.
 
-        If no filter uses the measurement, the unpredicted state is returned, with updated innovation means.
+        If no filter uses the measurement, ``state`` is returned with updated innovation means, not propagated.
 
         Args:
             state: state before the measurement.
@@ -150,7 +150,9 @@ class FaultDetector:
             noise,
         )
         if state.innovation_means.last_measured_ns[index] < measurement.time_ns - MAX_MEASUREMENT_AGE_NS:
-            state, predicted = (self._with_source_back(one, source, measurement.time_ns) for one in (state, predicted))
+            state, predicted = (
+                self._with_restarted_timers(one, source, measurement.time_ns) for one in (state, predicted)
+            )
         innovation = SourceInnovation(
             innovations.whitened_innovation[0], innovations.whitening_root[0], comparison.predicted_nv
         )
@@ -200,8 +202,11 @@ class FaultDetector:
             else used[:, None] | self.subfilters.own_states[source]
         )
 
-    def _with_source_back(self, state: FilterState, source: str, time_ns: int) -> FilterState:
-        """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
+    def _with_restarted_timers(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+        """Return the state with the timers of a source restarted, before its first measurement after a timeout.
+
+        The reinstatement timer of an INS excluded by the stars restarts if all sources have timed out.
+        """
         excluded = dict(state.excluded)
         if source in excluded:
             excluded[source] = replace(excluded[source], consistent_since_ns=None)
@@ -211,14 +216,14 @@ class FaultDetector:
         ):
             excluded[INS] = replace(excluded[INS], consistent_since_ns=time_ns)
         received_since_ns = with_entry(state.received_since_ns, source, time_ns)
-        return with_changes(state, excluded=MappingProxyType(excluded), received_since_ns=received_since_ns)
+        return changed(state, excluded=MappingProxyType(excluded), received_since_ns=received_since_ns)
 
     def solution_separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Return the solution separations of the filters from the main filter.
 
         Returns:
-            Separations about North, Up and East, rad, shape (h, 3), and their largest values in standard deviations,
-            shape (h,).
+            Separations about North, Up and East, rad, shape (h, 3), and the largest of each filter in standard
+            deviations, shape (h,).
         """
         return solution_separations(state.means, state.stack, self._ins_attitude)
 
@@ -231,7 +236,7 @@ class FaultDetector:
             state: state after the measurement.
             source: source of the measurement.
             innovations: innovations of all filters.
-            is_ins_confirmed: True if the rates of the INS would have shown a step.
+            is_ins_confirmed: True if the rates of the INS rule out that it has stepped.
             time_ns: stamp of the measurement.
 
         Returns:
@@ -247,53 +252,55 @@ class FaultDetector:
         if is_ins_excluded_by_stars(state):
             is_consistent = not self._is_inconsistent(state, self._sources.index(source))
             return self.ins_fault.monitor(state, innovations, is_consistent, time_ns), ""
-        table, uses, in_use = self.subfilters, self.uses(state), state.in_use(self._sources, time_ns)
+        subfilters, uses, in_use = self.subfilters, self.uses(state), state.in_use(self._sources, time_ns)
         separations_n, separation_sigmas = self.solution_separations(state)
-        candidates: Sequence[int] = table.single_subfilters
+        candidates: Sequence[int] = subfilters.single_subfilters
         if state.excluded:
-            candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
-        pairs = table.relevant_pairs(in_use, state.excluded) if table.pair_subfilters else []
-        # The rates show a step of the INS, but not a drift.
+            candidates = [row for row in candidates if subfilters.names[row - 1] not in state.excluded]
+        pairs = subfilters.relevant_pairs(in_use, state.excluded) if subfilters.pair_subfilters else []
+        # Rejections show a step. Rates that rule out a step of the INS do not rule out its drift.
         stepped = any(state.innovation_means.rejection_counts[0].tolist())
         if is_ins_confirmed and stepped:
             candidates, pairs = (
-                [row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs)
+                [row for row in rows if row not in subfilters.ins_subfilters] for rows in (candidates, pairs)
             )
         elif stepped and len(in_use) <= MIN_SOURCES_FOR_PAIRS:
-            pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
-        threshold, after = table.k.false_exclusion, self._degraded_after
+            # A fault of one source and a step of the INS explain as much as faults of the two other sources.
+            pairs = []
+        threshold, after = subfilters.k.false_exclusion, self._degraded_after
         isolation = isolate_fault(
             state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs
         )
-        # Written so that NaN is shared.
-        shared = not state.correction_sums.sigmas <= table.common_threshold and INS not in state.excluded
+        # An error that all stars share. Written so that NaN counts as one.
+        shared = not state.correction_sums.sigmas <= subfilters.common_threshold and INS not in state.excluded
         if not isolation.is_detected and not shared:
             return self._with_no_fault(state, in_use, separations_n, separation_sigmas, time_ns), ""
         faulty = self._faulty_sources(state, isolation)
-        if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(faulty):
-            faulty = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
+        if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not subfilters.stars.isdisjoint(faulty):
+            faulty = ()  # All stars contradict the INS, so the fault is not that of single star sensors.
         if self.ins_fault.has_reported_jump(state, time_ns):
-            state = with_changes(state, ins_fault_ns=time_ns)
-            if INS not in faulty and not set(table.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
-                faulty = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
+            state = changed(state, ins_fault_ns=time_ns)
+            if INS not in faulty and not set(subfilters.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
+                faulty = ()  # The reported jump of the INS explains the fault as well: its axes may have rotated.
         contradicting = self._contradicting_stars(state, faulty, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in faulty and stepped)
         if against_ins and self.ins_fault.has_reported_jump(state, time_ns) and self.ins_fault.can_be_excluded(in_use):
             state, text = self._exclude(state, (INS,), time_ns)
             return self.ins_fault.with_contradiction(state, time_ns), text
-        if INS in faulty and (stepped or not table.can_show_ins_fault([name for name in in_use if name not in faulty])):
-            faulty = ()  # A position error rotates all stars equally, as a step of an INS without rates does.
+        others = [name for name in in_use if name not in faulty]
+        if INS in faulty and (stepped or not subfilters.can_show_ins_fault(others)):
+            faulty = ()  # The fault may be a position error, which has the same effect as a fault of the INS.
         if INS in faulty and any(time_ns - state.received_since_ns[name] < _DRIFT_OBSERVED_NS for name in in_use):
-            faulty = ()  # After a timeout a few measurements do not isolate whether the INS or a sensor has moved.
+            faulty = ()  # A mounting may have shifted during the timeout; too few measurements to exclude the INS.
         if INS in state.excluded and len(in_use) < MIN_SOURCES_FOR_PAIRS:
-            faulty = ()  # Of two sources each explains the contradiction with the other.
+            faulty = ()  # If two sources contradict each other, a fault of either explains it.
         if faulty and not set(in_use).issubset(faulty):
             return self._exclude(state, faulty, time_ns)
         unresolved = self._with_unresolved_fault(state, separations_n, separation_sigmas, contradicting)
         return self._exclude_stars(unresolved, contradicting, shared, time_ns) if contradicting else unresolved, ""
 
     def _is_all_consistent(self, state: FilterState) -> bool:
-        """True if all sources are consistent, none is excluded, and no earlier inconsistency is still covered."""
+        """True if all sources are consistent, none is excluded, and no covariance for an earlier fault is left."""
         if state.excluded or state.unresolved_fault is not None or state.separation_covariance_n is not None:
             return False
         # Written so that NaN is inconsistent.
@@ -312,11 +319,11 @@ class FaultDetector:
         separation_sigmas: FloatArray,
         time_ns: int,
     ) -> FilterState:
-        """Return the state where no fault is detected, with a covariance that covers large solution separations.
+        """Return the state if no fault is detected, with a covariance that covers large solution separations.
 
-        A drifting source separates the main filter from the subfilter without it long before it is excluded. A source
-        with a mounting shift of a few standard deviations does so within a second. Its recent innovations are
-        inconsistent before the two filters separate, so they count as well.
+        A drifting source separates the main filter from the subfilter without it long before it is excluded. A mounting
+        shift of a few standard deviations separates them within a second. Before that the recent innovations of the
+        source are inconsistent, so the covariance is inflated for these innovations too.
         """
         if INS not in state.excluded and self.ins_fault.can_be_excluded(in_use):
             separation_sigmas = separation_sigmas.copy()
@@ -325,17 +332,18 @@ class FaultDetector:
                     separation_sigmas[row] = np.maximum(
                         separation_sigmas[row], state.recent_innovations[source].largest_sigmas
                     )
-        # Written so that NaN is not within.
+        # Written so that NaN counts as large.
         within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in separation_sigmas.tolist())
         correction_sums = state.correction_sums.with_unresolved_error(
             time_ns, round(self._integrity.return_after_s * SECOND_NS)
         )
-        unresolved = correction_sums.unresolved
-        if within and state.unresolved_fault is None and state.separation_covariance_n is None and unresolved is None:
+        shared_error = correction_sums.unresolved
+        is_covered = state.unresolved_fault is not None or state.separation_covariance_n is not None
+        if within and not is_covered and shared_error is None:
             return state
         separation_covariance_n = None if within else separation_inflation(separations_n, separation_sigmas)
-        if unresolved is not None:
-            shared_n = np.diag(unresolved.variance)
+        if shared_error is not None:
+            shared_n = np.diag(shared_error.variance)
             separation_covariance_n = (
                 shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
             )
@@ -347,9 +355,9 @@ class FaultDetector:
         )
 
     def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
+        """Return the state after the INS reported its own jump: contradictions of sources with the INS are reset.
 
-        After an unresolved fault all filters restart from the main filter, because they differ by that fault.
+        If a fault is unresolved, all filters restart from the main filter: their differences are due to that fault.
         """
         if state.unresolved_fault is not None:
             means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
@@ -359,10 +367,10 @@ class FaultDetector:
         return self._reset_faults(state)
 
     def exclude_drifting_ins(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after the INS reported a drift: it is excluded if enough other sources check each other.
+        """Return the state after the INS reported a drift: it is excluded if enough other sources check one another.
 
-        The subfilter without the INS is consistent with the stars all the time. Stars that contradicted the INS are
-        reset.
+        The filters restart from the subfilter without the INS, which the drift does not affect. Before that an
+        unresolved fault is reset, and the stars excluded for it are reinstated.
         """
         after_reset = state if state.unresolved_fault is None else self.reset_for_ins_jump(state, time_ns)
         if INS in state.excluded or not self.ins_fault.can_be_excluded(after_reset.in_use(self._sources, time_ns)):
@@ -394,7 +402,8 @@ class FaultDetector:
     def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
         """Return the isolated sources, empty for none.
 
-        If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
+        If several subfilters explain the fault, and one of them alone excludes only sources that were excluded before,
+        the fault is attributed to these sources.
         """
         excluded_sources = self.subfilters.excluded_sources
         known = [
@@ -455,19 +464,20 @@ class FaultDetector:
     ) -> FilterState:
         """Exclude all star sensors, which contradict the INS: the fault is not isolated.
 
-        Their mountings stay as estimated, because a mounting shift is not known either. All filters restart from the
-        main filter, which has rejected the stars. The corrections by an error that the stars share are taken back.
+        No mounting shift is known, so the mountings are not estimated again. All filters restart from the main filter,
+        which has rejected the stars. If the sum of the star corrections shows an error that the stars share, these
+        corrections are removed from the main filter.
         """
-        turn_n = shared_rotation([state.last_innovations[name] for name in stars])
+        offset_n = shared_rotation([state.last_innovations[name] for name in stars])
         mean, covariance_by_source = state.mean, state.covariance_by_source
         if shared:
             correction_sums = state.correction_sums
-            turn_n = turn_n + correction_sums.correction_n
+            offset_n = offset_n + correction_sums.correction_n
             mean, covariance_by_source = mean.copy(), covariance_by_source.copy()
             mean[self._ins_attitude] -= correction_sums.correction_n
             self.ins_fault.inflate_ins_attitude(covariance_by_source, np.diag(correction_sums.variance))
         excluded = {
-            name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True)
+            name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ offset_n, is_shared=True)
             for name in stars
         }
         means, stack = self.ins_fault.all_filters_at(mean, covariance_by_source)
@@ -488,8 +498,8 @@ class FaultDetector:
             The state, in which the source may be reinstated, and a text about the source.
         """
         state = self._with_offset_growth(state, source, time_ns)
-        if self._is_ins_drifting_on(state, source, time_ns):
-            return self.exclude_drifting_ins(state, time_ns), "ins is excluded: it drifts relative to all star sensors"
+        if self._is_ins_drift_sustained(state, source, time_ns):
+            return self.exclude_drifting_ins(state, time_ns), "ins is excluded: it drifts away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         remaining_ratio = self._remaining_offset_ratio(state, source, time_ns)
@@ -501,7 +511,7 @@ class FaultDetector:
         if not is_reinstated:
             state = with_changes(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.offset is None and self._is_inconsistent(state, index):
-                # Another mounting shift: the mounting estimated since the last one is void.
+                # Another mounting shift: the mounting is estimated again from now on.
                 stack = state.stack.copy()
                 self._inflate_mounting(stack, state, source)
                 state = with_changes(
@@ -512,23 +522,25 @@ class FaultDetector:
             if exclusion.consistent_since_ns is not None:
                 consistent_s = (time_ns - exclusion.consistent_since_ns) / SECOND_NS
                 consistency = f"consistent with the others for {consistent_s:.0f} s of {after_s:g} s"
-            return state, f"{source} has been excluded for {since_s:.0f} s: {consistency}"
-        together = self._reinstated_with(state, source)
-        seen = cleared_means(state.innovation_means, slice(None), [self._indices[name] for name in together])
-        remaining = {name: one for name, one in state.excluded.items() if name not in together}
-        are = "is" if len(together) == 1 else "are"
-        text = f"{' and '.join(together)} {are} reinstated"
-        excluded = MappingProxyType(remaining)
-        return with_changes(state, innovation_means=seen, excluded=excluded, unresolved_fault=None), text
+            return state, f"{source} is excluded since {since_s:.0f} s: {consistency}"
+        reinstated = self._reinstated_with(state, source)
+        means = cleared_means(state.innovation_means, slice(None), [self._indices[name] for name in reinstated])
+        remaining = {name: one for name, one in state.excluded.items() if name not in reinstated}
+        are = "is" if len(reinstated) == 1 else "are"
+        text = f"{' and '.join(reinstated)} {are} reinstated"
+        return changed(state, innovation_means=means, excluded=MappingProxyType(remaining), unresolved_fault=None), text
 
     def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
-        """Return the state with the time since which an excluded source's offset has grown in the same direction."""
+        """Return the state with the stamp since which the offset of an excluded source is larger than at its exclusion.
+
+        The larger offset must have the same direction.
+        """
         exclusion, last = state.excluded[source], state.last_innovations[source]
         if exclusion.offset is None:
             return state
         before = np.linalg.pinv(last.root) @ exclusion.offset
         change = last.whitened - before
-        # Both offsets contain the noise of a measurement.
+        # Each of the two offsets contains measurement noise, hence the factor 2.
         is_farther = change @ change > 2.0 * self.subfilters.innovation_mean_limit and change @ before > 0.0
         since_ns = exclusion.growing_since_ns
         since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
@@ -537,11 +549,11 @@ class FaultDetector:
         exclusion = replace(exclusion, growing_since_ns=since_ns)
         return with_changes(state, excluded=with_entry(state.excluded, source, exclusion))
 
-    def _is_ins_drifting_on(self, state: FilterState, source: str, time_ns: int) -> bool:
-        """True if the offset of the INS from all stars excluded together has grown for ``_DRIFT_DURATION_NS``.
+    def _is_ins_drift_sustained(self, state: FilterState, source: str, time_ns: int) -> bool:
+        """True if the INS has drifted away, for ``_DRIFT_DURATION_NS``, from all stars that were excluded together.
 
-        A constant error of all stars changes the offset only by the random walk of the INS, which the covariance
-        contains. With an error of their clocks, the offset oscillates with the ship's motion.
+        The offset of a constant star error changes only by the random walk of the INS, which the covariance contains.
+        The offset of a clock error oscillates with the ship's motion.
         """
         since_ns = state.excluded[source].since_ns
         stars = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
@@ -558,10 +570,10 @@ class FaultDetector:
 
     @staticmethod
     def _reinstated_with(state: FilterState, source: str) -> list[str]:
-        """Return the sources to reinstate with one: itself, and those excluded with it that are consistent now.
+        """Return the sources to reinstate: a source, and those excluded together with it that are consistent now.
 
-        Stars excluded together because they contradicted the INS check each other. A single one of them cannot be
-        distinguished from an INS that has drifted meanwhile.
+        Star sensors that were excluded together check one another. A single sensor would not: its offset cannot be
+        distinguished from a drift of the INS.
         """
         own = state.excluded[source]
         if own.offset is None:
@@ -576,15 +588,15 @@ class FaultDetector:
     def _remaining_offset_ratio(self, state: FilterState, source: str, time_ns: int) -> float:
         """Return the ratio of an excluded source's current offset to that at its exclusion; 0 if it has none.
 
-        For an error that all stars may share, the ratio is that of all of them together. A single sensor measures a
-        rotation about its line of sight poorly, so drift of the INS about the other axes would change its ratio.
+        If all star sensors were excluded for a shared error, the ratio is computed from their offsets together. A
+        single sensor hardly measures the rotation about its line of sight, so its ratio would change as the INS drifts.
         """
-        own, oldest_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
+        own, since_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
         names = [source]
         if own.is_shared:
             shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
             names = [
-                name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= oldest_ns
+                name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= since_ns
             ]
         along = square = 0.0
         for name in names:
@@ -607,7 +619,7 @@ class FaultDetector:
         separation_sigmas: FloatArray,
         contradicting: tuple[str, ...],
     ) -> FilterState:
-        """Return the state with an unresolved fault; its covariance holds the inconsistent innovations and separations.
+        """Return the state with an unresolved fault, whose covariance covers rejected innovations and separations.
 
         Args:
             state: state after the measurement.
@@ -645,9 +657,9 @@ class FaultDetector:
         received = [name for name in in_use if name in self.subfilters.stars]
         if shared:
             return tuple(received)
-        long_refused = state.innovation_means.rejection_counts[0] >= self._degraded_after
-        against = [name for name in received if name in faulty or long_refused[self._sources.index(name)]]
-        return tuple(received) if received and len(against) == len(received) else ()
+        is_rejected = state.innovation_means.rejection_counts[0] >= self._degraded_after
+        contradicting = [name for name in received if name in faulty or is_rejected[self._sources.index(name)]]
+        return tuple(received) if received and len(contradicting) == len(received) else ()
 
     def _mounting_shift(self, state: FilterState, source: str) -> FloatArray | None:
         """Return the standard deviation of a mounting shift that explains a source's last innovation.
@@ -669,7 +681,7 @@ class FaultDetector:
 
 
 def _remaining_offset_sigma(state: FilterState, source: str, innovations: FilterInnovations) -> float:
-    """Return the standard deviation of the remaining offset ratio from the errors of the state alone."""
+    """Return the standard deviation of the remaining offset ratio from state errors, without measurement noise."""
     offset = state.excluded[source].offset
     if offset is None:
         return 0.0

@@ -37,14 +37,14 @@ from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _MAX_CLOCK_STEP_SIGMAS = 8.0
-"""Maximum clock step that is estimated again, in standard deviations of the configured clock offset."""
+"""Maximum clock step of the INS that can be estimated, in standard deviations of the configured clock offset."""
 
 _AGAINST_PREDICTION = (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED)
-"""Reasons of a rejection that depends on the prediction."""
+"""Reasons for a rejection that another predicted state might have accepted."""
 
 
 class ShipFilter:
-    """The filter of a configuration; it stores no state.
+    """Kalman filter for a configuration. It stores no state: each step receives one and returns the next.
 
     Args:
         config: configuration of the node.
@@ -54,8 +54,8 @@ class ShipFilter:
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
         self.devices: dict[str, Device] = devices(config)
-        of_gravity = vertical if config.models_deflection else None
-        self.linearisation = Linearisation(self.model, self.devices, of_gravity)
+        deflection_track = vertical if config.models_deflection else None
+        self.linearisation = Linearisation(self.model, self.devices, deflection_track)
         self.fault_detector = FaultDetector(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
@@ -85,7 +85,7 @@ class ShipFilter:
         return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state at its first time, initialised with the vertical there."""
+        """Return the initial state at its first time; states of the INS error process start from the vertical there."""
         if self.vertical is None:
             return with_changes(state, time_ns=time_ns)
         assert self.model.ins_process is not None
@@ -93,36 +93,38 @@ class ShipFilter:
         initial_mean, covariance = self.model.ins_process.initial_state(here)
         means, stack = state.means.copy(), state.stack.copy()
         means[:, self.model.process_indices] += initial_mean
-        self._add_to_process(stack, len(means), self._deflection_index, covariance)
-        return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
+        self._inflate_process_states(stack, len(means), self._deflection_index, covariance)
+        return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _propagate_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
         """Propagate the states of the INS error process from the time of a state to a later one, in place."""
-        process, rows, before = self.model.ins_process, self.model.process_indices, state.vertical
+        process, indices, before = self.model.ins_process, self.model.process_indices, state.vertical
         assert process is not None
         assert before is not None
         assert state.time_ns is not None
         assert self.vertical is not None
         propagation = process.propagation(state.time_ns, before, [time_ns], self.vertical)
-        means[:, rows] = process.propagated_means(means[:, rows], before, propagation)[0]
+        means[:, indices] = process.propagated_means(means[:, indices], before, propagation)[0]
         (transition,) = propagation.transition
-        stack[:, rows] = transition @ stack[:, rows]
-        stack[:, :, rows] = stack[:, :, rows] @ transition.T
-        self._add_to_process(stack, len(means), self._ins_index, propagation.ins_noise[0])
-        self._add_to_process(stack, len(means), self._deflection_index, propagation.deflection_noise[0])
+        stack[:, indices] = transition @ stack[:, indices]
+        stack[:, :, indices] = stack[:, :, indices] @ transition.T
+        self._inflate_process_states(stack, len(means), self._ins_index, propagation.ins_noise[0])
+        self._inflate_process_states(stack, len(means), self._deflection_index, propagation.deflection_noise[0])
 
-    def _add_to_process(self, stack: FloatArray, count: int, part: int, covariance: FloatArray) -> None:
-        """Add an error of the states of the INS error process to all filters, in place."""
-        rows, of_states = self.model.process_indices, np.zeros((self.model.size, self.model.size))
-        of_states[rows[:, None], rows] = covariance
-        add_error(stack, count, part, slice(None), of_states)
+    def _inflate_process_states(
+        self, stack: FloatArray, count: int, source_index: int, process_covariance: FloatArray
+    ) -> None:
+        """Inflate the covariance of the states of the INS error process in all filters, in place."""
+        indices, covariance = self.model.process_indices, np.zeros((self.model.size, self.model.size))
+        covariance[indices[:, None], indices] = process_covariance
+        add_error(stack, count, source_index, slice(None), covariance)
 
     def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
         """Inflate the covariance for a jump of the INS or a change of its noise.
 
-        The stamps of the INS and of a device may differ for the same time. The inflation takes effect early enough that
-        every measurement matched to an attitude after the jump comes later. A measurement matched to an attitude before
-        the jump is rejected.
+        The clocks of the INS and of a device may differ, so a measurement with a stamp before the jump may match an INS
+        attitude after it. Therefore the inflation takes effect before the jump (:meth:`change_effective_ns`). A later
+        measurement that matches an INS attitude before the jump is rejected.
         """
         if isinstance(change, ExtraNoise):
             return self._with_uncertain_clock(state, change)
@@ -135,7 +137,8 @@ class ShipFilter:
         state = self.fault_detector.reset_for_ins_jump(state, effective_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
         ins_attitude, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
-        # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
+        # A clock step is estimated as a clock offset if it is small. After a larger one the INS and the ship rotate
+        # differently at one stamp, so no offset is estimated.
         if abs(change.clock_s) <= _MAX_CLOCK_STEP_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.state_indices("ins.attitude"), self.model.state_indices(clock.name)]
             moved, shared = change.shared_with_clock
@@ -158,18 +161,21 @@ class ShipFilter:
         )
 
     def change_effective_ns(self, change: InsChange) -> int:
-        """Return the time of measurements from which the covariance is inflated for a change of the INS, ns."""
+        """Return the stamp from which measurements find the covariance inflated for a change of the INS, ns."""
         return change.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
 
     def _with_uncertain_clock(self, state: FilterState, noise: ExtraNoise) -> FilterState:
-        """Return the state where the noise of the INS's stamps changes: their mean delay may change as well."""
+        """Inflate the covariance of the INS clock offset where the noise of the INS stamps changes.
+
+        The mean delay of the stamps may change as well.
+        """
         clock = self.model.blocks["ins.time_offset"]
         if not (noise.clock_sigma_s > 0.0 and clock.sigma[0] > 0.0):
             return state
         state = self.propagate(state, self.change_effective_ns(noise))
-        stack, rows = state.stack.copy(), self.model.slices[clock.name]
-        add_error(stack, len(state.means), self._ins_index, rows, np.array([[noise.clock_sigma_s**2]]))
-        return with_changes(state, stack=stack)
+        stack, offset = state.stack.copy(), self.model.slices[clock.name]
+        add_error(stack, len(state.means), self._ins_index, offset, np.array([[noise.clock_sigma_s**2]]))
+        return changed(state, stack=stack)
 
     def step(
         self,
@@ -181,12 +187,12 @@ class ShipFilter:
     ) -> tuple[FilterState, AttitudeDecision] | None:
         """Propagate the state to the measurement, evaluate the measurement, and update the state if it is accepted.
 
-        The track must span the time of the measurement; in a gap of the track the measurement is rejected. If no filter
-        uses the measurement, the state is returned without propagation, bit-identical.
+        A measurement in a gap of the track is rejected. If no filter uses the measurement, the state is returned
+        without propagation, bit-identical.
 
-        The optics of a camera may have changed by temperature or shock. If its stars are rejected, they are compared
-        again with an inflated covariance of its optics. An exposure that implies a focal length far from the configured
-        one is rejected.
+        The optics of a camera may have changed by temperature or shock. If the stars of an exposure are rejected, they
+        are compared again with an inflated covariance of the optics. An exposure that implies a focal length far from
+        the configured one is rejected.
 
         Args:
             state: state after the previous measurement.
@@ -207,9 +213,9 @@ class ShipFilter:
             if again is not None and again[1].reason not in _AGAINST_PREDICTION:
                 result = again
             elif again is not None and not again[1].components:
-                # The stars contradict each other with these optics too, so the attitude is not evaluated.
-                refusal = Rejection(again[1].reason, again[1].text)
-                return self._reject(state, measurement, NotEvaluable(refusal, again[1].ins_time_ns))
+                # The stars contradict one another with these optics too: there is no attitude to evaluate.
+                rejection = Rejection(again[1].reason, again[1].text)
+                return self._reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
         if contradiction is not None:
             return self._reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
@@ -223,11 +229,11 @@ class ShipFilter:
         sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
-        """Evaluate a measurement with the optics as estimated so far; see :meth:`step`."""
+        """Perform :meth:`step` with the optics as estimated in ``state``."""
         if self._is_latitude_missing(measurement.time_ns):
-            # Estimates made with a wrong latitude would be wrong and persist.
-            lacking = Rejection(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
-            return self._reject(state, measurement, NotEvaluable(lacking, measurement.time_ns))
+            # An assumed latitude would cause estimation errors that last longer than the wait for a fix.
+            missing = Rejection(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
+            return self._reject(state, measurement, NotEvaluable(missing, measurement.time_ns))
         predicted = self.propagate(state, measurement.time_ns)
         compared = measurement
         if isinstance(measurement, StarExposure):
@@ -256,11 +262,12 @@ class ShipFilter:
         return check_estimated_focal_length(exposure.optics, state.mean.item(optics.start), variance)
 
     def _with_inflated_optics(self, state: FilterState, optics: slice) -> FilterState:
-        """Return the state with an optics covariance that covers the configured and the estimated optics."""
-        stack, learned = state.stack.copy(), state.mean[optics]
-        part = self.model.source_indices[SOURCE_OPTICS]
-        add_error(stack, len(state.means), part, optics, np.diag(1.0 + learned**2))
-        return with_changes(state, stack=stack)
+        """Inflate the covariance of the optics by the prior variance and the square of the estimated change."""
+        stack, estimated = state.stack.copy(), state.mean[optics]
+        source_index = self.model.source_indices[SOURCE_OPTICS]
+        # The states of the optics are in units of their prior sigma.
+        add_error(stack, len(state.means), source_index, optics, np.diag(1.0 + estimated**2))
+        return changed(state, stack=stack)
 
     def _evaluate(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, linearised: LinearisedMeasurement
@@ -279,7 +286,7 @@ class ShipFilter:
         linear, source = linearised.compared.linear, measurement.source
         gate = chi_square_gate(self._gate.probability, len(linear.residual))
         try:
-            predicted, innovations = self._subfilter_innovations(predicted, source, linearised.compared, gate)
+            predicted, innovations = self._innovations_after_inflation(predicted, source, linearised.compared, gate)
         except np.linalg.LinAlgError:
             return self._reject(state, measurement, NotEvaluable(singular_covariance(), linearised.ins_time_ns))
         # Written so that NaN fails.
@@ -298,7 +305,9 @@ class ShipFilter:
             gate=gate,
             rejected_parts=linearised.compared.rejected_stars,
         )
-        after = self.fault_detector.update(state, predicted, measurement, linearised.compared, innovations, accepted)
+        after = self.fault_detector.update_filters(
+            state, predicted, measurement, linearised.compared, innovations, accepted
+        )
         if decision.accepted:
             after = self._record_accepted(after, linearised.measurement)
         elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
@@ -307,8 +316,8 @@ class ShipFilter:
             after, decision = self._reject_by_gate(after, decision, linearised)
         is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
-            # No other data show whether the INS has jumped.
-            after = with_changes(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
+            # The rates of the INS do not rule out that it has jumped.
+            after = changed(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.detect_faults(
             after, source, innovations, is_ins_confirmed, measurement.time_ns
         )
@@ -327,10 +336,13 @@ class ShipFilter:
             return False
         return not self.fault_detector.ins_fault.has_reported_jump(state, linearised.ins_time_ns)
 
-    def _subfilter_innovations(
+    def _innovations_after_inflation(
         self, predicted: FilterState, source: str, compared: ComparedMeasurement, gate: float
     ) -> tuple[FilterState, FilterInnovations]:
-        """Return the innovations of all filters; filters without the INS are inflated where they are inconsistent.
+        """Return the innovations of all filters, where necessary after an inflation of the INS error.
+
+        A filter that does not use the INS must not reject measurements for a change of the INS error
+        (:meth:`~ship_attitude_star.ship_attitude.ins_fault_handling.InsFaultHandling.inflate_against`).
 
         Args:
             predicted: state propagated to the time of the measurement.
@@ -339,7 +351,7 @@ class ShipFilter:
             gate: threshold of the NIS.
 
         Returns:
-            The state, with inflated covariances where needed, and the innovations.
+            The state, with the inflated covariances, and the innovations.
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
         innovations = subfilter_innovations(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
@@ -360,7 +372,7 @@ class ShipFilter:
         )
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
-        """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
+        """Return the decision with the text of fault detection; it is a rejection if the source is excluded now."""
         if not text:
             return decision
         if decision.measurement.source in state.excluded and decision.reason in (Reason.NONE, Reason.EXCLUDED):
@@ -371,14 +383,14 @@ class ShipFilter:
         self, state: FilterState, measurement: Measurement, not_evaluable: NotEvaluable
     ) -> tuple[FilterState, AttitudeDecision]:
         """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
-        refusal, text = not_evaluable.rejection, not_evaluable.rejection.text
+        rejection, text = not_evaluable.rejection, not_evaluable.rejection.text
         if not_evaluable.is_contradiction:
             state, inflation_text = self._inflate_after_rejections(
                 self._count_rejection(state, measurement.source), measurement.source
             )
             state = self.fault_detector.ins_fault.with_not_evaluable(state, measurement.time_ns)
             text += inflation_text
-        return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
+        return state, AttitudeDecision(measurement, rejection.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
 
     def _count_rejection(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
@@ -393,7 +405,7 @@ class ShipFilter:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
 
         Returns:
-            The state, and a text about the inflation, empty for none.
+            The state, and a text about the inflation; empty if there is none.
         """
         if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""
@@ -410,7 +422,7 @@ class ShipFilter:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        refusals = (
+        rejections = (
             state.consecutive_rejections
             if state.consecutive_rejections.get(source) == 0
             else with_entry(state.consecutive_rejections, source, 0)
@@ -421,36 +433,40 @@ class ShipFilter:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
         return with_changes(
             state,
-            consecutive_rejections=refusals,
+            consecutive_rejections=rejections,
             last_used_ns=used_ns,
             pixel_dwells=pixel_dwells,
             unconfirmed_step=unconfirmed,
         )
 
     def _with_common_error(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
-        """Return the state with the covariance of a sensor's common error as stated in its message."""
+        """Return the state with the covariance of a sensor's correlated error as stated in its message.
+
+        The first message sets the covariance of the state. Later messages set the steady-state covariance only, which
+        the state approaches with its time constant.
+        """
         stack, source, common_n = state.stack, measurement.source, measurement.common_n
-        is_none = not any(common_n.ravel().tolist())
+        is_zero = not any(common_n.ravel().tolist())
         if source not in state.common_n:
-            if is_none:
+            if is_zero:
                 return state
             stack = stack.copy()
             common = self.model.slices[f"{source}.common"]
             add_error(stack, len(state.means), self._common_index, common, common_n)
-        elif is_none or common_n.tobytes() == state.common_n[source].tobytes():
+        elif is_zero or common_n.tobytes() == state.common_n[source].tobytes():
             return state
         return with_changes(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 
     def _reject_by_gate(
         self, state: FilterState, decision: AttitudeDecision, linearised: LinearisedMeasurement
     ) -> tuple[FilterState, AttitudeDecision]:
-        """Reject a measurement that failed the gate.
+        """Return state and decision for a measurement that failed the innovation gate.
 
-        After ``gate.conflict_after`` consecutive rejections the text names the conflict; after ``gate.reopen_after``
-        the covariance is inflated.
+        After ``gate.conflict_after`` consecutive rejections the reason is a conflict, and the text names its probable
+        cause. After ``gate.reopen_after`` of them the covariance is inflated.
         """
         source, ins, compared = decision.measurement.source, linearised.ins, linearised.compared
-        # Deck attitude by the measurement: the INS deck attitude with the rotation from predicted to measured device.
+        # Measured deck attitude: that of the INS, rotated as the measured device attitude is against the predicted one.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
@@ -476,7 +492,7 @@ class ShipFilter:
 
 
 def _unconfirmed_first_star(source: str, time_ns: int) -> UnconfirmedStep:
-    """Return the unconfirmed state after the first accepted star measurement."""
+    """Return the unconfirmed step that is set by the first accepted star measurement."""
     return UnconfirmedStep(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
 
 

@@ -1,13 +1,16 @@
-"""Handling of INS faults: in the subfilters without the INS, and in all filters once the stars have excluded it.
+"""Handling of INS faults: in the subfilters that exclude the INS, and in all filters while the INS is excluded.
 
-If the INS is excluded, its correlated error is unknown, and its change of attitude between measurements is still used.
-An INS that drifts away from all other sources is excluded in this way.
+There are two kinds of exclusion. After a drift only the correlated error of the INS is unknown: its covariance grows by
+a random walk, and the change of the INS attitude between measurements is still used. The subfilters without the INS
+take its error as unknown in the same way.
 
-An INS that reported a jump, and that all stars contradict afterwards, is excluded by the stars. Its change of attitude
-may be wrong as well, for example after an error of its clock or axes. Therefore each inconsistent measurement inflates
-the covariance in all filters, the fault counts as unresolved, and only the error of the INS itself is estimated. Other
-states are not affected when the fault ends. The INS is reinstated after it was consistent for
-``integrity.return_after_s``.
+An INS that reported a jump, and that all stars contradict afterwards, is *excluded by the stars*. The change of its
+attitude may then be wrong as well, for example after an error of its clock or axes. Therefore each inconsistent
+measurement inflates the covariance in all filters, the fault counts as unresolved, and only the error of the INS is
+estimated. So the fault does not affect the other states. An INS with a clock step too large to estimate is treated
+equally.
+
+The INS is reinstated after ``integrity.return_after_s`` (:meth:`InsFaultHandling.reinstate_ins`).
 """
 
 from collections.abc import Sequence
@@ -29,11 +32,11 @@ from ship_geometry.time_scales import SECOND_NS
 
 _UNKNOWN_INS_RAD = 600.0 * ARCSEC
 UNKNOWN_INS_RAD_PER_SQRT_S = 2.0 * ARCSEC
-"""Initial standard deviation, and random walk, of the correlated error of an excluded INS.
+"""Initial standard deviation, rad, and random walk, rad/√s, of the correlated error of an excluded INS.
 
-With two or three sensors at 5 Hz the time constant of such a subfilter is 0.5 s, in heading by two sensors about 1 s.
-An INS that drifts by 200″ per minute is then one to two standard deviations ahead of the subfilter. A larger random
-walk would follow faster and raise every protection level.
+With two or three sensors at 5 Hz the subfilter without the INS then has a time constant of 0.5 s, in heading with two
+sensors about 1 s. If the INS drifts by 200″ per minute, its error is one to two standard deviations ahead of the
+estimate. A larger random walk would reduce this lag, and would increase every protection level.
 """
 
 _IDENTITY = np.eye(3)
@@ -44,8 +47,8 @@ _MIN_SOURCES = 2
 _CONSISTENT_FOR_S = 10.0
 """Time without contradiction after which an INS with a clock step is reinstated, s.
 
-In this time the ship has rolled to both sides. The clocks of all devices may have stepped equally, as with a leap
-second.
+In this time the ship has rolled to both sides, so a wrong clock would have shown. A clock step without contradiction is
+one of all clocks, as at a leap second.
 """
 
 
@@ -97,8 +100,8 @@ class InsFaultHandling:
     ) -> tuple[FloatArray, list[int]]:
         """Inflate the covariance of the INS error by an inconsistent innovation.
 
-        A subfilter without the INS is inflated when one more rejection of the source would make a fault. If the stars
-        have excluded the INS, all filters are inflated at once.
+        A subfilter without the INS is inflated if one more rejection of the source would count as a fault. If the stars
+        have excluded the INS, all filters are inflated at the first rejection.
 
         Args:
             state: state propagated to the time of the measurement.
@@ -134,7 +137,7 @@ class InsFaultHandling:
     # -- exclusion by the stars -----------------------------------------------------------------------------
 
     def has_reported_jump(self, state: FilterState, time_ns: int) -> bool:
-        """True if the INS reported a jump of its own and has not gone uncontradicted for ``return_after_s`` since."""
+        """True for ``return_after_s`` after a jump reported by the INS, a later contradiction or its reinstatement."""
         since_ns = state.ins_fault_ns
         return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
 
@@ -154,7 +157,8 @@ class InsFaultHandling:
     def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a contradiction of an excluded INS: its reinstatement timer restarts.
 
-        Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
+        The fault is unresolved. Its covariance is that of the last innovations, because the change of the INS attitude
+        may remain wrong by as much.
         """
         names = state.in_use(self._subfilters.sources, time_ns)
         excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], is_self_reported=False))
@@ -162,7 +166,10 @@ class InsFaultHandling:
         return self._with_unresolved_fault(with_changes(state, excluded=excluded), time_ns, text)
 
     def with_not_evaluable(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after a measurement that contradicts it too much to be evaluated."""
+        """Return the state after a measurement that was not evaluable because it contradicts the state.
+
+        If the stars have excluded the INS, its error is taken as unknown again.
+        """
         if not is_ins_excluded_by_stars(state):
             return state
         stack = state.stack.copy()
@@ -177,7 +184,7 @@ class InsFaultHandling:
         Args:
             state: state after the measurement.
             innovations: innovations of all filters.
-            is_consistent: True if the source's recent innovations are consistent with the main filter.
+            is_consistent: True if the recent innovations of the measurement's source are consistent.
             time_ns: stamp of the measurement.
         """
         innovation = innovations.whitened_innovation[0]
@@ -189,10 +196,11 @@ class InsFaultHandling:
         )
 
     def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
-        """Reinstate an excluded INS when its time has come.
+        """Reinstate an excluded INS after its reinstatement time.
 
-        An INS excluded by the stars must have been consistent for the reinstatement time. An INS that drifted is
-        reinstated on trial after that time, because no single measurement shows the end of a drift.
+        If the stars have excluded the INS, it must have been consistent for that time. An INS excluded for a drift is
+        reinstated without a test, because no measurement shows the end of a drift. It is excluded again if it still
+        drifts, and each exclusion doubles the time.
         """
         exclusion = state.excluded.get(INS)
         if exclusion is None:
@@ -221,18 +229,18 @@ class InsFaultHandling:
     # ---------------------------------------------------------------------------------------------------------
 
     def _with_unresolved_fault(self, state: FilterState, time_ns: int, text: str) -> FilterState:
-        """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
+        """Return the state with an unresolved fault of the excluded INS; its reinstatement timer starts now."""
         names = state.in_use(self._subfilters.sources, time_ns)
         rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
-        covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
-        excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], consistent_since_ns=time_ns))
-        seen = cleared_means(state.innovation_means, slice(None), slice(None))
-        return with_changes(
-            state, excluded=excluded, innovation_means=seen, unresolved_fault=UnresolvedFault(text, covariance_n)
+        covariance_n = sum((np.outer(rotation_n, rotation_n) for rotation_n in rotations), start=np.zeros((3, 3)))
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], consistent_since_ns=time_ns))
+        means = cleared_means(state.innovation_means, slice(None), slice(None))
+        return changed(
+            state, excluded=excluded, innovation_means=means, unresolved_fault=UnresolvedFault(text, covariance_n)
         )
 
     def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
-        """True if one more rejection of the source would make a fault of this subfilter."""
+        """True if this subfilter would be inconsistent with the source after one more rejection."""
         index = self._subfilters.sources.index(source)
         if source in state.excluded or not self._subfilters.uses[subfilter, index]:
             return False
@@ -243,6 +251,9 @@ class InsFaultHandling:
 
 
 def is_ins_excluded_by_stars(state: FilterState) -> bool:
-    """True if the INS is excluded because all stars contradicted it after it had reported a jump."""
+    """True if the INS is excluded by the stars (module docstring); the filter then follows the stars.
+
+    Only such an exclusion of the INS has a reinstatement timer that starts from a time of consistency.
+    """
     exclusion = state.excluded.get(INS)
     return exclusion is not None and exclusion.consistent_since_ns is not None

@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import ALL_STARS, INS
 from ship_estimation.common_error import with_common_error
 from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityReport, integrity_report, solution_separation
+from ship_estimation.protection_levels import IntegrityReport, integrity_report, protection_levels
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray
 
@@ -30,15 +30,14 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         config: configuration of the node.
         estimate: the attitude, with its filter state.
     """
-    state, detector = estimate.state, filter_.fault_detector
-    relevant = detector.subfilters.relevant_hypotheses(estimate.sources, state.excluded)
+    state, subfilters = estimate.state, filter_.fault_detector.subfilters
+    relevant = subfilters.relevant_hypotheses(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, source_count = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
     means, stack = relative_to_horizon(filter_, config, state, estimate.time_ns)
-    # The levels contain the solution separations already. Errors that an attitude adds to those of the state, such as
-    # the INS noise, are the same in every filter.
-    found = solution_separation(
-        detector.subfilters.k,
+    # The covariance is without the inflation for large separations, because the levels contain the separations.
+    found = protection_levels(
+        subfilters.k,
         relevant.indices,
         filter_.model.state_indices("ins.attitude"),
         (to_angles, to_angles, estimate.covariance_without_separation_n),
@@ -49,17 +48,23 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     )
     names = relevant.names
     if INS not in state.excluded and relevant.is_cross_checked:
-        table, variance_n = detector.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
+        angle_covariance = to_angles @ estimate.covariance_without_separation_n @ to_angles.T
         found = with_common_error(
-            found, table.k, table.common_k_md, table.common_threshold, state.correction_sums, to_angles, variance_n
+            found,
+            subfilters.k,
+            subfilters.common_k_md,
+            subfilters.common_threshold,
+            state.correction_sums,
+            to_angles,
+            angle_covariance,
         )
         names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     has_unresolved_fault = (
         state.unresolved_fault is not None or state.unconfirmed_step is not None or estimate.status is Status.INVALID
     )
-    checked = relevant.is_cross_checked and not has_unresolved_fault
-    return integrity_report(estimate.time_ns, config.integrity, detector.subfilters.k, names, found, excluded, checked)
+    is_checked = relevant.is_cross_checked and not has_unresolved_fault
+    return integrity_report(estimate.time_ns, config.integrity, subfilters.k, names, found, excluded, is_checked)
 
 
 def relative_to_horizon(
@@ -68,7 +73,7 @@ def relative_to_horizon(
     """Return means and covariances of all filters, with the INS error relative to the published horizon."""
     if config.horizon == GEODETIC or filter_.vertical is None:
         return state.means, state.stack
-    # The gravity horizon needs the deflection, whose states follow the INS attitude.
-    rows, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
-    to_own[rows[:3, None], rows] = own_error_matrix(filter_.vertical.at(time_ns))
+    # The gravity horizon differs by the deflection: its two states follow the three of the INS attitude.
+    indices, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
+    to_own[indices[:3, None], indices] = own_error_matrix(filter_.vertical.at(time_ns))
     return state.means @ to_own.T, to_own @ state.stack @ to_own.T

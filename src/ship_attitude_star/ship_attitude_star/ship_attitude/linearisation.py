@@ -1,9 +1,9 @@
-"""Linearisation of a measurement at the estimate, for one Kalman step (iterated extended Kalman filter).
+"""Linearisation of a measurement for one Kalman update (iterated extended Kalman filter).
 
-The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from it;
-both depend on the state nonlinearly. One linearisation at the predicted state is enough if the state is known well
-compared with the measurement noise. Otherwise the measurement is linearised again at the resulting estimate until that
-converges (Gauss-Newton).
+The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from it.
+Both depend on the state nonlinearly. One linearisation at the predicted state is enough if the predicted rotation and
+the clock offset have small standard deviations. Otherwise the measurement is linearised again at the new estimate until
+the estimate converges (Gauss–Newton).
 """
 
 import math
@@ -39,19 +39,19 @@ from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _CONVERGED_RAD = 2e-4
-"""Convergence limit of the distance between linearisation point and estimate, rad; its square is 0.004″."""
+"""Convergence limit of the distance between linearisation point and estimate, rad; its second-order term is 0.004″."""
 
 _LINEAR_CLOCK_SIGMA_S = 0.01
 """Maximum standard deviation of a clock offset for one linearisation, s.
 
-A ship that rolls by 10° in 10 s accelerates by 14 000″/s², which makes 0.7″ in this time.
+A roll of 10° with a period of 10 s has an angular acceleration of 14 000″/s², which causes 0.7″ in this time.
 """
 
 _CORRELATED_MOTION_S = 3.0
-"""Correlation time of the ship's angular acceleration, s. An unknown clock offset has the same effect during it."""
+"""Correlation time of the ship's angular acceleration, s, and so of the nonlinear effect of a clock offset."""
 
 _FAR_SIGMAS = 3.0
-"""Distance of a far clock offset from the estimate, in standard deviations."""
+"""Clock offset at which the nonlinear effect is evaluated, in standard deviations from the estimate."""
 
 _MAX_ITERATIONS = 20
 
@@ -64,10 +64,9 @@ class LinearisedMeasurement(NamedTuple):
     Attributes:
         measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
         compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
-            mean: measured - predicted(x) + jacobian @ (x - mean). One Kalman step with it from the predicted state
-                leads
-            to the estimate. Its NIS is the least sum of squares of prediction and measurement over all states: chi²
-            distributed with as many degrees of freedom as residuals.
+            mean: measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state with it gives
+            the estimate. Its NIS is the least sum of squares, over all states, of the deviations from prediction and
+            measurement: chi² distributed with as many degrees of freedom as residuals.
         ins: matched attitude of the INS.
         matched_ins_ns: stamp of the matched INS attitude.
         ins_time_ns: latest INS stamp that the comparison depends on.
@@ -85,8 +84,8 @@ class NotEvaluable:
     """A measurement that cannot be evaluated.
 
     Attributes:
-        rejection: the reason.
-        ins_time_ns: latest INS stamp that this depends on.
+        rejection: the rejection, with its reason.
+        ins_time_ns: latest INS stamp that the rejection depends on.
     """
 
     rejection: Rejection
@@ -106,7 +105,7 @@ class _LinearisationTask(NamedTuple):
         device: device that measured.
         mean: mean of the predicted state, shape (n,).
         covariance: covariance of the predicted state, shape (n, n).
-        last_used_ns: stamp of the last accepted measurement by source, ns.
+        last_used_ns: stamp of the last accepted measurement of each source, ns.
         track: attitudes of the INS.
         sky_model: sky model.
         may_wait: True if INS samples may still arrive.
@@ -124,7 +123,7 @@ class _LinearisationTask(NamedTuple):
     offset_sigma_s: float
 
     def count_within(self, period_s: float) -> float:
-        """Return the number of measurements of the source in a period, from the time since its last one; at least 1."""
+        """Return the number of measurements of the source in a period, at its present rate; at least 1."""
         last_ns = self.last_used_ns.get(self.measurement.source)
         if last_ns is None:
             return 1.0
@@ -141,7 +140,14 @@ class _LinearisationTask(NamedTuple):
 
 
 class _MatchedMeasurement(NamedTuple):
-    """A measurement, the matched INS attitude, the stamp of that, and the latest INS stamp needed."""
+    """A measurement with the INS attitude that is matched to it.
+
+    Attributes:
+        measurement: the measurement, converted for the comparison.
+        ins: matched INS attitude.
+        matched_ins_ns: stamp of the matched INS attitude.
+        ins_time_ns: latest INS stamp needed.
+    """
 
     measurement: Measurement
     ins: InterpolatedAttitude
@@ -162,11 +168,11 @@ class Linearisation:
         self, model: ShipStateModel, devices: Mapping[str, Device], vertical: VerticalTrack | None = None
     ) -> None:
         self._model, self._devices, self._vertical = model, devices, vertical
-        # The derivative of the offset of each device's clock by the state, shape (n,).
+        # For each device the Jacobian of its clock offset from the INS with respect to the state, shape (n,).
         self._offset_jacobians = {name: np.zeros(model.size) for name in devices}
         for name, chain in model.rotation_chains.items():
             self._offset_jacobians[name][chain.clock_states] = chain.clock_signs
-        # The same as pairs of a state and its sign.
+        # The nonzero elements of these Jacobians: pairs of a state and its sign.
         self._clocks = {
             name: tuple(zip(chain.clock_states.tolist(), chain.clock_signs.tolist(), strict=True))
             for name, chain in model.rotation_chains.items()
@@ -175,12 +181,12 @@ class Linearisation:
 
     @property
     def longest_shift_s(self) -> float:
-        """Bound of the difference between the INS stamp and a device stamp of an attitude, s: offset and 5 sigma."""
+        """Bound of the difference of INS stamp and device stamp at one time, s: configured offset plus 5 sigma."""
         return self._longest_s(5.0)
 
     @property
     def longest_reach_s(self) -> float:
-        """Bound of the time around a measurement in which INS samples are needed, s: the shift and 3 sigma more."""
+        """Bound of the time from a measurement to the INS samples that it needs, s: configured offset plus 8 sigma."""
         return self._longest_s(5.0 + _FAR_SIGMAS)
 
     def _longest_s(self, sigmas: float) -> float:
@@ -190,7 +196,7 @@ class Linearisation:
         return max(shifts_s, default=0.0)
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
-        """Return the INS stamp of the measured attitude, ns, by a mean of the state, shape (n,)."""
+        """Return the INS stamp of the measured attitude, ns, with the clock offsets of a mean, shape (n,)."""
         source = measurement.source
         estimated_s: float = sum(sign * mean.item(state) for state, sign in self._clocks[source])
         shift_s = self._devices[source].ins_time_s + estimated_s
@@ -206,24 +212,24 @@ class Linearisation:
         sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> LinearisedMeasurement | NotEvaluable | None:
-        """Linearise a measurement at the estimate that it leads to.
+        """Linearise a measurement at the predicted state, or iteratively at the updated one.
 
         Args:
             measurement: measurement of any kind.
             mean: mean of the predicted state, shape (n,).
             covariance: covariance of the predicted state, shape (n, n).
-            last_used_ns: stamp of the last accepted measurement by source, ns.
+            last_used_ns: stamp of the last accepted measurement of each source, ns.
             track: attitudes of the INS.
             sky_model: sky model; None if no sensor needs it.
             may_wait: True if INS samples may still arrive.
 
         Returns:
-            The linearised measurement, or why it cannot be evaluated; None if it needs INS samples that may still
-            arrive.
+            The linearised measurement, or the reason why it is not evaluable; None if it needs INS samples that may
+            still arrive.
         """
         source = measurement.source
         device, by_offset = self._devices[source], self._offset_jacobians[source]
-        # An inflated covariance does not make a clock less known than configured.
+        # An inflation of the covariance must not raise the sigma of a clock offset above the configured one.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
         task = _LinearisationTask(
@@ -233,8 +239,8 @@ class Linearisation:
         if not isinstance(matched, _MatchedMeasurement):
             return matched
         predicted = predict_attitude(device, self._model, mean, matched.ins)
-        turn_variance = compiled_steps.projected_variance(predicted.jacobian_v, covariance, by_offset)
-        if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or turn_variance > LINEAR_RANGE**2:
+        rotation_variance = compiled_steps.projected_variance(predicted.jacobian_v, covariance, by_offset)
+        if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or rotation_variance > LINEAR_RANGE**2:
             return self._iterate(task, matched, predicted)
         compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)
         if isinstance(compared, Rejection):
@@ -244,10 +250,10 @@ class Linearisation:
         )
 
     def _match_to_ins(self, task: _LinearisationTask, mean: FloatArray) -> _MatchedMeasurement | NotEvaluable | None:
-        """Match the INS attitude to a measurement, by a mean of the state.
+        """Match the INS attitude to a measurement, with the clock offsets of a mean, shape (n,).
 
         Returns:
-            The matched measurement, or why it cannot be evaluated; None if INS samples are pending.
+            The matched measurement, or the reason why it is not evaluable; None if INS samples are pending.
         """
         measurement, track = task.measurement, task.track
         ins_time_ns = self.ins_time_ns(mean, measurement)
@@ -269,25 +275,26 @@ class Linearisation:
             measurement = attitude
         elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
             # Another attitude system is levelled by gravity, as the INS is.
-            turn = self._vertical.at(measurement.time_ns).deflection_jacobian
-            measurement = replace(measurement, shared_n=turn, shared_by=SHARED_BY_GRAVITY)
+            by_deflection = self._vertical.at(measurement.time_ns).deflection_jacobian
+            measurement = replace(measurement, shared_n=by_deflection, shared_by=SHARED_BY_GRAVITY)
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
-            turning = exposure_motion(track, ins_time_ns, measurement.length.nodes)
-            if turning is None:
+            motion = exposure_motion(track, ins_time_ns, measurement.length.nodes)
+            if motion is None:
                 return NotEvaluable(measurement.length.coverage_rejection, ins_time_ns)
-            # The prediction is the mean over the exposure, so errors and rate are those of the mean. The rate between
-            # two samples contains their noise divided by their interval. Across a streak, where a star is most
-            # accurate, this noise would count as information about the clock.
+            # A star is compared with the mean attitude over the exposure, so rate and errors of that mean are used. The
+            # rate between two INS samples would contain their noise divided by their interval. For stars that are
+            # accurate across their streak, this noise would act as information about the clock offset.
             ins = replace(
                 ins,
-                rate_d=turning.rate,
-                noise_gain=turning.noise_gain,
-                error_covariance_d=turning.error_covariance,
+                rate_d=motion.rate,
+                noise_gain=motion.noise_gain,
+                error_covariance_d=motion.error_covariance,
             )
-            measurement = reduce_to_mid_exposure(measurement, turning.in_device_frame(task.device.rotation_dv0).turns)
+            measurement = reduce_to_mid_exposure(measurement, motion.in_device_frame(task.device.rotation_dv0).turns)
         if shared_count > 1.0:
-            # The interpolation error between two samples is common to all measurements there. The filter treats it as
-            # noise; with the variance multiplied by their number, their mean has the variance of the common error.
+            # All measurements between two samples share one interpolation error, but the filter treats it as noise. The
+            # variance is therefore multiplied by the number of these measurements: their mean then has the variance of
+            # the shared error.
             ins = replace(ins, error_covariance_d=shared_count * ins.error_covariance_d)
         if around_ns:
             nonlinear_d = _nonlinear_offset_covariance(track, ins_time_ns, around_ns, ins)
@@ -302,13 +309,19 @@ class Linearisation:
     def _iterate(
         self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude
     ) -> LinearisedMeasurement | NotEvaluable | None:
-        """Linearise a measurement iteratively; its residual is relative to the predicted mean."""
+        """Linearise a measurement iteratively; the residual is relative to the predicted mean.
+
+        Args:
+            task: inputs of the linearisation.
+            matched: the measurement matched with the predicted mean.
+            expected: attitude of the device predicted with that mean.
+        """
         model, until_ns = self._model, matched.ins_time_ns
         correction = self._start_correction(task, matched, expected)
         for _ in range(_MAX_ITERATIONS):
             mean = task.mean + correction
-            # Prediction and Jacobian belong to the same state, clock included; otherwise the rotation by the estimated
-            # offset would count twice.
+            # The INS attitude is matched again with the clock offset of this mean. Otherwise the rotation of the ship
+            # during the estimated offset would be in the residual and in the Jacobian, and would count twice.
             found = self._match_to_ins(task, mean) if correction.any() else matched
             if not isinstance(found, _MatchedMeasurement):
                 return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
@@ -334,7 +347,10 @@ class Linearisation:
     def _start_correction(
         self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude
     ) -> FloatArray:
-        """Return the first linearisation point relative to the predicted mean, shape (n,); for stars their attitude."""
+        """Return the first linearisation point, relative to the predicted mean, shape (n,).
+
+        For stars it is the attitude that the stars give by themselves; for other measurements it is zero.
+        """
         correction, exposure = np.zeros_like(task.mean), matched.measurement
         if not isinstance(exposure, StarExposure):
             return correction
@@ -343,9 +359,10 @@ class Linearisation:
         visible = visible_stars(exposure, task.sky_model, prior)
         if isinstance(visible, Rejection) or not len(visible[1]):
             return correction
-        turn_ns = initial_attitude(visible[1], prior) @ expected.rotation_nv.T
-        rows = self._model.slices["ins.attitude"]
-        correction[rows] = log_rotation(turn_ns @ exp_rotation(task.mean[rows])) - task.mean[rows]
+        rotation_n = initial_attitude(visible[1], prior) @ expected.rotation_nv.T
+        ins_attitude = self._model.slices["ins.attitude"]
+        mean = task.mean[ins_attitude]
+        correction[ins_attitude] = log_rotation(rotation_n @ exp_rotation(mean)) - mean
         return correction
 
 
@@ -359,11 +376,12 @@ def _nonlinear_offset_covariance(
 ) -> FloatArray | None:
     """Return the covariance of the nonlinear effect of an unknown clock offset, deck frame, rad², shape (3, 3).
 
-    It is computed from the attitudes at offsets of :data:`_FAR_SIGMAS` standard deviations before and after. Half their
-    sum is the quadratic part; half their difference minus the rate is the cubic part. Both count as that many standard
-    deviations of a normal error. For most offsets this is conservative, and the offset converges sooner.
+    It results from the rotations to the attitudes at :data:`_FAR_SIGMAS` standard deviations of the offset before and
+    after. Half of their sum is the quadratic part; half of their difference, less the rate, is the cubic part. Each
+    is taken as :data:`_FAR_SIGMAS` standard deviations of a normal error, which is conservative for most offsets.
 
-    If the track does not extend so far, nearer attitudes are used, down to an eighth of the offset; else None.
+    If the track does not extend so far, nearer attitudes are used, down to an eighth of the offset. The result is None
+    if these are missing too.
     """
     for nearer in (1, 2, 4, 8):
         off_ns = around_ns // nearer

@@ -1,6 +1,6 @@
-"""Stored states of the ship filter: restart from one, and residuals of measurements and states against one.
+"""Stored states of the ship filter: restart from a stored state, and comparison of measurements and states with it.
 
-They are used by the recovery rules in :mod:`ship_estimation.recovery`.
+The recovery rules in :mod:`ship_estimation.recovery` use these functions.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ def memory_residual(
 ) -> MemoryResidual | None:
     """Return the residual of a measurement against a stored state, as a rotation about North, Up and East.
 
-    None if the measurement cannot be evaluated or does not observe the full rotation of its device.
+    The result is None if the measurement is not evaluable or does not observe the full rotation of its device.
     """
     state = filter_.propagate(memory, measurement.time_ns)
     found = filter_.linearisation.linearise(measurement, state.mean, state.covariance, {}, track, sky_model)
@@ -80,8 +80,14 @@ def memory_residual(
 def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
     """Return the largest difference of a constant state from the stored one, in standard deviations.
 
-    The standard deviation is that of both states. For a later state of the same estimator, which contains the
-    information of the stored one, it is that of the stored one.
+    The variance of the difference is the sum of both variances if the two states are independent. A later state of the
+    same estimator is not: it contains the information of the stored state, whose variance is then used alone.
+
+    Args:
+        filter_: filter of the estimator.
+        state: state to compare.
+        memory: stored state.
+        is_later: True if ``state`` is a later state of the estimator that stored ``memory``.
     """
     if state.time_ns is None:
         return np.inf
@@ -91,7 +97,7 @@ def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: F
     )
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
-    # States known exactly do not differ. Written so that NaN is compared.
+    # States that are known exactly are not compared; NaN is.
     varies = variance != 0.0
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 

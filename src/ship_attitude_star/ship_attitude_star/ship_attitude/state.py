@@ -80,14 +80,14 @@ class SourceInnovation(NamedTuple):
     @property
     def rotation_v(self) -> FloatArray:
         """Rotation vector in the device frame, rad, shape (3,)."""
-        turn_v: FloatArray = self.root @ self.whitened
-        return turn_v
+        rotation_v: FloatArray = self.root @ self.whitened
+        return rotation_v
 
     @property
     def rotation_n(self) -> FloatArray:
         """Rotation vector in the horizon frame, rad, shape (3,)."""
-        turn_n: FloatArray = self.predicted_nv @ self.rotation_v
-        return turn_n
+        rotation_n: FloatArray = self.predicted_nv @ self.rotation_v
+        return rotation_n
 
 
 def shared_rotation(innovations: Sequence[SourceInnovation]) -> FloatArray:
@@ -107,8 +107,8 @@ class UtcStep(NamedTuple):
 
     Attributes:
         step_s: sum of the steps since UTC was last compared with the attitude of the INS, s.
-        log_likelihood_ratio: natural logarithm of the likelihood ratio of two hypotheses by the star measurements
-            since: the sky is rotated by the step, to the sky is not rotated.
+        log_likelihood_ratio: logarithm of the likelihood of the star measurements since the step if the sky is rotated
+            by the step, minus that if the sky is not rotated.
     """
 
     step_s: float
@@ -143,26 +143,28 @@ class FilterState:
             :mod:`ship_estimation.subfilters`, shape (n_sources + h - 1, n, n).
         innovation_means: windowed innovation means of each source in each filter.
         excluded: excluded sources by name.
-        exclusion_counts: number of exclusions by source.
+        exclusion_counts: number of exclusions of each source.
         unresolved_fault: fault that is detected and not isolated; None for none.
         separation_covariance_n: covariance that an output adds for large solution separations, rad², horizon frame,
             shape (3, 3); not part of ``stack``; None for none.
-        last_innovations: innovation of the last measurement by source, against the main filter.
-        recent_innovations: windowed innovation means of the accepted measurements by source, since the last restart of
+        last_innovations: innovation of each source's last measurement against the main filter.
+        recent_innovations: windowed innovation means of each source's accepted measurements since the last restart of
             the filters.
-        received_since_ns: start of uninterrupted reception by source, stamp, ns.
-        common_n: steady-state covariance of the common error by star sensor, rad², horizon frame, shape (3, 3).
-        consecutive_rejections: number of consecutive rejections by source.
-        last_used_ns: stamp of the last accepted measurement by source, ns.
-        pixel_dwells: pixel dwell of the stars by source; empty after the covariance was inflated.
+        received_since_ns: stamp since which each source has been received without a gap, ns.
+        common_n: steady-state covariance of the correlated error of each star sensor, rad², horizon frame, shape
+            (3, 3).
+        consecutive_rejections: number of consecutive rejections of each source.
+        last_used_ns: stamp of each source's last accepted measurement, ns.
+        pixel_dwells: pixel dwell of the stars in each camera; empty after the covariance was inflated.
         unconfirmed_step: INS jump, possible INS jump or first star measurement that other stars have not confirmed;
             None for none.
-        rejected_residuals: residual of the last rejected measurement by source.
+        rejected_residuals: residual of each source's last rejected measurement.
         ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None for none.
-        ins_fault_ns: time of the last jump or contradiction of an INS that reported a jump; None for none.
+        ins_fault_ns: time of the last jump that the INS reported, of a later contradiction, or of its reinstatement;
+            None for none.
         vertical: vertical at the time of the state; None if the deflection is not modelled.
         utc_step: step of the time base after which UTC is not verified yet; None for none.
-        correction_sums: sums of the recent corrections by all stars, and the error that all stars may share.
+        correction_sums: sums of the recent corrections by the star sensors, which show an error that all of them share.
     """
 
     time_ns: int | None
@@ -210,7 +212,7 @@ class FilterState:
             zip(sources, self.innovation_means.last_measured_ns.tolist(), strict=True),
             time_ns - MAX_MEASUREMENT_AGE_NS,
         )
-        return [name for name, received_ns in received if received_ns >= since_ns and name not in self.excluded]
+        return [name for name, measured_ns in received if measured_ns >= since_ns and name not in self.excluded]
 
     @property
     def covariance(self) -> FloatArray:

@@ -1,9 +1,9 @@
 """The filters of a ship: the main filter, and subfilters that each exclude one source or two.
 
 The main filter uses all sources that are not excluded. Each subfilter excludes one more source; with
-``integrity.pairs`` some subfilters exclude two. A subfilter without the INS takes its correlated error as unknown and
-still uses its change of attitude from one measurement to the next. A ship with a single source has no subfilter without
-the INS.
+``integrity.pairs`` some subfilters exclude two. A subfilter without the INS takes the correlated error of the INS as
+unknown, and still uses the change of the INS attitude between measurements. A ship with a single source besides the INS
+has no subfilter without the INS.
 """
 
 import itertools
@@ -29,7 +29,8 @@ ALL_STARS = "all_stars"
 MIN_SOURCES_FOR_PAIRS = 3
 """Minimum number of sources besides the INS for subfilters without two sources.
 
-Without two of three sources one is left, which the INS checks; without one source and the INS two are left.
+A subfilter without two of three sources uses the third and the INS, which check each other. A subfilter without one of
+them and the INS uses the two others.
 """
 
 
@@ -43,7 +44,7 @@ class RelevantHypotheses(NamedTuple):
     Attributes:
         indices: indices of the hypotheses, shape (h,); index 0 is the first subfilter.
         names: names of the hypotheses.
-        is_cross_checked: True if its sources besides the INS check one another.
+        is_cross_checked: True if at least two of its sources besides the INS are in use, one of them a star sensor.
     """
 
     indices: NDArray[np.intp]
@@ -69,15 +70,15 @@ class SubfilterSet:
         pair_subfilters: indices of the subfilters that exclude two sources.
         ins_subfilters: indices of the subfilters that exclude the INS.
         uses: True where a filter uses a source, if no source is excluded, shape (h, s).
-        used_by: by source, True for each filter that uses it, if no source is excluded, shape (h,).
-        own_states: by source, True for the states that belong to it alone, shape (n,).
-        updatable_states: by source, True for the states that each filter updates with it, if no source is excluded,
-            shape (h, n).
-        k: multipliers (K factors) of the protection levels.
-        common_k_md: K_md of the hypothesis that all stars share an error.
+        used_by: for each source, True for the filters that use it, if no source is excluded, shape (h,).
+        own_states: for each source, True for the states that belong to it alone, shape (n,).
+        updatable_states: for each source, True for the states that each filter updates with its measurements, if no
+            source is excluded, shape (h, n).
+        k: sigma multipliers K of the protection levels.
+        common_k_md: K_md of the hypothesis of an error that all star sensors share.
         common_threshold: threshold of the sum of the star corrections, in standard deviations; above it all stars
             contradict the INS.
-        innovation_mean_limit: chi² threshold of a windowed mean of whitened innovations.
+        innovation_mean_limit: chi² limit of a windowed mean of whitened innovations.
 
     Raises:
         ParameterError: there are more filters than ``integrity.max_hypotheses``.
@@ -114,10 +115,10 @@ class SubfilterSet:
         self.innovation_mean_limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
     def relevant_pairs(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
-        """Return the subfilters without two sources in use that leave two or more others to check each other.
+        """Return the subfilters that exclude two sources in use, if the other sources in use can check one another.
 
-        There are none while the INS is excluded: of two pairs of sensors that contradict each other, neither can be
-        isolated then.
+        While the INS is excluded there are none: if two pairs of sensors then contradict each other, neither pair is
+        isolated as faulty.
 
         Args:
             in_use: sources in use, without the INS.
@@ -129,9 +130,10 @@ class SubfilterSet:
         return [row for row in self.pair_subfilters if sources.issuperset(self.excluded_sources[row - 1])]
 
     def can_show_ins_fault(self, in_use: Collection[str]) -> bool:
-        """True if sources that are consistent with one another can show a fault of the INS.
+        """True if two or more sources are in use and at least one of them is not a star sensor.
 
-        Star sensors alone cannot: an error of position, UTC or refraction rotates all of them equally.
+        Star sensors alone cannot show a fault of the INS: an error of position, UTC or refraction rotates all of them
+        equally.
         """
         return len(in_use) >= _MIN_FOR_CROSS_CHECK and not self.stars.issuperset(in_use)
 

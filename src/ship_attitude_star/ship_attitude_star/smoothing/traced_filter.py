@@ -59,7 +59,7 @@ class _TracedFaultDetector(FaultDetector):
         """See :meth:`FaultDetector.initial_state`."""
         return TracedState(**vars(super().initial_state(mean, covariance_by_source)))
 
-    def update(
+    def update_filters(
         self,
         state: FilterState,
         predicted: FilterState,
@@ -68,8 +68,8 @@ class _TracedFaultDetector(FaultDetector):
         innovations: FilterInnovations,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
-        """See :meth:`FaultDetector.update`."""
-        after = super().update(state, predicted, measurement, comparison, innovations, accepted)
+        """See :meth:`FaultDetector.update_filters`."""
+        after = super().update_filters(state, predicted, measurement, comparison, innovations, accepted)
         if after.means is state.means:
             return after
         assert isinstance(after, TracedState)

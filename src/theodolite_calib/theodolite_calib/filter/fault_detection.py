@@ -5,8 +5,8 @@ also excluded if its baseline jumps by more than its flight allows. If beacons a
 explains the rejections, the fault is unresolved, and the pointing covariance covers the disagreement.
 
 An excluded source is monitored. It is reinstated after it has been consistent for ``return_after_s``. Consistency
-counts only if the fault would still be detectable: the standard deviation of the predicted beacon must be small against
-the rejected residual. A baseline that has jumped back has no residual left.
+counts only while the fault would be detectable: the standard deviation of the predicted beacon must be small against
+the rejected residual. After a baseline has jumped back, consistency always counts.
 """
 
 from collections.abc import Mapping, Set
@@ -55,11 +55,11 @@ _COMMON_DRIFT_SIGMAS, _COMMON_DRIFT_COSINE = 2.0, 0.7
 """Beacons drift together if each mean exceeds the first value (standard deviations) and each pair of means has at least
 the second value as the cosine of the angle between them."""
 _DRIFT_INDICATION_RATIO = 0.3
-"""Ratio of an innovation mean to its limit above which a ship attitude that departs from its own rates is faulty.
-Neither sign alone suffices."""
+"""Ratio of the chi² of an innovation mean to its limit above which the beacons indicate a drift of the ship's attitude.
+
+The ship's attitude is excluded if it also departs from its own rates; neither indication alone suffices."""
 _DETECTABLE_SIGMAS = 5.0
-"""A rejected residual counts as detectable again if it exceeds this many standard deviations of the predicted
-beacon."""
+"""Ratio of a residual to the standard deviation of the predicted beacon above which the residual is detectable."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def isolate_step_fault(
 
     Args:
         source: encoders or ship's attitude, as isolated by the subfilters.
-        explaining_sources: all sources without which the rest is consistent.
+        explaining_sources: each source whose fault explains the contradiction: the others are consistent without it.
         streams: largest steps of the two streams since the last accepted sighting.
         offset_rad: offset of the beacons on the sky, rad.
     """
@@ -140,8 +140,8 @@ def isolate_step_fault(
     if stepped:
         return stepped[0] if len(stepped) == 1 and stepped[0] in explaining_sources else source
     candidate_steps = [steps[name] for name in {source, *explaining_sources} & steps.keys()]
-    right = all(step is not None and step.is_ruled_out(offset_rad) for step in candidate_steps)
-    return TELESCOPE if right else source
+    is_none_faulty = all(step is not None and step.is_ruled_out(offset_rad) for step in candidate_steps)
+    return TELESCOPE if is_none_faulty else source
 
 
 def isolate_drift_fault(
@@ -150,12 +150,12 @@ def isolate_drift_fault(
     """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
-    The ship's own rates distinguish the two. If the beacons drift differently and the encoders or the ship explain that
-    as well as a drone does, no source is isolated.
+    The rates of the ship distinguish between these two. If the beacons drift differently, and both an axis source and a
+    drone explain it, no source is isolated.
 
     Args:
         source: as isolated by the subfilters; None if they isolate none.
-        explaining_sources: all sources without which the rest is consistent.
+        explaining_sources: each source whose fault explains the drift: the others are consistent without it.
         is_common: True if all beacons drift together.
         has_ship_drifted: True if the ship's attitude has departed from its own rates; None if unknown.
     """
@@ -194,21 +194,21 @@ class FaultDetector:
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
-        """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
+        """Restart the timers of sources that had a gap in their data before a sighting: a gap is not consistency.
 
         Args:
             fault_state: state after the previous sighting.
             names: beacons of this sighting.
             time_ns: time of the sighting.
         """
-        received_ns, silent_ns = fault_state.innovation_means.last_measured_ns, time_ns - MAX_MEASUREMENT_AGE_NS
+        received_ns, since_ns = fault_state.innovation_means.last_measured_ns, time_ns - MAX_MEASUREMENT_AGE_NS
         timed_out: Set[str] = {
-            BEACON_PREFIX + name for name in names if received_ns[self._subfilters.beacons.index(name)] < silent_ns
+            BEACON_PREFIX + name for name in names if received_ns[self._subfilters.beacons.index(name)] < since_ns
         }
         if not timed_out or not (fault_state.exclusions or fault_state.unresolved_fault):
             return fault_state
         conflict = fault_state.unresolved_fault
-        if received_ns.max() < silent_ns:
+        if received_ns.max() < since_ns:
             timed_out = timed_out | AXIS_SOURCES
             conflict = None if conflict is None else replace(conflict, consistent_since_ns=None)
         exclusions = dict(fault_state.exclusions)
@@ -237,7 +237,7 @@ class FaultDetector:
     def isolate_fault(
         self, fault_state: FaultState, separations: FloatArray, time_ns: int
     ) -> tuple[bool, str | None, Set[str]]:
-        """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
+        """Return true if a fault is detected, the isolated source or None, and all sources that explain the fault.
 
         Args:
             fault_state: state after the sighting.
@@ -262,13 +262,14 @@ class FaultDetector:
             )
 
         candidates = [name for name in sources if name not in excluded]
-        finding = isolate(candidates)
-        if not finding.is_detected:
+        isolation = isolate(candidates)
+        if not isolation.is_detected:
             return False, None, set()
-        explaining = {sources[row - 1] for row in finding.explaining_subfilters}
-        if finding.subfilter is not None:
-            return True, sources[finding.subfilter - 1], explaining
-        # Faults of encoders and ship's attitude have similar effects on the beacons: either may explain both.
+        explaining = {sources[row - 1] for row in isolation.explaining_subfilters}
+        if isolation.subfilter is not None:
+            return True, sources[isolation.subfilter - 1], explaining
+        # Encoders and ship's attitude have similar effects on the beacons, so their two subfilters may explain the same
+        # fault. The source that is isolated when the other one is no candidate is faulty.
         for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
             alone = isolate([candidate for candidate in candidates if candidate != other])
             if alone.subfilter is not None and sources[alone.subfilter - 1] == name:
@@ -292,11 +293,11 @@ class FaultDetector:
         cosines = np.einsum("wlk,wmk->wlm", offset_sigmas, offset_sigmas) / (size[:, :, None] * size[:, None, :])
         is_common = (size.min(axis=1) > _COMMON_DRIFT_SIGMAS) & (
             cosines.min(axis=(1, 2)) > _COMMON_DRIFT_COSINE
-        )  # NaN is not
+        )  # false for NaN
         return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
-        """True if beacons drift within their limit and are consistent without the ship's attitude."""
+        """True if an innovation mean approaches its limit, and the subfilter without the ship is consistent."""
         is_recent = fault_state.innovation_means.last_measured_ns >= time_ns - MAX_MEASUREMENT_AGE_NS
         if (
             fault_state.excluded_sources
@@ -313,7 +314,7 @@ class FaultDetector:
     def exclude_source(
         self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> FaultState:
-        """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
+        """Exclude a source; the means of all filters restart from its subfilter, or from ``explaining_subfilter``."""
         row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), fault_state.innovation_means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)
@@ -325,7 +326,7 @@ class FaultDetector:
         )
 
     def record_baseline_jump(self, fault_state: FaultState, source: str, jump: BaselineJump) -> FaultState:
-        """Record another jump of the baseline of an excluded drone, which may have jumped back."""
+        """Record another jump of an excluded drone's baseline, which may be a jump back to the former position."""
         record = fault_state.exclusions[source]
         if jump.time_ns <= record.last_jump_ns + _SAME_JUMP_NS:
             return fault_state
@@ -345,14 +346,15 @@ class FaultDetector:
         time_ns: int,
         expected_rejection_m: float,
     ) -> FaultState:
-        """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
+        """Monitor an excluded drone by a sighting of its beacon; reinstate the drone after a time of consistency.
 
         Args:
             fault_state: state before.
             name: beacon.
-            innovation: innovation against the estimate by all other sources; one filter.
+            innovation: innovation against the main filter, which does not use the drone.
             time_ns: time of the sighting.
-            expected_rejection_m: residual on the detector that the fault would cause now, m; 0 if there is none.
+            expected_rejection_m: residual on the detector that the fault would cause now, m, which must be detectable
+                for a reinstatement; 0 for no such test.
         """
         index, source = self._subfilters.beacons.index(name), BEACON_PREFIX + name
         record = fault_state.exclusions[source]
@@ -368,24 +370,33 @@ class FaultDetector:
             self._limit,
             innovation.whitened_noise,
         )
-        exclusion, returns = evaluate_reinstatement(
+        exclusion, is_reinstated = evaluate_reinstatement(
             record.exclusion, means, index, time_ns, self._config.return_after_s
         )
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(innovation.covariance[0]))))
         if 0.0 < expected_rejection_m <= _DETECTABLE_SIGMAS * sigma_m:
-            exclusion, returns = replace(exclusion, consistent_since_ns=None), False
-        return self._update_exclusion(replace(fault_state, innovation_means=means), source, exclusion, returns)
+            exclusion, is_reinstated = replace(exclusion, consistent_since_ns=None), False
+        return self._keep_or_reinstate(replace(fault_state, innovation_means=means), source, exclusion, is_reinstated)
 
     def monitor_prediction(self, fault_state: FaultState, source: str, is_consistent: bool, time_ns: int) -> FaultState:
-        """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
+        """Monitor excluded encoders, or an excluded ship's attitude, by a sighting; reinstate after consistency.
+
+        Args:
+            fault_state: state before.
+            source: the excluded source.
+            is_consistent: True if the prediction by that source passes the gate of the sighting.
+            time_ns: time of the sighting.
+        """
         exclusion = fault_state.exclusions[source].exclusion
         since_ns = (exclusion.consistent_since_ns or time_ns) if is_consistent else None
-        returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
-        return self._update_exclusion(fault_state, source, replace(exclusion, consistent_since_ns=since_ns), returns)
+        is_reinstated = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
+        exclusion = replace(exclusion, consistent_since_ns=since_ns)
+        return self._keep_or_reinstate(fault_state, source, exclusion, is_reinstated)
 
-    def _update_exclusion(
+    def _keep_or_reinstate(
         self, fault_state: FaultState, source: str, exclusion: ExcludedSource, is_reinstated: bool
     ) -> FaultState:
+        """Return the state with an excluded source reinstated, or with its updated exclusion."""
         exclusions, jumped_ns, means = (
             dict(fault_state.exclusions),
             dict(fault_state.known_jumps_ns),

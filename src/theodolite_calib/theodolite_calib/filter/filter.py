@@ -13,7 +13,7 @@ import numpy as np
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_estimation.ins import InsJump
-from ship_estimation.kalman import LinearMeasurement, predict, update
+from ship_estimation.kalman import LinearMeasurement, propagate_covariance, update
 from ship_estimation.subfilters import subfilter_innovations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -42,21 +42,21 @@ class CalibrationState:
 
     Attributes:
         time_ns: time of the state; None before the first sighting.
-        mean: estimated errors, shape (..., n); the leading axis may be one of subfilters.
+        mean: estimated errors, shape (..., n), mostly (n,).
         covariance_by_source: covariance by error source, shape (..., n_sources, n, n).
         observability: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
-        subfilters: estimates without one source each.
+        subfilters: states of the subfilters.
         fault_state: excluded sources and unresolved faults.
         solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in
             standard deviations, shape (h,).
         ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
-        consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected against
-            encoders and ship.
+        consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected because they
+            contradict encoders and ship.
         rejection_text: text of the last of these rejections.
         last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
-        light_count: number of beacons in it.
+        light_count: number of beacons in that sighting.
         last_stars_ns: time of the last accepted exposure of stars; None before the first.
-        pixel_dwells: pixel dwell of the stars by camera, if it matters; reset when the covariance is inflated.
+        pixel_dwells: pixel dwell of the stars in each camera with errors per pixel; empty after an inflation.
         sighting_count: number of accepted sightings, of beacons and of stars.
         point_count: number of beacons and stars in them.
         residual_square_sum: sum of the squares of their residuals on the sky, rad².
@@ -108,8 +108,8 @@ class Comparison:
         measurement: residual in metres, with Jacobian and noise.
         covariance: covariance of the residual, m², shape (2 N, 2 N).
         nis: normalised innovation squared.
-        angles_nis: part of it that no attitude of the telescope explains, from the angles between the beacons.
-        gain: gain of the optimal update, shape (n, 2 N).
+        angles_nis: part of ``nis`` that no attitude of the telescope explains, from the angles between the beacons.
+        gain: Kalman gain, shape (n, 2 N).
     """
 
     prediction: Prediction
@@ -121,7 +121,7 @@ class Comparison:
 
 
 class CalibrationFilter:
-    """Model of a configuration and the steps of its states.
+    """Kalman filter of a configuration: time and measurement update of its states.
 
     Args:
         config: parameters of the node.
@@ -166,7 +166,7 @@ class CalibrationFilter:
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
-        parts = predict(state.covariance_by_source, decay, noise, self.model.source_of)
+        parts = propagate_covariance(state.covariance_by_source, decay, noise, self.model.source_of)
         mean, ship_covariance_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
         mean, parts, step = self.ship_error.apply_stated_covariance(
@@ -200,9 +200,9 @@ class CalibrationFilter:
         return replace(state, covariance_by_source=parts, subfilters=subfilters, pixel_dwells=_NO_DWELLS)
 
     def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
-        """Exclude a source: its subfilter becomes the main filter.
+        """Exclude a source: all filters restart from the subfilter without it.
 
-        For the telescope, which has no subfilter, the state before the contradiction is kept.
+        The telescope has no subfilter. If it is excluded, the main filter is kept, which has rejected the sighting.
         """
         if source not in self.subfilters.sources:
             subfilters = self.subfilters.restart_from_estimate(state.subfilters, state.mean, state.covariance)
@@ -228,9 +228,10 @@ class CalibrationFilter:
         )
 
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
-        """Set the unknown errors (:meth:`add_unknown_errors`) to their values in a sighting.
+        """Set the unknown errors (:meth:`add_unknown_errors`) to the values that a sighting gives.
 
-        These errors may be degrees off, and the gate is linear. Their previous values have no weight.
+        These errors may be degrees, too large for the linearised gate. Their previous values have no weight, because
+        their covariance is large.
         """
         comparison = self.compare(state, sighting)
         if comparison is None:
@@ -253,8 +254,8 @@ class CalibrationFilter:
     ) -> tuple[CalibrationState, Comparison]:
         """Update the propagated state with a sighting; return it with the comparison of the last iteration.
 
-        The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). This matters
-        if the first sighting is far from the prior.
+        The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). More than one
+        iteration is needed only if the sighting is far from the prediction, like a first one.
         """
         latest, mean = comparison, state.mean
         for _ in range(_STEPS):
@@ -332,7 +333,7 @@ def _parts_for_covariance(parts: FloatArray, covariance: FloatArray) -> FloatArr
     """Transform a covariance by source linearly so that it sums to another covariance."""
     before = parts.sum(axis=0)
     sigma = np.sqrt(np.maximum(np.diagonal(before), np.diagonal(covariance)))
-    # Scaled to unit variance, since states are in radians and metres; a state with zero variance keeps it.
+    # States in radians and metres are scaled to unit variance. A state with zero variance keeps zero variance.
     scale = np.outer(sigma, sigma)
     unit = 1.0 / np.where(scale > 0.0, scale, np.inf)
     transformation = _symmetric_root(covariance * unit) @ np.linalg.pinv(

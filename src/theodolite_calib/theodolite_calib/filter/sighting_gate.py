@@ -41,7 +41,7 @@ class SightingDecision:
 
 
 class SightingGate:
-    """Gate of the sightings, by the states of a filter.
+    """Innovation gate for sightings.
 
     Args:
         filter_: the filter.
@@ -75,7 +75,7 @@ class SightingGate:
     def _resolve_misidentification(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> SightingDecision:
-        """Resolve a misidentification among two or more beacons that fail the gate as named."""
+        """Resolve a misidentification among two or more beacons that fail the gate with their given names."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
@@ -100,14 +100,14 @@ class SightingGate:
         )
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
-        """Return the camera with the focal length's uncertainty of the state."""
+        """Return the camera with the present standard deviation of its focal length, from the state."""
         row = self._filter.model.slices["focal_length"].start
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
     def _try_exchanged_names(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, order: tuple[int, ...]
     ) -> SightingDecision | None:
-        """Evaluate the sighting with exchanged names, point ``order[i]`` being beacon i; None if it fails the gate."""
+        """Evaluate the sighting with exchanged names (point ``order[i]`` is beacon i); None if it fails the gate."""
         renamed = sighting.select(list(range(len(sighting.names))), list(order))
         comparison = self._filter.compare(state, renamed)
         if comparison is None or not self._is_within_gate(comparison):
@@ -158,7 +158,7 @@ class SightingGate:
         return replace(decision, text=f"NIS {decision.nis:.1f} exceeds gate {decision.gate:.1f}")
 
     def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
-        """Return a rejection by the gate with the residuals; other decisions are derived from it."""
+        """Return the decision with residuals, as a rejection by the gate; other decisions are derived from it."""
         focal_m = focal_length_m(comparison)
         return ExposureDecision(
             measurement=exposure,
@@ -174,7 +174,7 @@ class SightingGate:
 
 
 def _telescope_covariance_by_source(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
-    """Return the covariance of the predicted telescope's rotation vector in n by source, rad², shape (3, 3) each."""
+    """Return the covariance by source of the predicted telescope attitude: rotation vector in n, rad², (3, 3) each."""
     by_state_n = comparison.prediction.by_state_n
     return {"state": by_state_n @ state.covariance @ by_state_n.T, **comparison.prediction.noise_n}
 

@@ -1,9 +1,9 @@
 """Step of the filter by one sighting of beacons: propagation, fault detection, gate and update.
 
 The state is propagated to the time of the sighting. Drones whose baselines have jumped are excluded, and excluded
-drones are monitored. The other beacons pass the gate (:mod:`theodolite_calib.filter.sighting_gate`) against the
-estimate by all sources that are not excluded. Every subfilter is compared with them too, and fault detection
-(:mod:`theodolite_calib.filter.fault_detection`) follows from all innovations together.
+drones are monitored. The other beacons are tested by the gate (:mod:`theodolite_calib.filter.sighting_gate`) against
+the main filter, and update it if they pass. They update every subfilter in whose gate they pass. Fault detection
+(:mod:`theodolite_calib.filter.fault_detection`) uses the innovations of all filters.
 """
 
 import functools
@@ -50,7 +50,7 @@ class SightingStep:
         config: parameters of the node.
         filter_: filter of that configuration.
         stream_consistency: function of two times, ns, that returns the consistency of the encoder and ship streams
-            between them; None if it is not evaluated, or too long ago.
+            between them; None if it was not evaluated, or if the first time is too long ago.
         has_ship_drifted: function of a time, ns, that returns True if the ship's attitude has departed from its own
             rates before it; None if unknown.
         stream_faults: function of a time, ns, that returns which of the encoder and ship streams were stuck, jumped or
@@ -128,7 +128,14 @@ class SightingStep:
     def _evaluate(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Return state and decision; ``predicted`` may exclude sources that ``state`` still uses."""
+        """Return state and decision after a sighting.
+
+        Args:
+            state: state after the previous sighting.
+            predicted: ``state`` propagated to the sighting; it may exclude further sources.
+            sighting: beacons with complete data.
+            exposure: exposure of the sighting.
+        """
         excluded = predicted.fault_state.excluded_sources
         unused_state = state if excluded == state.fault_state.excluded_sources else predicted
         rows = range(len(sighting.names))
@@ -153,7 +160,7 @@ class SightingStep:
         if result.sighting is not None and result.comparison is not None:
             after, final_comparison = self._filter.update_by_beacons(prepared, result.sighting, result.comparison)
             if ENCODER in excluded:
-                # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
+                # The predicted attitude rests on the excluded encoders. The published one is that after the update.
                 rotation_step = exp_rotation(final_comparison.prediction.by_state_n @ (after.mean - prepared.mean))
                 rotation_nt = rotation_step @ result.comparison.prediction.rotation_nt
                 telescope_dt = result.sighting.deck_from_telescope(rotation_nt), _attitude_sigma(final_comparison)
@@ -273,7 +280,11 @@ class SightingStep:
         return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
 
     def _prefer_stream_fault(self, source: str | None, explaining_sources: Set[str], time_ns: int) -> str | None:
-        """Return the source to exclude: if another one has shown a fault of its own recently, that one or none."""
+        """Return the source to exclude, which may be another one whose stream showed a fault recently.
+
+        If exactly one stream showed a fault, and not that of ``source``, the fault is attributed to that stream if its
+        exclusion explains the innovations; otherwise no source is isolated.
+        """
         stream_faults = self._stream_faults(time_ns)
         if source not in AXIS_SOURCES or source in stream_faults or len(stream_faults) != 1:
             return source
@@ -283,7 +294,7 @@ class SightingStep:
     def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Exclude an isolated source; ``explaining_subfilter`` is set if the source has no subfilter of its own."""
+        """Exclude an isolated source; ``explaining_subfilter`` is needed for a source without a subfilter."""
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
@@ -296,7 +307,7 @@ class SightingStep:
         return replace(state, consecutive_rejections=0), replace(decision, text=text)
 
     def _largest_disagreement_n(self, state: CalibrationState, comparison: Comparison) -> FloatArray:
-        """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
+        """Return the largest solution separation of the pointing, as a covariance of a rotation vector in n, rad²."""
         separation_n = (state.subfilters.mean - state.mean)[:, self._axis_indices] @ (
             comparison.prediction.by_state_n[:, self._axis_indices].T
         )
@@ -339,13 +350,13 @@ class SightingStep:
 
     @staticmethod
     def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, has_others: bool) -> float:
-        """Return the size on the detector of the residual that the fault would cause now, m."""
+        """Return the size of the residual on the detector that the fault of an excluded drone would cause now, m."""
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(exclusion.jump_sum_n, direction_n))
         distance_m = comparison.prediction.lines.distance_m[0]
         by_jump = float(focal_length_m(comparison) * across_m / distance_m)
         if np.any(exclusion.jump_sum_n):
-            # A jump along the line of sight is not observable: no reinstatement then.
+            # A jump along the line of sight has no residual: the smallest number prevents a reinstatement.
             return max(by_jump, np.finfo(float).tiny)
         return 0.0 if has_others else exclusion.rejected_residual_m
 
@@ -355,7 +366,7 @@ class SightingStep:
 
 @functools.lru_cache(maxsize=16)
 def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
-    """Return the sigma multipliers of the hypotheses without one source each."""
+    """Return the sigma multipliers of the hypotheses that one source is faulty."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
     return sigma_multipliers(config, [by_source.get(source, priors.beacon) for source in sources])
@@ -364,23 +375,23 @@ def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) ->
 def count_rejection(
     state: CalibrationState, decision: ExposureDecision, gate: GateConfig, measured: str
 ) -> tuple[CalibrationState, ExposureDecision]:
-    """Count a rejected sighting; report a run of them and, if configured, inflate the covariance.
+    """Count a rejected sighting; after consecutive rejections report a conflict or inflate the covariance.
 
     Args:
         state: state before the rejected sighting.
-        decision: decision about it.
-        gate: limits of a run.
+        decision: decision about the sighting.
+        gate: numbers of consecutive rejections for the conflict and for the inflation.
         measured: measured objects, for the text.
     """
-    run = state.consecutive_rejections + 1
-    state = replace(state, consecutive_rejections=run, rejection_text=decision.text)
+    count = state.consecutive_rejections + 1
+    state = replace(state, consecutive_rejections=count, rejection_text=decision.text)
     if decision.reason is Reason.LIGHT_CONFLICT:
         return state, decision
     reason, text = decision.reason, decision.text
-    if run >= gate.conflict_after:
+    if count >= gate.conflict_after:
         reason = Reason.ATTITUDE_CONFLICT
-        text = f"{run} rejections in a row: {measured} are inconsistent with encoders and ship's attitude; {text}"
-    if gate.reopen_after and run % gate.reopen_after == 0:
+        text = f"{count} rejections in a row: {measured} are inconsistent with encoders and ship's attitude; {text}"
+    if gate.reopen_after and count % gate.reopen_after == 0:
         state = replace(state, covariance_by_source=state.covariance_by_source * gate.reopen_factor)
         text += f"; covariance inflated by {gate.reopen_factor:g}"
     return state, replace(decision, reason=reason, text=text)
@@ -398,9 +409,9 @@ def solution_separations(
     Args:
         state: main filter.
         subfilters: subfilters.
-        axis_indices: indices of the states that turn the main axis.
-        rotation_nc: horizon from a camera on the main axis, shape (3, 3).
-        by_state_n: its rotation vector in n per state, shape (3, n).
+        axis_indices: indices of the states that rotate the main axis.
+        rotation_nc: rotation from a camera on the main axis to the horizon, shape (3, 3).
+        by_state_n: Jacobian of the camera's rotation vector in n with respect to the state, shape (3, n).
     """
     to_axes = rotation_nc.T @ by_state_n[:, axis_indices]
     separation = (subfilters.mean - state.mean)[:, axis_indices] @ to_axes.T
@@ -423,7 +434,7 @@ def _attitude_sigma(comparison: Comparison) -> float:
 
 
 def _disagreement_n(comparison: Comparison) -> FloatArray:
-    """Return the rotation between the telescope by the beacons and its prediction, as a covariance in n, rad²."""
+    """Return the rotation from the predicted telescope attitude to that by the beacons, as a covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     rotation_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(rotation_n, rotation_n)

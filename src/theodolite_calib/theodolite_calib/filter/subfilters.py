@@ -1,10 +1,10 @@
-"""Subfilters of the theodolite: each estimate leaves out one source.
+"""Subfilters of the theodolite: each excludes one source.
 
-There is one subfilter for each source except the telescope. A mounting shift of the telescope has the same effect on
-beacons as a slip of the encoders, and is handled by the estimate before it. A subfilter without a drone gives no weight
-to its beacon. A subfilter without the encoders, or without the ship's attitude, adds an unknown change of their error
-before every sighting. It still uses the rotation that they measure between sightings, because there would be no
-pointing without it. An excluded source is left out of every subfilter.
+There is one subfilter for each source except the telescope: a mounting shift of the telescope has the same effect on
+beacons as a slip of the encoders. A subfilter without a drone gives no weight to its beacon. A subfilter without the
+encoders adds an unknown change of their error before every sighting, and likewise without the ship's attitude. It still
+uses the rotation that the excluded source measures between two sightings, because there is no pointing without it. A
+source that fault detection has excluded is used by no subfilter.
 
 Subfilters have no error budget: each covariance is one matrix, and one sighting updates all subfilters in one step.
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.kalman import LinearMeasurement, StateModel, predict
+from ship_estimation.kalman import LinearMeasurement, StateModel, propagate_covariance
 from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -31,25 +31,26 @@ ENCODER = "encoder"
 SHIP = "ship_attitude"
 TELESCOPE = "telescope"
 AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
-"""Sources that lead from the horizon to the telescope."""
+"""Sources that determine the predicted attitude of the telescope."""
 
 _UNKNOWN_CHANGE_SIGMA = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
 """Standard deviation of the unknown change of an error between two sightings, rad.
 
-Encoders stood still while the axis turned. A ship's attitude drifted; its rates reveal a larger step. A telescope
-shifted on the main axis.
-"""
+It covers encoders that stood still while the axis turned, a ship's attitude that drifted (its rates reveal a larger
+step), and a telescope that shifted on the main axis."""
+
 _ONLY_SOURCE = 0
+"""Index of the only error source in the covariance of a subfilter."""
 
 
 @dataclass(frozen=True)
 class SubfilterStates:
-    """Estimates without one source each; h subfilters of n states.
+    """States of h subfilters, each of which excludes one source; n states.
 
     Attributes:
-        time_ns: time of all estimates; None before the first sighting.
-        mean: shape (h, n).
-        covariances: covariance, with a single source, shape (h, 1, n, n).
+        time_ns: time of all subfilters; None before the first sighting.
+        mean: estimated errors, shape (h, n).
+        covariances: covariances; the second axis is that of error sources, with a single one, shape (h, 1, n, n).
         ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
     """
 
@@ -67,7 +68,8 @@ class SubfilterInnovations:
         accepted: True for each subfilter in which the sighting passes the gate, shape (h,).
         beacon_nis: normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
             1, l).
-        whitened_innovation: whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
+        whitened_innovation: whitened innovation along the two axes of the detector; the third component is 0; shape
+            (h + 1, l, 3).
     """
 
     accepted: NDArray[np.bool_]
@@ -81,9 +83,9 @@ class _MeasurementPattern(NamedTuple):
     Attributes:
         uses: components that each subfilter uses, shape (h, m).
         conditioning: components of the other beacons on which the innovation of one beacon is conditioned, in the main
-            filter and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no
-            information, but several together have.
-        updated_states: states that are updated, all of them, shape (h, n).
+            filter and in every subfilter, shape (l, h + 1, m). Without encoders or ship the attitude of the telescope
+            is unknown, so a beacon is consistent or not only relative to the other beacons.
+        updated_states: states that are updated: True for all, shape (h, n).
         gates: gate for the components that each subfilter uses, shape (h,).
     """
 
@@ -94,7 +96,7 @@ class _MeasurementPattern(NamedTuple):
 
 
 class SubfilterSet:
-    """Set of subfilters of a configuration, with the steps of their states.
+    """Subfilters of a configuration: initial states, time and measurement update.
 
     Args:
         config: parameters of the node.
@@ -102,7 +104,7 @@ class SubfilterSet:
         ship_error: process of the ship's error.
 
     Attributes:
-        sources: source that each subfilter leaves out: the drones, the encoders, the ship's attitude.
+        sources: source that each subfilter excludes: the drones, the encoders, the ship's attitude.
         beacons: ids of the drones.
     """
 
@@ -143,7 +145,7 @@ class SubfilterSet:
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
         mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
-        parts = predict(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
+        parts = propagate_covariance(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
         mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.apply_stated_covariance(
             mean, parts, ship, decay[ship], subfilters.ship_covariance_n, new_ship_covariance_n, _ONLY_SOURCE
@@ -216,7 +218,7 @@ class SubfilterSet:
             names: beacons, none of them of an excluded drone.
             measurement: two components for each beacon; the residual is that of the main filter.
             main_filter: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
-            excluded: sources that every subfilter leaves out.
+            excluded: excluded sources, which no subfilter uses.
             probability: probability of the gate.
         """
         pattern, parts = (
@@ -233,7 +235,7 @@ class SubfilterSet:
             pattern.uses,
             pattern.conditioning,
         )
-        accepted = nis <= pattern.gates  # NaN is not
+        accepted = nis <= pattern.gates  # NaN is rejected
         gain[~accepted] = 0.0
         corrections, updated = compiled_steps.update(
             parts,
@@ -258,9 +260,9 @@ class SubfilterSet:
         rotation_jacobian: FloatArray,
         probability: float,
     ) -> SubfilterStates:
-        """Update with an exposure of stars those subfilters in which it passes the gate.
+        """Update the subfilters with an exposure of stars; a subfilter in whose gate it fails is not updated.
 
-        No subfilter leaves out the stars: an exposure has many stars, which check one another.
+        No subfilter excludes the stars: an exposure has many stars, which check one another.
 
         Args:
             subfilters: subfilters, propagated to the time of the exposure.
@@ -271,7 +273,7 @@ class SubfilterSet:
         """
         stack = subfilters.covariances[:, 0]
         innovations = subfilter_innovations(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
-        accepted = innovations.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
+        accepted = innovations.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is rejected
         updated_states = np.repeat(accepted[:, None], self._model.size, axis=1)
         # Subfilters have no budget: all noise is one source.
         without_budget = LinearMeasurement(
@@ -284,19 +286,19 @@ class SubfilterSet:
 def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
     """Add an unknown change of some states since the last sighting to a covariance by source, shape (n_sources, n, n).
 
-    Correlations with the other states are kept. If the states were drawn independently at every sighting, a constant
-    error would count as many independent errors, and its mean would seem known to sigma / sqrt(sightings).
+    The change is added to the state, and the correlations with the other states are kept. Independent states at every
+    sighting would be wrong: a constant error would seem known to sigma / sqrt(sightings).
     """
     parts[source_index, states, states] += sigma_rad**2
 
 
 def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> FilterInnovations:
-    """Return the innovation of one beacon in one estimate; the whitened innovation is along the axes of the detector.
+    """Return the innovation of one beacon in one filter; the whitened innovation is along the axes of the detector.
 
     Args:
         residual: shape (2,).
         covariance: covariance of the residual, shape (2, 2).
-        noise: part of it that is the sighting's own noise, shape (2, 2).
+        noise: part of ``covariance`` from the noise of the sighting, shape (2, 2).
     """
     root = _whitening_matrix(covariance)
     whitened_innovation, whitened_noise = np.zeros((1, 3)), np.eye(3)

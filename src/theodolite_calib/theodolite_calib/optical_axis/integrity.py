@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityReport, integrity_report, solution_separation
+from ship_estimation.protection_levels import IntegrityReport, integrity_report, protection_levels
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -53,7 +53,7 @@ class PointingLevels:
         to_angles[0] *= math.cos(elevation)
         # The separations are in the levels already. What a pointing adds to the error of the state,
         # such as the noise of the encoders, is the same in every subfilter.
-        result = solution_separation(
+        result = protection_levels(
             self._multipliers,
             self._subfilter_indices,
             self._axis_indices,
