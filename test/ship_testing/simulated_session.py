@@ -29,7 +29,7 @@ AXIS_SIGMA_ARCSEC = 26.5
 """RMS of a size drawn between 10" and 40"."""
 
 SHIP_SIGMA_N = ARCSEC * np.array([1.4, 1.8, 1.4])
-"""Standard deviations of a fused attitude about North, Up and East: models.md §2, eight stars in each of two sensors."""
+"""Standard deviations of a fused attitude about North, Up, East: models.md §2, eight stars in each of two sensors."""
 
 
 def config(**changes) -> OpticalAxisConfig:

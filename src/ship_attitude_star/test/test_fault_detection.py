@@ -313,7 +313,8 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
     error = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
     sailed = run_with_errors(error, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
     rejected_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
-    degraded_s = next(one.time_ns / SECOND_NS for one in sailed.estimates_between(10.0, 15.0) if one.status is Status.DEGRADED)
+    estimates = sailed.estimates_between(10.0, 15.0)
+    degraded_s = next(one.time_ns / SECOND_NS for one in estimates if one.status is Status.DEGRADED)
     # Without rates the first rejection is a fault, as the INS may have jumped; with them the third at the latest.
     assert degraded_s <= rejected_s + INS_NS / SECOND_NS
     assert {one.status for one in sailed.estimates_between(degraded_s, 15.0)} == {Status.DEGRADED}

@@ -211,8 +211,8 @@ def evaluate_reinstatement(
     """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
     The source must be consistent for :func:`reinstatement_time_s`. If its mounting is not estimated again, its offset
-    must also have vanished, and the offset must still be observable: the covariance by the other sources grows while
-    the source is excluded, and then covers any offset.
+    must also have vanished, and the offset must still be observable. The covariance by the other sources grows while
+    the source is excluded, and in the end it covers any offset.
 
     Args:
         excluded: state of the source before the measurement.

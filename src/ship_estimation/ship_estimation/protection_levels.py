@@ -212,9 +212,9 @@ def protection_levels(
         k: sigma multipliers of h hypotheses.
         tested_subfilters: indices of the subfilters that are tested: those whose sources are not excluded already.
         states: indices of the n states that determine the components, shape (n,).
-        output_errors: three arrays: Jacobian of the components with respect to the error of the output, shape (3, 3);
-            their Jacobian with respect to these states, shape (3, n); covariance of the error of the output by the main
-            filter, its own noise included, shape (3, 3).
+        output_errors: Jacobian of the components with respect to the error of the output, shape (3, 3); their Jacobian
+            with respect to these states, shape (3, n). The third is the covariance of the error of the output by the
+            main filter, its own noise included, shape (3, 3).
         mean: states of the main filter, shape (m,).
         means: states of each subfilter, shape (h, m).
         covariance_by_source: covariance of the main filter by error source, shape (p, m, m).

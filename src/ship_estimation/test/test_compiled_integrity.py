@@ -45,8 +45,8 @@ def test_separations_and_levels_by_states_equal_numpy(count: int) -> None:
     means = mean + 1e-6 * rng.standard_normal((count, STATES))
     k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count)), np.arange(count)[::2]
     by_output = to_components, by_states, covariance
-    found = protection_levels(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
-    first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
+    found = protection_levels(k, subfilters, CHOSEN, by_output, mean, means, parts, left_out)
+    first, without_source = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
     without = np.diagonal(of_all + by_states @ (without_source - first) @ by_states.T, axis1=-2, axis2=-1)
     distance, in_question = (

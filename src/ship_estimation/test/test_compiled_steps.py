@@ -89,7 +89,7 @@ def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> 
     expected = stack * decay[:, None] * decay
     for state, source in enumerate(source_of):
         expected[[source, *range(sources, len(stack))], state, state] += noise[state]
-    equal(propagate_covariance(stack, decay, noise, source_of, rows), expected)
+    equal(propagate_covariance(stack, decay, noise, source_of, filters), expected)
     total = stack[:sources].sum(axis=0)
     equal(filter_covariances(stack, filters), np.concatenate([total[None], stack[sources:]]))
     np.testing.assert_array_equal(compiled_steps.total(stack, sources), filter_covariances(stack, filters)[0])

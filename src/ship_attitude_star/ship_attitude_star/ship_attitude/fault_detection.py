@@ -216,7 +216,7 @@ class FaultDetector:
         ):
             excluded[INS] = replace(excluded[INS], consistent_since_ns=time_ns)
         received_since_ns = with_entry(state.received_since_ns, source, time_ns)
-        return changed(state, excluded=MappingProxyType(excluded), received_since_ns=received_since_ns)
+        return with_changes(state, excluded=MappingProxyType(excluded), received_since_ns=received_since_ns)
 
     def solution_separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Return the solution separations of the filters from the main filter.
@@ -279,7 +279,7 @@ class FaultDetector:
         if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not subfilters.stars.isdisjoint(faulty):
             faulty = ()  # All stars contradict the INS, so the fault is not that of single star sensors.
         if self.ins_fault.has_reported_jump(state, time_ns):
-            state = changed(state, ins_fault_ns=time_ns)
+            state = with_changes(state, ins_fault_ns=time_ns)
             if INS not in faulty and not set(subfilters.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
                 faulty = ()  # The reported jump of the INS explains the fault as well: its axes may have rotated.
         contradicting = self._contradicting_stars(state, faulty, in_use, shared)
@@ -528,7 +528,7 @@ class FaultDetector:
         remaining = {name: one for name, one in state.excluded.items() if name not in reinstated}
         are = "is" if len(reinstated) == 1 else "are"
         text = f"{' and '.join(reinstated)} {are} reinstated"
-        return changed(state, innovation_means=means, excluded=MappingProxyType(remaining), unresolved_fault=None), text
+        return with_changes(state, innovation_means=means, excluded=MappingProxyType(remaining), unresolved_fault=None), text
 
     def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state with the stamp since which the offset of an excluded source is larger than at its exclusion.

@@ -94,7 +94,7 @@ class ShipFilter:
         means, stack = state.means.copy(), state.stack.copy()
         means[:, self.model.process_indices] += initial_mean
         self._inflate_process_states(stack, len(means), self._deflection_index, covariance)
-        return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
+        return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _propagate_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
         """Propagate the states of the INS error process from the time of a state to a later one, in place."""
@@ -175,7 +175,7 @@ class ShipFilter:
         state = self.propagate(state, self.change_effective_ns(noise))
         stack, offset = state.stack.copy(), self.model.slices[clock.name]
         add_error(stack, len(state.means), self._ins_index, offset, np.array([[noise.clock_sigma_s**2]]))
-        return changed(state, stack=stack)
+        return with_changes(state, stack=stack)
 
     def step(
         self,
@@ -267,7 +267,7 @@ class ShipFilter:
         source_index = self.model.source_indices[SOURCE_OPTICS]
         # The states of the optics are in units of their prior sigma.
         add_error(stack, len(state.means), source_index, optics, np.diag(1.0 + estimated**2))
-        return changed(state, stack=stack)
+        return with_changes(state, stack=stack)
 
     def _evaluate(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, linearised: LinearisedMeasurement
@@ -317,7 +317,7 @@ class ShipFilter:
         is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # The rates of the INS do not rule out that it has jumped.
-            after = changed(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
+            after = with_changes(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.detect_faults(
             after, source, innovations, is_ins_confirmed, measurement.time_ns
         )

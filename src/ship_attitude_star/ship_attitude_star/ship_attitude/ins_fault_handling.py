@@ -233,9 +233,9 @@ class InsFaultHandling:
         names = state.in_use(self._subfilters.sources, time_ns)
         rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(rotation_n, rotation_n) for rotation_n in rotations), start=np.zeros((3, 3)))
-        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], consistent_since_ns=time_ns))
+        excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], consistent_since_ns=time_ns))
         means = cleared_means(state.innovation_means, slice(None), slice(None))
-        return changed(
+        return with_changes(
             state, excluded=excluded, innovation_means=means, unresolved_fault=UnresolvedFault(text, covariance_n)
         )
 
