@@ -110,8 +110,8 @@ class InsCheck:
     >>> guard, used = InsCheck(CheckedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
     >>> for ms, heading_deg in ((0, 10.0), (10, 10.01), (20, 10.02), (30, 55.0)):
     ...     attitude = exp_rotation([0.0, math.radians(heading_deg), 0.0])
-    ...     judged = guard.check(AttitudeSample(ms * 1_000_000, attitude), used, {})
-    >>> judged.rejection.reason.name
+    ...     checked = guard.check(AttitudeSample(ms * 1_000_000, attitude), used, {})
+    >>> checked.rejection.reason.name
     'GATE'
     """
 
@@ -187,14 +187,14 @@ class InsCheck:
         self._predictions.reported_step_rad = reported_step_rad
         previous = self._previous
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
-            judged = CheckedInsSample(
+            checked = CheckedInsSample(
                 sample, self._late_rejection(sample, accepted_track.last_before(sample.time_ns - 1))
             )
         else:
-            judged = self._with_noise(self._check_next(sample, previous, motion_references))
+            checked = self._with_noise(self._check_next(sample, previous, motion_references))
         if self._rate_check.is_usable or sample.rate_d is None:
-            return judged
-        return judged._replace(sample=replace(sample, rate_d=None))
+            return checked
+        return checked._replace(sample=replace(sample, rate_d=None))
 
     @property
     def least_step_rad(self) -> float:
@@ -446,15 +446,15 @@ class InsCheck:
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
-    def _with_noise(self, judged: CheckedInsSample) -> CheckedInsSample:
+    def _with_noise(self, checked: CheckedInsSample) -> CheckedInsSample:
         """Return the result with new excess noise, which all checks use from now on."""
         noise, self._new_noise = self._new_noise, None
         if noise is None:
-            return judged
+            return checked
         self._set_sigma()
         self._step_detector.reset_statistics()
         self._predictions.rate_bound.reset()
-        return judged._replace(noise=noise)
+        return checked._replace(noise=noise)
 
     def _drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
         """Update drift and noise from the samples on the line; return the jump of a drift beyond the usual."""

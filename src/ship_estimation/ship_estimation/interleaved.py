@@ -115,12 +115,12 @@ class InterleavedStreams:
 
     def _evaluate_window(self) -> bool:
         """Evaluate a full window and start another one; return as :meth:`add`."""
-        judged = _evaluate(np.array(self._times), np.array(self._values), self._least)
+        result = _evaluate(np.array(self._times), np.array(self._values), self._least)
         self._due_ns = self._times[0] + _EVERY_NS
         self._times, self._values = [], []
         was_two = self.distance > 0.0
-        if judged.distance and (was_two or not judged.may_be_motion):
-            self._clean, self.distance = 0, judged.distance
+        if result.distance and (was_two or not result.may_be_motion):
+            self._clean, self.distance = 0, result.distance
         elif was_two:
             self._clean += 1
             if self._clean >= _CLEAN:

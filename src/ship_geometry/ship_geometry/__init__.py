@@ -143,8 +143,9 @@ Terms of estimation
         is the number of components if P is consistent.
     Lag
         Maximum delay of a measurement that is still applied at its own time.
-    Stamp, log time, waiting time
-        Time at which a measurement was valid; time at which a recorder wrote it; monotonic time for timeouts.
+    Stamp, log time, timeout clock
+        Time at which a measurement was valid; time at which a recorder wrote it; monotonic clock for timeouts, whose
+        time is ``waiting_ns``.
     Exposure, streak
         The time over which a camera collects light; the trail of a star or a light in this time.
 

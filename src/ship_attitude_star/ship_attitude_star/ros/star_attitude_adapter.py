@@ -104,7 +104,7 @@ class StarAttitudeAdapter(BatchAdapter):
         super().__init__(config, StarCore(config, self._sky_model), factory)
 
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that take them."""
+        """Yield the inputs and the methods of a core that process them."""
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, is_configured=True)
             read_stars = functools.partial(
@@ -116,9 +116,9 @@ class StarAttitudeAdapter(BatchAdapter):
                 masks=sensor.sensor_masks,
                 catalogue=self._sky_model.catalogue,
             )
-            yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, has_decision=True)
+            yield Feed(topic, f"star.{id_}", read_stars, self._process_stars, has_decision=True)
         yield from surroundings_feeds(
-            config.sky, ignore_time(lambda told: StarOutcome(core.add_surroundings(told)))
+            config.sky, ignore_time(lambda reading: StarOutcome(core.add_surroundings(reading)))
         )
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
@@ -126,7 +126,7 @@ class StarAttitudeAdapter(BatchAdapter):
             block = BatchFeed(functools.partial(ins_batch, config=config.ins), core)
             yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), batch=block, stream_quantity=ATTITUDE)
 
-    def _take_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
+    def _process_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
         return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
 
@@ -273,9 +273,9 @@ def solution_statuses(
 
     Args:
         config: parameters of the node.
-        latest: last solution by id, each with its publication time in the time of waiting.
+        latest: last solution by id, each with its publication time by the timeout clock.
         joined_by_ins: True if ``ins/imu`` was available for the last joint solution.
-        waiting_ns: current time of waiting.
+        waiting_ns: current time by the timeout clock.
     """
     how = ""
     if len(config.star_sensors) > 1 and not joined_by_ins:
@@ -303,9 +303,9 @@ def _solution_status(
     name = f"solution {id_}"
     if last is None:
         return DiagnosticStatus(name, Level.OK, f"none yet{how}")
-    solved, put_out_ns = last
-    if waiting_ns - put_out_ns > SOLUTION_TIMEOUT_NS:
-        text = f"none for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
+    solved, published_ns = last
+    if waiting_ns - published_ns > SOLUTION_TIMEOUT_NS:
+        text = f"none for {(waiting_ns - published_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
         return DiagnosticStatus(name, Level.WARN, text)
     level, text = _STATUS_TEXTS[solved.solution.status]
     if solved.solution.rejection is not None:

@@ -45,7 +45,7 @@ class _StarColumns:
     Attributes:
         pixels: centroids (u, v), px, shape (k, 2).
         sigma_px: standard deviation of the centroids, each axis, px, shape (k,); as configured if the message has none.
-        sigma_known: True if the message has that of every star.
+        sigma_known: True if the message has a sigma for every star.
         right_ascension: ICRS, rad, shape (k,); NaN if not given.
         declination: ICRS, rad, shape (k,); NaN if not given.
         hip: catalogue numbers, shape (k,); 0 if not given.
@@ -170,7 +170,7 @@ def _rejections(
 def _unused_stars(
     stars: Sequence[Any], rejections: Sequence[Rejection | None], named_by_number: bool
 ) -> tuple[tuple[str, Rejection], ...]:
-    """Return the rejected stars by name. Stars beyond ``MAX_STARS`` are reported once, by the first of them."""
+    """Return the rejected stars by name. All stars beyond ``MAX_STARS`` are reported by one entry."""
     rows = [(row, refusal) for row, refusal in enumerate(rejections) if refusal is not None]
     if len(stars) > MAX_STARS:
         text = f"{len(stars)} stars in one exposure: only the first {MAX_STARS} are used"

@@ -100,7 +100,7 @@ class ShipAttitudeCore:
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
-        # The stamps of INS and device differ, and an INS sample affects measurements within max_gap_s of it.
+        # The stamps of a device may be offset from those of the INS.
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: EstimatorModel[FilterState, Measurement, AttitudeDecision, InsChange] = EstimatorModel(
             step=self._step,
@@ -180,14 +180,14 @@ class ShipAttitudeCore:
 
         Args:
             sample: attitude of the deck, and its rate if the INS measures it.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
             estimate: False if no attitude is needed, as in a Monte Carlo run.
         """
         if sample.time_ns < self._estimator.window.oldest_ns:
             return AttitudeOutcome(self._estimator.window.late_rejection(sample.time_ns))
         outcome = AttitudeOutcome()
-        judged = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
-        return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
+        checked = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
+        return self._use_ins(checked, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch, up to the first sample that needs separate handling.
@@ -196,7 +196,7 @@ class ShipAttitudeCore:
 
         Args:
             block: samples with rates, in the order of their stamps.
-            arrivals_ns: arrival times, in the time of waiting, shape (N,).
+            arrivals_ns: arrival times by the timeout clock, shape (N,).
 
         Returns:
             The batch; None if the first sample needs separate handling.
@@ -261,32 +261,32 @@ class ShipAttitudeCore:
         return batch.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
     def _use_ins(
-        self, judged: CheckedInsSample, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
+        self, checked: CheckedInsSample, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
     ) -> AttitudeOutcome:
         """Use a checked INS sample and publish the attitude at its stamp."""
-        time_ns = judged.sample.time_ns
-        if judged.rates_wrong_after_ns is not None:
+        time_ns = checked.sample.time_ns
+        if checked.rates_wrong_after_ns is not None:
             # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
-            changed_after_ns = self._track.drop_rates(judged.rates_wrong_after_ns)
+            changed_after_ns = self._track.drop_rates(checked.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._estimator.rewind_after(changed_after_ns)
                 self._estimator.apply(outcome)
-        if judged.noise is not None:
+        if checked.noise is not None:
             # Measurements since then are evaluated again with the measured noise of the samples.
-            since_ns = self._track.add_noise(judged.noise)
-            self._estimator.add_jump(self.filter.change_effective_ns(judged.noise), INS, judged.noise, since_ns)
+            since_ns = self._track.add_noise(checked.noise)
+            self._estimator.add_jump(self.filter.change_effective_ns(checked.noise), INS, checked.noise, since_ns)
             self._estimator.apply(outcome)
-        self._ins_jumps.extend(judged.jumps)
-        for jump in judged.jumps:
+        self._ins_jumps.extend(checked.jumps)
+        for jump in checked.jumps:
             self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
-        if judged.rejection is not None:
-            outcome.rejection = judged.rejection
-            self._estimator.add_rejected(INS, self._track, judged.sample)
+        if checked.rejection is not None:
+            outcome.rejection = checked.rejection
+            self._estimator.add_rejected(INS, self._track, checked.sample)
             return outcome
-        if not self._estimator.add_sample(INS, self._track, judged.sample, outcome):
+        if not self._estimator.add_sample(INS, self._track, checked.sample, outcome):
             return outcome
         # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
-        if self._track.newest is judged.sample and (self._track.has_newest_rate or self.state.time_ns is None):
+        if self._track.newest is checked.sample and (self._track.has_newest_rate or self.state.time_ns is None):
             self._ins_arrival_ns = arrival_ns
             if estimate:
 
@@ -331,7 +331,7 @@ class ShipAttitudeCore:
 
         Args:
             measurement: an attitude, single stars or a baseline.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
         if measurement.time_ns < self._estimator.window.oldest_ns:
             return AttitudeOutcome(self._estimator.window.late_rejection(measurement.time_ns))
@@ -345,11 +345,11 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Publish INVALID once a second while no attitude is published.
+        """Publish the attitude from stars alone if the INS has timed out, and INVALID once a second if there is none.
 
         Args:
             now_ns: current time.
-            waiting_ns: current time in the time of waiting; None if it equals ``now_ns``.
+            waiting_ns: current time by the timeout clock; None if it equals ``now_ns``.
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()

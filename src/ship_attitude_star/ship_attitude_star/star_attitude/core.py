@@ -3,7 +3,7 @@
 The core uses no ROS, no files and no clock. Each exposure yields the attitude of its sensor at the time of the
 exposure; exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time yield
 the attitude of the deck, in time order. No attitude depends on the one before, so the core uses only the window of
-arrivals of :mod:`ship_estimation.time_ordered_estimator`. Waiting is measured in the time of waiting, as there.
+arrivals of :mod:`ship_estimation.time_ordered_estimator`. Timeouts are measured by the timeout clock, as there.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -55,7 +55,7 @@ class _PendingExposure:
     Attributes:
         exposure: stars of the exposure.
         rejected_stars: stars of the message that were already rejected.
-        arrival_ns: arrival time, in the time of waiting.
+        arrival_ns: arrival time by the timeout clock.
         reach_ns: time before and after its middle for which the motion of the deck is needed.
     """
 
@@ -72,7 +72,7 @@ class JointWindow:
 
     Args:
         sources: names of all sensors.
-        config: maximum time between the exposures of a group, and waiting time for more exposures.
+        config: maximum time between the exposures of a group, and time for which a group waits for more exposures.
     """
 
     def __init__(self, sources: Collection[str], config: JointConfig) -> None:
@@ -89,7 +89,7 @@ class JointWindow:
 
         Args:
             item: the exposure.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
         if self._last_ns is not None and item.time_ns <= self._last_ns:
             return False
@@ -107,7 +107,7 @@ class JointWindow:
 
         Args:
             is_turn_known: returns True if the rotation of the deck between two times (ns) is known.
-            waiting_ns: current time of waiting; None if not known.
+            waiting_ns: current time by the timeout clock; None if not known.
         """
         while self._items:
             group = self._group(is_turn_known)
@@ -238,7 +238,7 @@ class StarCore:
         Args:
             exposure: stars of the exposure.
             rejected_stars: stars of the message that cannot be used.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
         used, refusal = self._evaluate(exposure)
         if not used:
@@ -261,7 +261,7 @@ class StarCore:
 
         Args:
             now_ns: current time.
-            waiting_ns: current time in the time of waiting; None if it equals ``now_ns``.
+            waiting_ns: current time by the timeout clock; None if it equals ``now_ns``.
         """
         outcome = StarOutcome()
         self._solve(outcome, now_ns if waiting_ns is None else waiting_ns)

@@ -152,18 +152,18 @@ class InsMotion:
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)
 
-    def _use(self, judged: CheckedInsSample) -> Rejection | None:
+    def _use(self, checked: CheckedInsSample) -> Rejection | None:
         """Use a checked sample; return the rejection if it is not used."""
-        if judged.rates_wrong_after_ns is not None:
-            self.track.drop_rates(judged.rates_wrong_after_ns)
-        for jump in judged.jumps:
+        if checked.rates_wrong_after_ns is not None:
+            self.track.drop_rates(checked.rates_wrong_after_ns)
+        for jump in checked.jumps:
             self.track.cut(jump.time_ns)
             self._jumps.append(jump)
-        if judged.noise is not None:
-            self.track.add_noise(judged.noise)
-        if judged.rejection is not None:
-            return judged.rejection
-        sample = judged.sample
+        if checked.noise is not None:
+            self.track.add_noise(checked.noise)
+        if checked.rejection is not None:
+            return checked.rejection
+        sample = checked.sample
         known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else resolve_same_stamp(known, sample)
         self._stamp_conflicts.record(INS, sample.time_ns, refusal)

@@ -1,14 +1,14 @@
 """Active publishers of a topic, by the sequence numbers of their messages."""
 
-from ship_node.live.senders import Senders
+from ship_node.live.active_publishers import ActivePublishers
 
 MS = 1_000_000
 
 
-def two_found(numbers: list[int], period_ms: int = 10, senders: Senders | None = None) -> list[bool]:
+def two_found(numbers: list[int], period_ms: int = 10, publishers: ActivePublishers | None = None) -> list[bool]:
     """Return for each message whether two publishers send."""
-    senders = Senders() if senders is None else senders
-    return [senders.add_message(number, n * period_ms * MS) for n, number in enumerate(numbers)]
+    publishers = ActivePublishers() if publishers is None else publishers
+    return [publishers.add_message(number, n * period_ms * MS) for n, number in enumerate(numbers)]
 
 
 def test_one_publisher_with_lost_messages() -> None:
@@ -29,25 +29,25 @@ def test_two_publishers_are_detected_with_any_numbers_and_rates() -> None:
 
 
 def test_a_stopped_publisher_times_out_after_three_periods() -> None:
-    senders = Senders()
-    two_found([700, 1, 701, 2, 702, 3], senders=senders)
-    assert senders.has_two(500 * MS)
+    publishers = ActivePublishers()
+    two_found([700, 1, 701, 2, 702, 3], publishers=publishers)
+    assert publishers.has_two(500 * MS)
     for n in range(100):
-        senders.add_message(703 + n, (60 + 10 * n) * MS)
-    assert not senders.has_two(1060 * MS)
+        publishers.add_message(703 + n, (60 + 10 * n) * MS)
+    assert not publishers.has_two(1060 * MS)
 
 
 def test_a_new_publisher_after_two_is_one() -> None:
-    senders = Senders()
-    two_found([700, 1, 701, 2, 702, 3], senders=senders)
-    senders.keep_latest()
+    publishers = ActivePublishers()
+    two_found([700, 1, 701, 2, 702, 3], publishers=publishers)
+    publishers.keep_latest()
     assert not any(
-        senders.add_message(number, (60 + 10 * n) * MS) for n, number in enumerate((4, 5, 1, 2, 3, 4, 5, 6, 7))
+        publishers.add_message(number, (60 + 10 * n) * MS) for n, number in enumerate((4, 5, 1, 2, 3, 4, 5, 6, 7))
     )
 
 
 def test_without_sequence_numbers_no_publisher_is_stored() -> None:
     """As with CycloneDDS: each message would count as a new publisher for ten seconds."""
-    senders = Senders()
-    assert not any(two_found([2**64 - 1] * 500, senders=senders))
-    assert senders._senders == []
+    publishers = ActivePublishers()
+    assert not any(two_found([2**64 - 1] * 500, publishers=publishers))
+    assert publishers._publishers == []
