@@ -221,7 +221,7 @@ class RecoveringAdapter(BatchAdapter):
         self.recovery.record_adoption(waiting_ns)
         self._adopted_ns = waiting_ns
         # The published levels, conflicts and diagnoses belong to the replaced estimator.
-        self.told_levels = PublishedLevels()
+        self.published_levels = PublishedLevels()
         self.conflicts.clear()
         self.innovation_report.clear()
         self.notices.append(f"recovered after {self.recovery.recovery_time_s:.0f} s: a second estimator was adopted")
