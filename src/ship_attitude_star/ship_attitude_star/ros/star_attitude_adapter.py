@@ -152,36 +152,36 @@ class StarAttitudeAdapter(BatchAdapter):
 
     def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[OutputMessage]:
         """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
-        id_, refusal = solved.sensor_id, solved.solution.rejection
+        id_, rejection = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
-        if refusal is not None and refusal.reason in _WHOLE_EXPOSURE_REASONS:
-            self.health.record_rejected(topic, refusal, now_ns, solved.time_ns)
+        if rejection is not None and rejection.reason in _WHOLE_EXPOSURE_REASONS:
+            self.health.record_rejected(topic, rejection, now_ns, solved.time_ns)
         else:
             self.health.record_accepted(topic, solved.time_ns, now_ns)
             for star in solved.rejected_stars:
                 self.health.record_note(topic, star.rejection.reason)
-            if refusal is not None:
-                self.health.record_note(topic, refusal.reason)
+            if rejection is not None:
+                self.health.record_note(topic, rejection.reason)
         published = self._solution_messages(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
-        if refusal is not None:
-            published.append(self.rejection_message(source, solved.time_ns, refusal))
+        if rejection is not None:
+            published.append(self.rejection_message(source, solved.time_ns, rejection))
         return published
 
     def _joint_messages(self, solved: AttitudeSolution) -> list[OutputMessage]:
         self.pending_budget = solved if solved.is_valid else None
         for star in solved.rejected_stars:
             self.health.record_note(_topic(star.source), star.rejection.reason)
-        published, refusal = self._solution_messages(solved, self.config.frames.deck), solved.solution.rejection
-        if refusal is not None and refusal.reason is Reason.FAILED:
-            self.health.record_failure(f"{self.main_topic}: {refusal.text}")
-        if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
-            published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, refusal))
+        published, rejection = self._solution_messages(solved, self.config.frames.deck), solved.solution.rejection
+        if rejection is not None and rejection.reason is Reason.FAILED:
+            self.health.record_failure(f"{self.main_topic}: {rejection.text}")
+        if rejection is not None and rejection.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
+            published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, rejection))
         return published
 
     def _solution_messages(self, solved: AttitudeSolution, frame_id: str) -> list[OutputMessage]:
         message = star_horizon_attitude(self.factory, solved, frame_id)
-        refused = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
-        return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
+        rejected = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
+        return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in rejected)]
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return the error budget of the latest joint solution, once."""
@@ -215,8 +215,8 @@ def read_exposure(message: Any, **sensor: Any) -> ReadMessage[ReadExposure]:
     """
     read = star_exposure(message, **sensor, named_by_number=True)
     source, time_ns, rejected_stars = read.value.source, read.value.time_ns, []
-    for name, refusal in read.rejected_parts:
-        rejected_stars.append(RejectedStar(source, time_ns, name, refusal))
+    for name, rejection in read.rejected_parts:
+        rejected_stars.append(RejectedStar(source, time_ns, name, rejection))
     return ReadMessage(ReadExposure(time_ns, read.value, tuple(rejected_stars)), read.covariance_known)
 
 

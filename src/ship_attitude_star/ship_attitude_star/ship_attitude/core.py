@@ -604,5 +604,5 @@ class ShipAttitudeCore:
         return self.filter.devices[source].is_star and not in_conflict
 
 
-def _failure_decision(measurement: Measurement, refusal: Rejection) -> AttitudeDecision:
-    return AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=measurement.time_ns)
+def _failure_decision(measurement: Measurement, rejection: Rejection) -> AttitudeDecision:
+    return AttitudeDecision(measurement, rejection.reason, text=rejection.text, ins_time_ns=measurement.time_ns)

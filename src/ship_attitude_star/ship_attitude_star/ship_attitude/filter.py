@@ -208,8 +208,8 @@ class ShipFilter:
                 result = again
             elif again is not None and not again[1].components:
                 # The stars contradict each other with these optics too, so the attitude is not evaluated.
-                refusal = Rejection(again[1].reason, again[1].text)
-                return self._reject(state, measurement, NotEvaluable(refusal, again[1].ins_time_ns))
+                rejection = Rejection(again[1].reason, again[1].text)
+                return self._reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
         if contradiction is not None:
             return self._reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
@@ -371,14 +371,14 @@ class ShipFilter:
         self, state: FilterState, measurement: Measurement, not_evaluable: NotEvaluable
     ) -> tuple[FilterState, AttitudeDecision]:
         """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
-        refusal, text = not_evaluable.rejection, not_evaluable.rejection.text
+        rejection, text = not_evaluable.rejection, not_evaluable.rejection.text
         if not_evaluable.is_contradiction:
             state, inflation_text = self._inflate_after_rejections(
                 self._count_rejection(state, measurement.source), measurement.source
             )
             state = self.fault_detector.ins_fault.with_not_evaluable(state, measurement.time_ns)
             text += inflation_text
-        return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
+        return state, AttitudeDecision(measurement, rejection.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
 
     def _count_rejection(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
@@ -409,7 +409,7 @@ class ShipFilter:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        refusals = (
+        rejection_counts = (
             state.consecutive_rejections
             if state.consecutive_rejections.get(source) == 0
             else with_entry(state.consecutive_rejections, source, 0)
@@ -420,7 +420,7 @@ class ShipFilter:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
         return changed(
             state,
-            consecutive_rejections=refusals,
+            consecutive_rejections=rejection_counts,
             last_used_ns=used_ns,
             pixel_dwells=pixel_dwells,
             unconfirmed_step=unconfirmed,

@@ -212,10 +212,10 @@ class StarCore:
 
     def finish_batch(self, batch: MotionBatch) -> StarOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
-        refusal = self._ins.finish_batch(batch)
+        rejection = self._ins.finish_batch(batch)
         if batch.checked.last is None:
             return None
-        outcome = StarOutcome(refusal)
+        outcome = StarOutcome(rejection)
         self._arrivals.advance_to(batch.checked.last.sample.time_ns)
         self._advance(outcome)
         return outcome
@@ -226,9 +226,9 @@ class StarCore:
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
         """Add a position fix or an air reading; return why it is not used, else None."""
-        refusal = self._sky_model.surroundings.rejection(given)
+        rejection = self._sky_model.surroundings.rejection(given)
         self._sky_model.surroundings.insert(given)
-        return refusal
+        return rejection
 
     def add_exposure(
         self, exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...] = (), arrival_ns: int | None = None
@@ -240,14 +240,14 @@ class StarCore:
             rejected_stars: stars of the message that cannot be used.
             arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
-        used, refusal = self._evaluate(exposure)
+        used, rejection = self._evaluate(exposure)
         if not used:
-            return StarOutcome(refusal)
+            return StarOutcome(rejection)
         self._received_exposures[exposure.source, exposure.time_ns] = exposure
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
         self._wait(_PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
-        outcome = StarOutcome(refusal)
+        outcome = StarOutcome(rejection)
         self._advance(outcome)
         return outcome
 
@@ -275,13 +275,13 @@ class StarCore:
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
         """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
-        refusal = self._arrivals.late_rejection(exposure.time_ns)
-        if refusal is not None:
-            return False, refusal
+        rejection = self._arrivals.late_rejection(exposure.time_ns)
+        if rejection is not None:
+            return False, rejection
         known = self._received_exposures.get((exposure.source, exposure.time_ns))
         if known is None:
-            refusal = self._plausibility.check(exposure, self._ins.track)
-            return refusal is None, refusal
+            rejection = self._plausibility.check(exposure, self._ins.track)
+            return rejection is None, rejection
         told = resolve_same_stamp(known, exposure)[1]
         if told.reason is Reason.DUPLICATE:
             return False, told

@@ -116,8 +116,8 @@ class Source:
         with self._lock:
             self._report.lines += 1
             self._report.now_ns = self._received_ns = now_ns
-            if refusal := self._sender.rejection_reason(sender, now_ns):
-                self._report.reject_sender(refusal, sender, received.text)
+            if rejection := self._sender.rejection_reason(sender, now_ns):
+                self._report.reject_sender(rejection, sender, received.text)
                 return []
             messages = self._convert(received, arrival_ns, now_ns)
             if any(topic in self._required_topics for topic, _ in messages):

@@ -224,14 +224,14 @@ class ReportingAdapter(ABC):
                 raise MessageRejected(rejection.reason, rejection.text)
             self.check_single_publisher(feed, reading)
             outcome = None if reading.is_empty else feed.process(reading.value, waiting_ns)
-        except MessageRejected as refused:
-            reason = refused.rejection.reason
+        except MessageRejected as problem:
+            reason = problem.rejection.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             if reading is None and reason is Reason.FUTURE and not is_off:
                 # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
-            self.health.record_unreadable(topic, waiting_ns, receive_ns, time_ns, refused.rejection)
-            return [self.rejection_message(feed.source, time_ns, refused.rejection)]
+            self.health.record_unreadable(topic, waiting_ns, receive_ns, time_ns, problem.rejection)
+            return [self.rejection_message(feed.source, time_ns, problem.rejection)]
         except Exception:
             # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.record_arrival(topic, waiting_ns)
@@ -492,7 +492,7 @@ class ReportingAdapter(ABC):
         return DiagnosticStatus("overload", messages_out.Level.ERROR, self.behind.text(self.node_name), values)
 
     def _autosave(self, waiting_ns: int) -> None:
-        """Save what the core has learned, once a period, while the output is VALID and undisputed."""
+        """Save the core's content once a period, while the output is VALID and no source is in conflict or excluded."""
         if self.saved is None or not self.saved.is_autosave_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.

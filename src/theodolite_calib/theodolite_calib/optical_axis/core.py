@@ -117,7 +117,7 @@ class OpticalAxisCore:
         model: EstimatorModel[CalibrationState, AnyExposure, ExposureDecision, Jump] = EstimatorModel(
             step=self._step,
             inflate=self._inflate_covariance,
-            failure_decision=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
+            failure_decision=lambda exposure, why: ExposureDecision(exposure, why.reason, text=why.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             drop_before=self._drop_before,
             on_decision=self._update_checks,
