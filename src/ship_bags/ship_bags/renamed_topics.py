@@ -64,10 +64,7 @@ class TopicNames:
         return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
 
     def unmatched_remaps(self, topics: Collection[str]) -> list[str]:
-        """Return the names to be replaced that no bag so far has.
-
-        A name also counts as found if a bag has the new name.
-        """
+        """Return the old names of remaps that no bag so far contains, neither as old nor as new name."""
         there = {f"/{relative_topic(topic)}" for topic in topics}
         self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
         return [old for old, _ in self.remaps if old not in self._matched]

@@ -94,7 +94,7 @@ def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
         [4.] 1.0 2.0
     """
     time_ns = decision.measurement.time_ns
-    left_out = sum(refusal.reason in _MISFIT for _, refusal in decision.rejected_parts)
+    left_out = sum(rejection.reason in _MISFIT for _, rejection in decision.rejected_parts)
     if not len(decision.residual):
         if decision.reason not in _MISFIT:
             return None

@@ -405,7 +405,7 @@ class InsCheck:
     ) -> CheckedInsSample:
         """Accept a sample without a line of earlier ones: at the start, or after a jump."""
         jumps: tuple[InsJump, ...] = ()
-        refusal = None
+        rejection = None
         if self._unresolved_jump is not None:
             # The rates were found to be wrong; only other sources can confirm the attitudes.
             jumps, self._unresolved_jump = (self._unresolved_jump,), None
@@ -413,7 +413,7 @@ class InsCheck:
             jumps = (self._accepted_jump(match),)
         if not jumps and match.fits:
             jumps = self._keep_on_line(seen)
-            refusal = _step_rejection(jumps)
+            rejection = _step_rejection(jumps)
         else:
             self._step_detector.restart()
         self._accept(seen, None if jumps else taken)
@@ -426,8 +426,8 @@ class InsCheck:
             elif one:
                 self._predictions.rate_bound.learn(match.difference)
         if self._rate_check.status is RateStatus.WRONG_UNITS:
-            refusal = self._units_rejection()
-        return CheckedInsSample(seen.sample, refusal, jumps, wrong_after_ns)
+            rejection = self._units_rejection()
+        return CheckedInsSample(seen.sample, rejection, jumps, wrong_after_ns)
 
     def _accepted_jump(self, match: PredictionMatch) -> InsJump:
         """Return the jump that is accepted after samples that were rejected for it."""

@@ -152,8 +152,8 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
         >>> from ship_geometry.vector_track import VectorSample
         >>> import numpy as np
         >>> known, other = VectorSample(1, np.array([1.0])), VectorSample(1, np.array([2.0]))
-        >>> takes_its_place, refusal = resolve_same_stamp(known, known)
-        >>> takes_its_place, refusal.reason.name
+        >>> takes_its_place, rejection = resolve_same_stamp(known, known)
+        >>> takes_its_place, rejection.reason.name
         (False, 'DUPLICATE')
         >>> resolve_same_stamp(known, other)[1].reason.name
         'CONFLICT'

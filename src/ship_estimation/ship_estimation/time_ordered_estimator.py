@@ -17,9 +17,9 @@ is independent of what is measured. A measurement is processed as follows:
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
 out of order than :data:`MOST_OVERTAKEN_PER_S`.
 
-Two clocks are used. Outputs are ordered by their stamps, the time of the data. Timeouts are measured in waiting time, a
-monotonic clock that the node runtime gives with each input and tick: old stamps, or a correction of the system clock,
-cause no timeout.
+Two clocks are used. Outputs are ordered by their stamps, the time of the data. Timeouts are measured by the timeout
+clock, which is monotonic; the node runtime passes its time (``waiting_ns``) with each input and tick. Old stamps, or a
+correction of the system clock, cause no timeout.
 """
 
 import bisect
@@ -101,7 +101,7 @@ flood of late data would need thousands, and delay the outputs."""
 MOST_REPEATS_AT_ONCE = 50
 """Maximum number of measurements applied again for one input; it limits the delay of the next output."""
 MOST_OVERTAKEN_PER_S = 200
-"""Maximum number of later measurements of the same source that late ones may find in the log, summed over a second.
+"""Maximum number of pairs of a late measurement and a later one of the same source in the log, in a second.
 
 It suffices for star exposures at 14 Hz in any order within two seconds, and attitudes at 100 Hz late by up to 0.1 s."""
 
@@ -122,7 +122,7 @@ class _RateLimit:
         return self._since_ns(now_ns) + count * self._cost_ns <= now_ns
 
     def spend(self, count: int, now_ns: int) -> None:
-        """Use up ``count`` of them, more than are permitted if necessary."""
+        """Use up ``count``, also if fewer are permitted."""
         self._paid_until_ns = self._since_ns(now_ns) + count * self._cost_ns
 
     def _since_ns(self, now_ns: int) -> int:
@@ -439,7 +439,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
 
     def rewind_to_first(self, affected: Callable[[DecisionT], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
-        self._log.rewind_to_first(lambda verdict: not isinstance(verdict, _CovarianceInflation) and affected(verdict))
+        self._log.rewind_to_first(lambda item: not isinstance(item, _CovarianceInflation) and affected(item))
 
     def tick(self, now_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
         """Apply measurements that are pending because of the rate limits, without a new input."""
@@ -482,13 +482,13 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         overtaken = self._log.count_overtaken(key)
         if not overtaken:
             return True
-        allowance, now_ns = (
+        limit, now_ns = (
             self._overtaking_limits.setdefault(key[1], _RateLimit(MOST_OVERTAKEN_PER_S)),
             self.window.newest_ns,
         )
-        if not allowance.allows(overtaken, now_ns):
+        if not limit.allows(overtaken, now_ns):
             return False
-        allowance.spend(overtaken, now_ns)
+        limit.spend(overtaken, now_ns)
         return True
 
     def _advance(self, time_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
@@ -553,7 +553,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         Args:
             outcome: receives the estimate.
             time_ns: the stamp.
-            waiting_ns: the waiting time.
+            waiting_ns: time by the timeout clock.
             estimate: computes the estimate from the current state; None if there is none.
             timeout_ns: time without a further output after which INVALID is reported; at least a second.
         """
@@ -583,8 +583,8 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         """The state for outputs: jumps inflate it at once, even if measurements before them are pending."""
         if not (self._has_inflation and self._log.pending_count):
             return self.state
-        openings = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]
-        return functools.reduce(lambda state, opening: self._model.inflate(state, opening.jump), openings, self.state)
+        pending = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]
+        return functools.reduce(lambda state, item: self._model.inflate(state, item.jump), pending, self.state)
 
     def report_invalid(
         self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, make_invalid: Callable[[], Estimate]

@@ -1,7 +1,7 @@
 """The suite offline: bags and black boxes replayed, runs evaluated, installations calibrated, configurations checked.
 
-The package imports all others of the suite except those with displays, and runs their adapters. Its rooms, each above
-the next: ``commands/`` command lines, ``campaign/`` many runs at once, ``report/`` their pages,
-``calibration/``, ``evaluation/``, ``ins_noise/``, ``preflight/`` and ``trials/`` evaluations of a run, ``offline/``
-the replay.
+The package imports the adapters of all nodes. Only ``ship_monitor``, ``ship_nmea`` and ``ship_bringup`` may import it.
+Of its folders each may import those after it: ``commands/`` (command lines), ``campaign/`` (many runs), ``report/``
+(pages), ``calibration/``, ``evaluation/``, ``ins_noise/`` and ``preflight/`` (results of a run), ``offline/`` (replay).
+``trials/`` (many runs for tests and tools) is imported by none of them.
 """

@@ -67,7 +67,7 @@ class SuiteMonitor:
 
     Args:
         limits: limits of the ship.
-        make_recorder: makes the recorder of the history; a user that plots less passes one that records less.
+        make_recorder: returns a new recorder of the history, for example one that records less for fewer plots.
     """
 
     def __init__(
@@ -206,7 +206,8 @@ class SuiteMonitor:
     def _update_time_offset(self, stamp_ns: int, now_ns: int) -> None:
         """Update the suite's time: the stamp of the output with the least delay, plus the time since its arrival.
 
-        If all outputs are older for some seconds, that stamp was wrong or the clock was set: the time is set again.
+        If the stamps of all outputs stay behind this time for some seconds, the stamp was wrong or the clock was set.
+        The time is then set again.
         """
         offset_ns = stamp_ns - now_ns
         if (
@@ -280,7 +281,7 @@ class SuiteMonitor:
         return self._overload.with_causes(self._sources.source_states(now_ns, self._utc_offset_ns), now_ns)
 
     def _evaluate(self, now_ns: int) -> None:
-        """Evaluate sources and angles and record their events; a current published state takes their place."""
+        """Evaluate sources and angles and record their events, or those of a current published state instead."""
         sources, utc_ns = self._source_states(now_ns), now_ns + self._utc_offset_ns
         safety_by_angle: dict[str, tuple[Safety, str]] = {}
         for name, inputs in self._angle_inputs(sources, now_ns).items():
@@ -315,7 +316,7 @@ class SuiteMonitor:
     def _angle_inputs(self, sources: Sequence[SourceState], now_ns: int) -> dict[str, AngleInputs]:
         """Return the data for the safety of each angle; those of a theodolite only if there is one.
 
-        An output that is old while a node has stopped reporting has stopped with that node: no source is its cause.
+        If an output is old and a node has stopped reporting, the node is the cause and no source is given.
         """
         has_node_stopped = any(source.because_of == CAUSE_NODE for source in sources)
         ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_available(now_ns) else _SHIP_REQUIRED)

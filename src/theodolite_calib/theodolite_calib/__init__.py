@@ -1,7 +1,14 @@
 """Theodolite pointing: axis errors calibrated by beacons on drones, and the main axis in the horizon at each reading.
 
-Each of these rooms imports only those after it. ``axis_fit`` fits axis errors to a table of sightings. ``ros`` converts
-messages to samples and results to messages. ``smoothing`` improves pointings by later sightings. ``optical_axis`` is
-the core of the node. ``target`` gives directions and positions of targets. ``filter`` estimates. ``measured`` holds the
-samples. ``config`` holds the parameters. ``lights`` and ``chain`` are pure geometry.
+Each of these parts may import only those after it:
+
+- ``axis_fit``: fit of axis errors to a table of sightings; ``design``: accuracy study; ``triangulation``: command.
+- ``ros``: adapters of the nodes, conversion of messages to samples and of results to messages.
+- ``smoothing``: pointings improved by later sightings.
+- ``optical_axis``: core of the node of that name.
+- ``target``: directions and positions of targets; ``escort``: advice for the drones.
+- ``filter``: calibration filter.
+- ``measured``: samples, their checks and tracks.
+- ``config``: parameters.
+- ``lights`` and ``chain``: geometry of beacons and axes, without a configuration.
 """

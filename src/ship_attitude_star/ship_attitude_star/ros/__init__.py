@@ -1,7 +1,7 @@
-"""Adapters between the cores and ROS messages, readers of messages, the alignment file, and the nodes.
+"""Interface of the cores to ROS messages: adapters of the nodes, readers of messages, the alignment file.
 
-The folder may import all others; only ``ship_replay`` and the executables import it. The method ``table`` of an adapter
-connects topics with methods of the core.
+Nothing here imports rclpy; the node runtime (:mod:`ship_node.live`) does. The folder may import all others of the
+package, and none of them imports it. The method ``table`` of an adapter connects topics with methods of the core.
 
 Steps to add a new kind of sensor:
 
@@ -10,8 +10,9 @@ Steps to add a new kind of sensor:
    ``ship_attitude_adapter`` that connects topic, reader and ``ShipAttitudeCore.add_measurement``;
 3. its parameters in ``ship_attitude/config``, its error states and its device in ``ship_attitude/model``;
 4. its prediction and residual in ``ship_attitude/comparison``;
-5. in ``guards/stream_checks`` the value that must not be constant;
+5. in ``guards/stream_checks`` the value whose repetition shows that the sensor is stuck;
 6. in ``ship_attitude/alignment`` the states to save.
 
-Late and repeated messages, waiting, revised decisions, input health and diagnostics are the same for all sensors.
+Late and repeated messages, pending measurements, revised decisions, input health and diagnostics are the same for all
+sensors.
 """

@@ -1,7 +1,7 @@
 """Messages of attitudes: ship_msgs/ShipAttitude, the same in degrees, sensor_msgs/Imu and /tf.
 
-One function defines all fields. Its values are numbers for the single attitude of a live node, and columns of numbers
-for the attitudes of a block, which are serialised together.
+One function (``_messages``) fills the fields: with numbers for the single attitude of a live node, with columns of
+numbers for the attitudes of a block, which are serialised together.
 """
 
 from collections.abc import Callable, Iterator, Sequence

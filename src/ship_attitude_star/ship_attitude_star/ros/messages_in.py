@@ -207,9 +207,9 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = baseline_stamp_ns(message, config, receive_ns)
-    refusal = fix_rejection(message, config.least_fix)
-    if refusal is not None:
-        raise MessageRejected(refusal.reason, refusal.text)
+    rejection = fix_rejection(message, config.least_fix)
+    if rejection is not None:
+        raise MessageRejected(rejection.reason, rejection.text)
     vector_n, noise_n = baseline_vector(message)
     known = noise_n is not None
     if noise_n is None:

@@ -208,7 +208,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return published
 
     def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that take them; each star sensor has one topic only."""
+        """Yield the inputs and the methods of a core that process them; each star sensor has one topic only."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = BatchFeed(functools.partial(self._read_ins_block, config=config.ins), core)
         read_ins = functools.partial(self._read_ins, config=config.ins)
@@ -218,8 +218,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, is_configured=True
             )
             read, read_rows = self._star_readers(id_, star)
-            take, source = core.add_measurement, f"star.{id_}"
-            yield Feed(topic, source, read, take, has_decision=True, read_rows=read_rows, stream_quantity=INNOVATION)
+            process, source = core.add_measurement, f"star.{id_}"
+            yield Feed(topic, source, read, process, has_decision=True, read_rows=read_rows, stream_quantity=INNOVATION)
         for name, reference in config.references.items():
             topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, is_configured=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)

@@ -104,7 +104,7 @@ class StarAttitudeAdapter(BatchAdapter):
         super().__init__(config, StarCore(config, self._sky_model), factory)
 
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that take them."""
+        """Yield the inputs and the methods of a core that process them."""
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, is_configured=True)
             read_stars = functools.partial(
@@ -116,9 +116,9 @@ class StarAttitudeAdapter(BatchAdapter):
                 masks=sensor.sensor_masks,
                 catalogue=self._sky_model.catalogue,
             )
-            yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, has_decision=True)
+            yield Feed(topic, f"star.{id_}", read_stars, self._process_stars, has_decision=True)
         yield from surroundings_feeds(
-            config.sky, ignore_time(lambda sky_input: StarOutcome(core.add_surroundings(sky_input)))
+            config.sky, ignore_time(lambda reading: StarOutcome(core.add_surroundings(reading)))
         )
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
@@ -126,7 +126,7 @@ class StarAttitudeAdapter(BatchAdapter):
             block = BatchFeed(functools.partial(ins_batch, config=config.ins), core)
             yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), batch=block, stream_quantity=ATTITUDE)
 
-    def _take_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
+    def _process_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
         return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
 
@@ -152,36 +152,36 @@ class StarAttitudeAdapter(BatchAdapter):
 
     def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[OutputMessage]:
         """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
-        id_, refusal = solved.sensor_id, solved.solution.rejection
+        id_, rejection = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
-        if refusal is not None and refusal.reason in _WHOLE_EXPOSURE_REASONS:
-            self.health.record_rejected(topic, refusal, now_ns, solved.time_ns)
+        if rejection is not None and rejection.reason in _WHOLE_EXPOSURE_REASONS:
+            self.health.record_rejected(topic, rejection, now_ns, solved.time_ns)
         else:
             self.health.record_accepted(topic, solved.time_ns, now_ns)
             for star in solved.rejected_stars:
                 self.health.record_note(topic, star.rejection.reason)
-            if refusal is not None:
-                self.health.record_note(topic, refusal.reason)
+            if rejection is not None:
+                self.health.record_note(topic, rejection.reason)
         published = self._solution_messages(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
-        if refusal is not None:
-            published.append(self.rejection_message(source, solved.time_ns, refusal))
+        if rejection is not None:
+            published.append(self.rejection_message(source, solved.time_ns, rejection))
         return published
 
     def _joint_messages(self, solved: AttitudeSolution) -> list[OutputMessage]:
         self.pending_budget = solved if solved.is_valid else None
         for star in solved.rejected_stars:
             self.health.record_note(_topic(star.source), star.rejection.reason)
-        published, refusal = self._solution_messages(solved, self.config.frames.deck), solved.solution.rejection
-        if refusal is not None and refusal.reason is Reason.FAILED:
-            self.health.record_failure(f"{self.main_topic}: {refusal.text}")
-        if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
-            published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, refusal))
+        published, rejection = self._solution_messages(solved, self.config.frames.deck), solved.solution.rejection
+        if rejection is not None and rejection.reason is Reason.FAILED:
+            self.health.record_failure(f"{self.main_topic}: {rejection.text}")
+        if rejection is not None and rejection.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
+            published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, rejection))
         return published
 
     def _solution_messages(self, solved: AttitudeSolution, frame_id: str) -> list[OutputMessage]:
         message = star_horizon_attitude(self.factory, solved, frame_id)
-        refused = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
-        return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
+        rejected = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
+        return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in rejected)]
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return the error budget of the latest joint solution, once."""
@@ -215,8 +215,8 @@ def read_exposure(message: Any, **sensor: Any) -> ReadMessage[ReadExposure]:
     """
     read = star_exposure(message, **sensor, named_by_number=True)
     source, time_ns, rejected_stars = read.value.source, read.value.time_ns, []
-    for name, refusal in read.rejected_parts:
-        rejected_stars.append(RejectedStar(source, time_ns, name, refusal))
+    for name, rejection in read.rejected_parts:
+        rejected_stars.append(RejectedStar(source, time_ns, name, rejection))
     return ReadMessage(ReadExposure(time_ns, read.value, tuple(rejected_stars)), read.covariance_known)
 
 
@@ -273,9 +273,9 @@ def solution_statuses(
 
     Args:
         config: parameters of the node.
-        latest: last solution by id, each with its publication time in the time of waiting.
+        latest: last solution by id, each with its publication time by the timeout clock.
         joined_by_ins: True if ``ins/imu`` was available for the last joint solution.
-        waiting_ns: current time of waiting.
+        waiting_ns: current time by the timeout clock.
     """
     how = ""
     if len(config.star_sensors) > 1 and not joined_by_ins:
@@ -302,10 +302,10 @@ def _solution_status(
 ) -> DiagnosticStatus:
     name = f"solution {id_}"
     if last is None:
-        return DiagnosticStatus(name, Level.OK, f"no solution yet{how}")
-    solved, put_out_ns = last
-    if waiting_ns - put_out_ns > SOLUTION_TIMEOUT_NS:
-        text = f"no solution for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, the last {solved.solution.status.name}{how}"
+        return DiagnosticStatus(name, Level.OK, f"none yet{how}")
+    solved, published_ns = last
+    if waiting_ns - published_ns > SOLUTION_TIMEOUT_NS:
+        text = f"none for {(waiting_ns - published_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
         return DiagnosticStatus(name, Level.WARN, text)
     level, text = _STATUS_TEXTS[solved.solution.status]
     if solved.solution.rejection is not None:

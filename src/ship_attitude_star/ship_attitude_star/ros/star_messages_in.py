@@ -45,7 +45,7 @@ class _StarColumns:
     Attributes:
         pixels: centroids (u, v), px, shape (k, 2).
         sigma_px: standard deviation of the centroids, each axis, px, shape (k,); as configured if the message has none.
-        sigma_known: True if the message has that of every star.
+        sigma_known: True if the message has a sigma for every star.
         right_ascension: ICRS, rad, shape (k,); NaN if not given.
         declination: ICRS, rad, shape (k,); NaN if not given.
         hip: catalogue numbers, shape (k,); 0 if not given.
@@ -107,7 +107,7 @@ def star_exposure(
     )
     entries, given = catalogue.entries(columns.hip, time_ns), fixed_stars(columns.right_ascension, columns.declination)
     rejections = _rejections(columns, directions_s, entries, catalogue)
-    kept = np.flatnonzero([refusal is None for refusal in rejections])
+    kept = np.flatnonzero([rejection is None for rejection in rejections])
     listed = columns.hip != 0
     exposure = StarExposure(
         source=f"star.{sensor_id}",
@@ -170,15 +170,15 @@ def _rejections(
 def _unused_stars(
     stars: Sequence[Any], rejections: Sequence[Rejection | None], named_by_number: bool
 ) -> tuple[tuple[str, Rejection], ...]:
-    """Return the rejected stars by name. Stars beyond ``MAX_STARS`` are reported once, by the first of them."""
-    rows = [(row, refusal) for row, refusal in enumerate(rejections) if refusal is not None]
+    """Return the rejected stars by name. All stars beyond ``MAX_STARS`` are reported by one entry."""
+    rows = [(row, rejection) for row, rejection in enumerate(rejections) if rejection is not None]
     if len(stars) > MAX_STARS:
         text = f"{len(stars)} stars in one exposure: only the first {MAX_STARS} are used"
         rows.append((MAX_STARS, Rejection(Reason.OVERFLOW, text)))
     numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
     return tuple(
-        (f"HIP {numbers[row]}" if numbers.get(row) else f"star {row + 1} of the message", refusal)
-        for row, refusal in rows
+        (f"HIP {numbers[row]}" if numbers.get(row) else f"star {row + 1} of the message", rejection)
+        for row, rejection in rows
     )
 
 

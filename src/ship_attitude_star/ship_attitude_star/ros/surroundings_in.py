@@ -134,26 +134,26 @@ def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMess
 
 
 def surroundings_feeds(
-    config: SkyConfig, take: Callable[[Any, int], Any], position_required: bool = True
+    config: SkyConfig, process: Callable[[Any, int], Any], position_required: bool = True
 ) -> Iterator[Feed]:
     """Yield the rows of an adapter's table for position and air data.
 
     Args:
         config: parameters of the sky model.
-        take: method of the core that takes them.
+        process: method of the core that takes them.
         position_required: True if the node needs a position.
     """
     for topic in SURROUNDINGS:
-        yield _surroundings_feed(topic, config, take, position_required)
+        yield _surroundings_feed(topic, config, process, position_required)
 
 
-def position_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
+def position_feed(config: SkyConfig, process: Callable[[Any, int], Any]) -> Feed:
     """Return the row of an adapter's table for the position alone, if no sensor needs air data."""
-    return _surroundings_feed("gnss/fix", config, take, required=True)
+    return _surroundings_feed("gnss/fix", config, process, required=True)
 
 
-def _surroundings_feed(topic: str, config: SkyConfig, take: Callable[[Any, int], Any], required: bool) -> Feed:
+def _surroundings_feed(topic: str, config: SkyConfig, process: Callable[[Any, int], Any], required: bool) -> Feed:
     required = required and topic == "gnss/fix"
     needed = InputTopic(topic, SURROUNDINGS[topic], required, depth=100, is_valid_until_next=True)
     continuous = POSITION if topic == PositionFix.source else None
-    return Feed(needed, topic, surroundings_reader(topic, config), take, stream_quantity=continuous)
+    return Feed(needed, topic, surroundings_reader(topic, config), process, stream_quantity=continuous)

@@ -100,7 +100,7 @@ class ShipAttitudeCore:
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
-        # The stamps of INS and device differ, and an INS sample affects measurements within max_gap_s of it.
+        # The stamps of a device may be offset from those of the INS.
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: EstimatorModel[FilterState, Measurement, AttitudeDecision, InsChange] = EstimatorModel(
             step=self._step,
@@ -180,7 +180,7 @@ class ShipAttitudeCore:
 
         Args:
             sample: attitude of the deck, and its rate if the INS measures it.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
             estimate: False if no attitude is needed, as in a Monte Carlo run.
         """
         if sample.time_ns < self._estimator.window.oldest_ns:
@@ -196,7 +196,7 @@ class ShipAttitudeCore:
 
         Args:
             block: samples with rates, in the order of their stamps.
-            arrivals_ns: arrival times, in the time of waiting, shape (N,).
+            arrivals_ns: arrival times by the timeout clock, shape (N,).
 
         Returns:
             The batch; None if the first sample needs separate handling.
@@ -278,8 +278,7 @@ class ShipAttitudeCore:
             self._estimator.apply(outcome)
         self._ins_jumps.extend(checked.jumps)
         for jump in checked.jumps:
-            changed_ns = self._track.add_cut(jump.time_ns)
-            self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, changed_ns)
+            self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if checked.rejection is not None:
             outcome.rejection = checked.rejection
             self._estimator.add_rejected(INS, self._track, checked.sample)
@@ -332,7 +331,7 @@ class ShipAttitudeCore:
 
         Args:
             measurement: an attitude, single stars or a baseline.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
         if measurement.time_ns < self._estimator.window.oldest_ns:
             return AttitudeOutcome(self._estimator.window.late_rejection(measurement.time_ns))
@@ -346,11 +345,11 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Publish INVALID once a second while no attitude is published.
+        """Publish the attitude from stars alone if the INS has timed out, and INVALID once a second if there is none.
 
         Args:
             now_ns: current time.
-            waiting_ns: current time in the time of waiting; None if it equals ``now_ns``.
+            waiting_ns: current time by the timeout clock; None if it equals ``now_ns``.
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()
@@ -605,5 +604,5 @@ class ShipAttitudeCore:
         return self.filter.devices[source].is_star and not in_conflict
 
 
-def _failure_decision(measurement: Measurement, refusal: Rejection) -> AttitudeDecision:
-    return AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=measurement.time_ns)
+def _failure_decision(measurement: Measurement, rejection: Rejection) -> AttitudeDecision:
+    return AttitudeDecision(measurement, rejection.reason, text=rejection.text, ins_time_ns=measurement.time_ns)

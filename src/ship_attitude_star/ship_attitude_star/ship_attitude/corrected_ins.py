@@ -101,10 +101,10 @@ class CorrectedIns:
         """Return the INS errors at some times, if the filter needs the vertical."""
         assert self.error_propagation is not None
         since_ns = self.state.time_ns
-        # For a sample older than the state the errors are those at the time of the state.
-        error_times_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
+        # A sample older than the state counts as of the time of the state.
+        until_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
         return self.error_propagation.errors(
-            since_ns, self.state.vertical, self._mean, self.covariance_by_source, error_times_ns
+            since_ns, self.state.vertical, self._mean, self.covariance_by_source, until_ns
         )
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
@@ -130,13 +130,13 @@ class CorrectedIns:
     def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
         """Return the sources of each attitude: the INS, and those with an accepted measurement within recent_ns."""
 
-        def at(moment_ns: int) -> tuple[str, ...]:
-            used = [source for source, used_ns in self.state.last_used_ns.items() if used_ns >= moment_ns - recent_ns]
+        def at(stamp_ns: int) -> tuple[str, ...]:
+            used = [source for source, used_ns in self.state.last_used_ns.items() if used_ns >= stamp_ns - recent_ns]
             return INS, *sorted(used)
 
         first, last = at(int(time_ns[0])), at(int(time_ns[-1]))
         # Without new measurements sources can only time out.
-        return [first] * len(time_ns) if first == last else [at(moment_ns) for moment_ns in time_ns.tolist()]
+        return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
         """Set attitudes DEGRADED whose protection level exceeds the alert limit."""

@@ -213,7 +213,7 @@ class ShipFilter:
             if again is not None and again[1].reason not in _AGAINST_PREDICTION:
                 result = again
             elif again is not None and not again[1].components:
-                # The stars contradict one another with these optics too: there is no attitude to evaluate.
+                # The stars contradict each other with these optics too, so the attitude is not evaluated.
                 rejection = Rejection(again[1].reason, again[1].text)
                 return self._reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
@@ -422,7 +422,7 @@ class ShipFilter:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        rejections = (
+        rejection_counts = (
             state.consecutive_rejections
             if state.consecutive_rejections.get(source) == 0
             else with_entry(state.consecutive_rejections, source, 0)
@@ -433,7 +433,7 @@ class ShipFilter:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
         return with_changes(
             state,
-            consecutive_rejections=rejections,
+            consecutive_rejections=rejection_counts,
             last_used_ns=used_ns,
             pixel_dwells=pixel_dwells,
             unconfirmed_step=unconfirmed,

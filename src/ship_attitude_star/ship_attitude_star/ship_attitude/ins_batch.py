@@ -51,7 +51,7 @@ class InsBatch:
     Attributes:
         samples: samples of the batch, from the first of the block.
         block: samples as arrays.
-        arrivals_ns: arrival times, in the time of waiting.
+        arrivals_ns: arrival times, by the timeout clock.
         checked: results of the INS check, including a last sample that needs separate handling.
         previous_rates: rates of the samples before the batch.
         extra_noise: noise of the samples in excess of the stated noise; None for none.

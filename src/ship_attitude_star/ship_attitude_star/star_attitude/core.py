@@ -3,7 +3,7 @@
 The core uses no ROS, no files and no clock. Each exposure yields the attitude of its sensor at the time of the
 exposure; exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time yield
 the attitude of the deck, in time order. No attitude depends on the one before, so the core uses only the window of
-arrivals of :mod:`ship_estimation.time_ordered_estimator`. Waiting is measured in the time of waiting, as there.
+arrivals of :mod:`ship_estimation.time_ordered_estimator`. Timeouts are measured by the timeout clock, as there.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -55,7 +55,7 @@ class _PendingExposure:
     Attributes:
         exposure: stars of the exposure.
         rejected_stars: stars of the message that were already rejected.
-        arrival_ns: arrival time, in the time of waiting.
+        arrival_ns: arrival time by the timeout clock.
         reach_ns: time before and after its middle for which the motion of the deck is needed.
     """
 
@@ -72,7 +72,7 @@ class JointWindow:
 
     Args:
         sources: names of all sensors.
-        config: maximum time between the exposures of a group, and waiting time for more exposures.
+        config: maximum time between the exposures of a group, and time for which a group waits for more exposures.
     """
 
     def __init__(self, sources: Collection[str], config: JointConfig) -> None:
@@ -89,7 +89,7 @@ class JointWindow:
 
         Args:
             item: the exposure.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
         if self._last_ns is not None and item.time_ns <= self._last_ns:
             return False
@@ -107,7 +107,7 @@ class JointWindow:
 
         Args:
             is_turn_known: returns True if the rotation of the deck between two times (ns) is known.
-            waiting_ns: current time of waiting; None if not known.
+            waiting_ns: current time by the timeout clock; None if not known.
         """
         while self._items:
             group = self._group(is_turn_known)
@@ -212,10 +212,10 @@ class StarCore:
 
     def finish_batch(self, batch: MotionBatch) -> StarOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
-        refusal = self._ins.finish_batch(batch)
+        rejection = self._ins.finish_batch(batch)
         if batch.checked.last is None:
             return None
-        outcome = StarOutcome(refusal)
+        outcome = StarOutcome(rejection)
         self._arrivals.advance_to(batch.checked.last.sample.time_ns)
         self._advance(outcome)
         return outcome
@@ -226,9 +226,9 @@ class StarCore:
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
         """Add a position fix or an air reading; return why it is not used, else None."""
-        refusal = self._sky_model.surroundings.rejection(given)
+        rejection = self._sky_model.surroundings.rejection(given)
         self._sky_model.surroundings.insert(given)
-        return refusal
+        return rejection
 
     def add_exposure(
         self, exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...] = (), arrival_ns: int | None = None
@@ -238,16 +238,16 @@ class StarCore:
         Args:
             exposure: stars of the exposure.
             rejected_stars: stars of the message that cannot be used.
-            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
-        used, refusal = self._evaluate(exposure)
+        used, rejection = self._evaluate(exposure)
         if not used:
-            return StarOutcome(refusal)
+            return StarOutcome(rejection)
         self._received_exposures[exposure.source, exposure.time_ns] = exposure
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
         self._wait(_PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
-        outcome = StarOutcome(refusal)
+        outcome = StarOutcome(rejection)
         self._advance(outcome)
         return outcome
 
@@ -261,7 +261,7 @@ class StarCore:
 
         Args:
             now_ns: current time.
-            waiting_ns: current time in the time of waiting; None if it equals ``now_ns``.
+            waiting_ns: current time by the timeout clock; None if it equals ``now_ns``.
         """
         outcome = StarOutcome()
         self._solve(outcome, now_ns if waiting_ns is None else waiting_ns)
@@ -275,16 +275,16 @@ class StarCore:
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
         """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
-        refusal = self._arrivals.late_rejection(exposure.time_ns)
-        if refusal is not None:
-            return False, refusal
+        rejection = self._arrivals.late_rejection(exposure.time_ns)
+        if rejection is not None:
+            return False, rejection
         known = self._received_exposures.get((exposure.source, exposure.time_ns))
         if known is None:
-            refusal = self._plausibility.check(exposure, self._ins.track)
-            return refusal is None, refusal
-        conflict = resolve_same_stamp(known, exposure)[1]
-        if conflict.reason is Reason.DUPLICATE:
-            return False, conflict
+            rejection = self._plausibility.check(exposure, self._ins.track)
+            return rejection is None, rejection
+        told = resolve_same_stamp(known, exposure)[1]
+        if told.reason is Reason.DUPLICATE:
+            return False, told
         # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
         self._stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
         text = "the same stamp with different content: do two sensors publish on one topic?"

@@ -120,10 +120,10 @@ class MountedExposure:
 
 
 def rejected_exposure(
-    exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...], refusal: Rejection
+    exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...], rejection: Rejection
 ) -> tuple[PlacedExposure, AttitudeSolution]:
     """Return an exposure that is rejected as a whole, without stars and without attitude."""
-    solution = invalid_solution(np.zeros(len(exposure), dtype=bool), refusal)
+    solution = invalid_solution(np.zeros(len(exposure), dtype=bool), rejection)
     placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, rejected_stars)
     return placed, AttitudeSolution(exposure.source.partition(".")[2], exposure.time_ns, solution, rejected_stars, ())
 
@@ -155,7 +155,7 @@ def solve_exposure(
     detections = exposure
     exposure, stars, invisible = visible
     if invisible:
-        rejected_stars += tuple(RejectedStar(source, time_ns, name, refusal) for name, refusal in invisible)
+        rejected_stars += tuple(RejectedStar(source, time_ns, name, rejection) for name, rejection in invisible)
     solution, against_prior = solve_with_fallback(stars, prior)
     contradicted = check_focal_length(detections, sky_model, prior, solution.star_count)
     if contradicted is not None:
@@ -195,8 +195,8 @@ def solve_deck(
         seeing = [group[index] for index in with_stars]
         turn_covariance_d = turn_covariance_d[with_stars][:, :, with_stars]
     if not seeing:
-        refusal = Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
-        return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), refusal), (), ())
+        rejection = Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
+        return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), rejection), (), ())
     solution, against_prior = solve_with_fallback(_stars_in_deck(seeing, turn_covariance_d, sensors), prior)
     rejected = _rejected_stars(solution, seeing)
     known = (
@@ -204,12 +204,12 @@ def solve_deck(
         if rejected
         else set()
     )
-    refused = tuple(star for star in rejected if (star.source, star.name) not in known)
+    new_rejected = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
         members, rows = solution.members.tolist(), _rows(seeing)
         sources = tuple(m.exposure.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
-    return AttitudeSolution(JOINT, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
+    return AttitudeSolution(JOINT, time_ns, solution, new_rejected, sources, _AGAINST_INS if against_prior else "")
 
 
 def _stars_in_deck(
@@ -308,8 +308,8 @@ def _rejected_stars(solution: StarSolution, group: Sequence[MountedExposure]) ->
         assert stars is not None
         rotation_ns = solution.rotation_nb @ mounted.rotation_ds
         for row in range(len(exposure)):
-            refusal = solution.rejected.get(rows.start + row)
-            if refusal is not None:
+            rejection = solution.rejected.get(rows.start + row)
+            if rejection is not None:
                 predicted_s = stars.reference_n[row] @ rotation_ns
                 residual = tangent_basis(predicted_s) @ (stars.measured_b[row] - predicted_s)
                 rejected.append(
@@ -317,7 +317,7 @@ def _rejected_stars(solution: StarSolution, group: Sequence[MountedExposure]) ->
                         source=exposure.source,
                         time_ns=exposure.time_ns,
                         name=exposure.name(row),
-                        rejection=refusal,
+                        rejection=rejection,
                         residual=tuple(residual.tolist()),
                         sigma=float(stars.single_star_sigma[row]),
                     )

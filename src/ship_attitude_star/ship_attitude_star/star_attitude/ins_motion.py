@@ -157,7 +157,7 @@ class InsMotion:
         if checked.rates_wrong_after_ns is not None:
             self.track.drop_rates(checked.rates_wrong_after_ns)
         for jump in checked.jumps:
-            self.track.add_cut(jump.time_ns)
+            self.track.cut(jump.time_ns)
             self._jumps.append(jump)
         if checked.noise is not None:
             self.track.add_noise(checked.noise)
@@ -165,11 +165,11 @@ class InsMotion:
             return checked.rejection
         sample = checked.sample
         known = self.track.get(sample.time_ns)
-        taken, refusal = (True, None) if known is None else resolve_same_stamp(known, sample)
-        self._stamp_conflicts.record(INS, sample.time_ns, refusal)
+        taken, rejection = (True, None) if known is None else resolve_same_stamp(known, sample)
+        self._stamp_conflicts.record(INS, sample.time_ns, rejection)
         if taken:
             self.track.insert(sample)
-        return refusal
+        return rejection
 
     def is_awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
         """True if pending samples may provide the attitude from a time until ``reach_ns`` later."""

@@ -106,7 +106,7 @@ def _compare(
         return visible
     seen, stars, rejected = visible
     if len(stars.sigma) == 0:
-        nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in rejected)
+        nameless = any(rejection.reason is Reason.UNIDENTIFIED for _, rejection in rejected)
         reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
         return Rejection(reason, _with_rejected_stars(f"none of {len(exposure)} stars is usable", rejected))
     # The estimate of the shared errors corrects the expected directions.
@@ -197,4 +197,4 @@ def _misfit_rejection(stars: MatchedStars, row: int, rotation_ns: FloatArray) ->
 
 
 def _with_rejected_stars(text: str, rejected: list[tuple[str, Rejection]]) -> str:
-    return "; ".join([text, *(f"{name}: {refusal.text}" for name, refusal in rejected)])
+    return "; ".join([text, *(f"{name}: {rejection.text}" for name, rejection in rejected)])

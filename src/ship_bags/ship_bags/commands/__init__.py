@@ -1,1 +1,1 @@
-"""Executables of the package: arguments and exit codes. They may import every room; no room imports them."""
+"""Executables of the package: arguments and exit codes. They may import every folder; no folder imports them."""

@@ -1,5 +1,5 @@
 """Bags and the live network: topics recorded into a bag, a bag played onto topics with /clock.
 
-This is the only room of the package that imports rclpy. It imports the flat modules and :mod:`ship_bags.mcap`; of the
-other rooms only the commands import it.
+Besides this folder only the commands that use it import rclpy. It imports the common modules of the package and
+:mod:`ship_bags.mcap`.
 """

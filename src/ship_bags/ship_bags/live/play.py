@@ -144,7 +144,7 @@ class Player:
         started = False
 
         def stride() -> int:
-            """At rates at which they cannot be sent, ticks between messages are left out; not those of the lead."""
+            """Return n: every n-th tick between messages is sent, so that a high rate is possible; 0 counts as 1."""
             return round(self._clock.rate / _FASTEST_WITH_ALL_TICKS) if started else 1
 
         for time_ns, record in add_ticks(records, self.start_ns - lead_ns, stride):
@@ -206,12 +206,12 @@ class Player:
     def _wait_for_subscribers(self) -> None:
         """Return when every topic has its subscribers, or no more are expected.
 
-        A topic has them when it has the requested number (by default one; none for truth topics) and every subscriber
-        in the graph is matched. No more are expected after the timeout. Unless subscribers were requested by name, the
-        same holds some time after the last match if at least one topic has subscribers.
+        A topic has its subscribers when it has the requested number (by default one; none for truth topics) and every
+        subscriber in the graph is matched. No more are expected after the timeout. Unless topics were requested by
+        name, no more are expected either some time after the last match, if at least one topic has subscribers.
 
         Raises:
-            BadInput: subscribers requested by name did not appear.
+            BadInput: a topic requested by name has too few subscribers.
         """
         by_name = {p.topic_name: p for p in (self._clock_publisher, *self._publishers.values())}
         requested = {self._node.resolve_topic_name(name): count for name, count in self._options.wait_for.items()}

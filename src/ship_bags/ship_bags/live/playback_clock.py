@@ -34,7 +34,7 @@ class PlaybackClock:
 
     Args:
         rate: initial rate, seconds of bag time per second of steady time, positive.
-        is_paused: start paused.
+        paused: True to start paused.
     """
 
     def __init__(self, rate: float, paused: bool = False) -> None:

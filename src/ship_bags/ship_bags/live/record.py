@@ -43,8 +43,8 @@ _MAX_READING_NS = 5_000_000
 class RecordOptions:
     """Content and end of a recording; see ``record --help``. Times are steady; None is without end.
 
-    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind if
-    only reports are recorded.
+    The idle time runs since the last message that shows activity (:func:`is_activity`), or since the last message of
+    any kind if only status reports are recorded.
     """
 
     topics: tuple[str, ...] = ()
@@ -180,7 +180,7 @@ class Recorder:
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
         if self._has_only_status and type_name not in STATUS_TYPES:
-            # Reports are no activity from now on, nor were those received before.
+            # From now on status reports do not count as activity, and those received before did not either.
             self._has_only_status, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)

@@ -26,7 +26,7 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
 
     Args:
         environment: of the process.
-        has_security: True if DDS was built with it (:func:`ship_bags.live.ros_process.dds_has_security`).
+        has_security: True if DDS was built with it (:func:`ship_bags.live.dds.dds_has_security`).
     """
     found = []
     if has_security is not True:

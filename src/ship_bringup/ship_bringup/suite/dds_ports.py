@@ -5,8 +5,8 @@ successor on the same ports receives these messages. Shared memory has the same 
 reserved.
 
 On other ports the successor is discovered as soon as each peer announces itself: every 0.5 s with the suite's profile
-(:data:`ship_bags.live.ros_process.DDS_PROFILE`), every 3 s by default. Observed with Fast DDS 2.14: the peers answer
-its first announcement within 0.1 ms, before it listens, and do not answer repetitions.
+(:data:`ship_bags.live.dds.DDS_PROFILE`), every 3 s by default. It must wait for these announcements: the peers answer
+its own first one within 0.1 ms, before it listens, and do not answer repetitions (observed with Fast DDS 2.14).
 """
 
 import contextlib

@@ -51,11 +51,11 @@ class SuiteLog:
             OSError: stdout does not accept it.
         """
         data = _bytes(line)
-        is_taking = select.poll()
-        is_taking.register(self._descriptor, select.POLLOUT)
+        poll = select.poll()
+        poll.register(self._descriptor, select.POLLOUT)
         while data:
             # A pipe with room accepts PIPE_BUF bytes at once; with more, the write could wait for the reader.
-            if not is_taking.poll(0 if self._missed_count else _WRITE_TIMEOUT_MS):
+            if not poll.poll(0 if self._missed_count else _WRITE_TIMEOUT_MS):
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
             data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
 

@@ -1,8 +1,8 @@
 """Supervise the programs of a suite as processes of their own: start, show their lines, restart, end in order.
 
-One thread waits for all of them: for lines, for their ends (by process descriptors), for their heartbeats, for signals
-and for the time of the next start. The kernel ends the programs when this process ends, for any reason. Only a signal
-or the end of a bag ends this process.
+One thread waits for lines and heartbeats of the programs, for their ends (by process descriptors), for signals and for
+the time of the next start. If this process ends, for any reason, the kernel ends the programs. It ends after a signal,
+at the end of a bag, or if all nodes refuse their input at the start.
 """
 
 import contextlib

@@ -13,7 +13,7 @@ is adopted on three conditions:
 An estimator that was not consistent for half a minute has no stored state: then only condition 1 holds, as after a
 restart of the node.
 
-All decisions follow from the inputs and their order, once a second of the waiting time.
+All decisions follow from the inputs and their order, once a second by the timeout clock.
 """
 
 from collections.abc import Callable, Mapping, Sequence, Set
@@ -109,8 +109,8 @@ class SecondEstimator:
         is_from_memory: False if it started from the prior.
 
     Attributes:
-        valid_since_ns: waiting time since which it has been VALID each second; None if it is not. A single rejected
-            measurement may make it DEGRADED for less than a second.
+        valid_since_ns: time by the timeout clock since which it has been VALID each second; None if it is not. A single
+            rejected measurement may make it DEGRADED for less than a second.
         failure: rejection with the exception of the software; None without one. Another one starts then.
     """
 
@@ -187,7 +187,7 @@ class EstimatorRecovery:
         """Update trouble, memory and candidate, once a second.
 
         Args:
-            waiting_ns: the waiting time, ns.
+            waiting_ns: time by the timeout clock, ns.
             live: the estimator whose outputs are published.
             is_as_expected: True if its status is no worse than its inputs allow.
             available_sources: sources with usable messages that arrived recently.

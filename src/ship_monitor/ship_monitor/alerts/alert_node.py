@@ -89,7 +89,7 @@ def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         state = parsed.state
         if state is None and not node.get_parameter("use_sim_time").value:
             state = default_state(node.get_namespace())
-        # The node takes the time from the messages: following /clock would wake it a hundred times a second.
+        # The time comes from the messages: a subscription of /clock would wake the node a hundred times a second.
         node.set_parameters([Parameter("use_sim_time", value=False)])
         alerts = AlertNode(node, limits, state)
         call_on_end_signals(alerts.stop)
@@ -143,18 +143,18 @@ class AlertNode:
         """Update periodically until stopped."""
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
-        next_look_ns = next_report_ns = steady_ns()
+        next_update_ns = next_report_ns = steady_ns()
         try:
             while not self._is_stopped:
                 now_ns = steady_ns()
                 heartbeat().beat(now_ns)
-                if now_ns >= next_look_ns:
-                    next_look_ns = now_ns + UPDATE_PERIOD_NS
+                if now_ns >= next_update_ns:
+                    next_update_ns = now_ns + UPDATE_PERIOD_NS
                     self._guard.call("the suite", self._update)
                 if now_ns >= next_report_ns:
                     next_report_ns = now_ns + _REPORT_NS
                     self._guard.call("diagnostics", self._publish_diagnostics)
-                executor.spin_once(timeout_sec=max(0, next_look_ns - steady_ns()) / NS_PER_S)
+                executor.spin_once(timeout_sec=max(0, next_update_ns - steady_ns()) / NS_PER_S)
         finally:
             executor.shutdown()
             self._reader.close()
@@ -182,7 +182,7 @@ class AlertNode:
                 where = {status.hardware_id.rpartition("/")[0] or "/"}
             if node == _NAME or self._node.get_namespace() not in where:
                 continue
-            # Statuses of other software do not contain the namespace: two nodes of one name are not distinguishable.
+            # Statuses of other software contain no namespace, so nodes of one name in two namespaces look the same.
             other = "" if len(where) == 1 else f" (a node of one of {', '.join(sorted(where))})"
             values = {pair.key: pair.value for pair in status.values}
             node_status = NodeStatus(node, name, status.level[0], status.message + other, values)

@@ -40,8 +40,9 @@ _OUTPUTS = ("ship/attitude", "theodolite/pointing")
 _MIN_SLEEP_NS = 5 * NS_PER_S
 
 _CLOCK_MEMORY_NS = 10 * NS_PER_S
-"""Time before an output within which a clock or a truth on the network marks it as played or simulated, ns. Both may
-have ended while the output is still displayed."""
+"""Time before an output, ns. If a /clock or a truth topic existed within it, the output counts as played or simulated.
+
+Both may have ended while the output is still displayed."""
 
 
 def steady_ns() -> int:
@@ -123,14 +124,14 @@ class TopicReader:
         alerts_ended = ALERTS_TOPIC in present - self._published_topics
         received = sorted(self._decode_waiting(now_ns), key=lambda each: each.arrival_ns)
         self._last_fetch_ns = now_ns
-        # A topic with messages is present, although the next discovery is still pending.
+        # The topic of a received message exists, also if the next discovery is still pending.
         self._published_topics |= {each.topic for each in received if each.topic == ALERTS_TOPIC}
         self._output_ns = max([self._output_ns, *(each.arrival_ns for each in received if each.topic in _OUTPUTS)])
         jump_ns = max(filter(None, map(self._jump_ns, received)), default=None)
         kept = (each for each in received if each.topic != CLOCK_TOPIC)
         if jump_ns is None:
             return ReceivedBatch(False, tuple(kept), alerts_ended)
-        # Outputs follow the step of /clock a moment later: the same step is not counted twice.
+        # Outputs follow the step of /clock later. Their latest stamps are reset, so that one step is not counted twice.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
         latched = {
             subscribed.relative_name
@@ -231,9 +232,9 @@ class TopicReader:
             self._truth_ns = steady_ns()
 
     def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
-        """Return the clock of the suite: one in its namespace, as for a bag played into it; else /clock.
+        """Return the topic of the suite's clock: one in its namespace, as for a bag played into it, else /clock.
 
-        A change of the clock topic is no step back in time.
+        If the topic changes, the latest time of the former one is dropped, so that the change is no step back in time.
         """
         own = self.namespace.rstrip("/") + CLOCK_TOPIC
         is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0

@@ -27,7 +27,7 @@ _BACKWARD_JUMP_NS = NS_PER_S
 """Backward jump of the node's time beyond which the instrument is reset, ns."""
 
 _CLOCK_CORRECTED_NS = 3 * NS_PER_S
-"""Time without a later stamp, after a last stamp still in the future, after which the instrument is reset, ns."""
+"""Time without a published message, while the last stamp is in the future, after which the instrument is reset, ns."""
 
 _MAX_CHARACTERS = 60
 _MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
@@ -38,7 +38,7 @@ class LiveReport(LineReport):
     """Outcome of a live source's lines; its size is bounded.
 
     Attributes:
-        talkers: talker that is not of the source → number of its sentences.
+        talkers: talker that the configuration does not accept → number of its sentences.
         senders: sender that is not used → number of its texts.
         last_rejected: reason → the line that was last rejected for it, shortened.
         rejected_ns: reason → steady time of the last rejection.
@@ -67,7 +67,7 @@ class LiveReport(LineReport):
         _count(self.senders, sender)
 
     def count_other_talker(self, talker: str) -> None:
-        """Count a sentence of a talker that is not of the source."""
+        """Count a sentence of a talker that the configuration does not accept."""
         _count(self.talkers, talker)
 
 
@@ -77,7 +77,7 @@ class Source:
     Args:
         id_: of the source.
         config: of the source.
-        role: what its lines become.
+        role: kind of messages that its lines become.
         factory: makes the messages.
         now_ns: steady time.
     """
@@ -97,7 +97,7 @@ class Source:
         self._published: Counter[str] = Counter()
         self._heave_m: float | None = None
         self._published_before = 0
-        # In the past, so that neither is a warning now.
+        # Times of the last problems, so far in the past that they are no warnings.
         self._dropped, self._dropped_ns = 0, now_ns - 2 * WARNING_NS
         self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * WARNING_NS
         self._talkers = TalkerComparison()
@@ -116,8 +116,8 @@ class Source:
         with self._lock:
             self._report.lines += 1
             self._report.now_ns = self._received_ns = now_ns
-            if refusal := self._sender.rejection_reason(sender, now_ns):
-                self._report.reject_sender(refusal, sender, received.text)
+            if rejection := self._sender.rejection_reason(sender, now_ns):
+                self._report.reject_sender(rejection, sender, received.text)
                 return []
             messages = self._convert(received, arrival_ns, now_ns)
             if any(topic in self._required_topics for topic, _ in messages):

@@ -114,7 +114,7 @@ class TcpOutlet(Outlet):
             self._server.close()
 
     def status_note(self) -> str:
-        """See :meth:`Outlet.note`."""
+        """See :meth:`Outlet.status_note`."""
         text = f"{len(self._clients)} clients"
         if self._skipped:
             text += f", {self._skipped} sentences skipped for clients that did not read"

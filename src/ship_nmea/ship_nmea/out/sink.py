@@ -36,7 +36,9 @@ _PARAMETER_NAMES = {
     SERIAL: ("device", "baud"),
     FILE: ("path", "path"),
 }
-"""See :func:`ship_nmea.link_opening.permanent_error`; of UDP only binding and the interface can fail so."""
+"""Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
+
+For UDP such an error can only come from binding the port or from the interface."""
 
 
 class _QueuedSentence(NamedTuple):
@@ -55,7 +57,7 @@ class Sink:
         receive: called with each received line and its sender's address, in the thread of the sink.
 
     Attributes:
-        opening_error: error of the first opening if only the user can clear it; otherwise None.
+        opening_error: error of the first opening if retries cannot succeed without the user; otherwise None.
     """
 
     def __init__(self, name: str, config: SinkConfig, receive: LineReceiver) -> None:
@@ -144,7 +146,7 @@ class Sink:
         self._close_all()
 
     def _work_until_failure(self) -> Exception | None:
-        """Return any exception: the thread must stay alive to try again, and the status reports it."""
+        """Send sentences until the end or a failure; return the exception of a failure, for the status and a retry."""
         try:
             if not self._is_open:
                 self._open()

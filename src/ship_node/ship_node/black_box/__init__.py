@@ -1,5 +1,5 @@
 """Black boxes: all inputs and outputs of a node in order of use, written while it runs.
 
-The offline replay uses the format too, which imports no ROS; the writer needs rclpy. Of the package the room uses the
-parameter files, the messages and the documents.
+The format imports no ROS, because the offline replay uses it too; the writer needs rclpy. Of the package the folder
+imports ``parameters/``, ``edge/`` and ``documents/``.
 """

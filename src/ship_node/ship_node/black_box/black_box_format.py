@@ -36,12 +36,12 @@ class Tick:
 
 @dataclass(frozen=True)
 class ClockJumpedBack:
-    """The clock went back, reported to the adapter."""
+    """Report to the adapter that the clock went back."""
 
 
 @dataclass(frozen=True)
 class DuplicatePublishersChanged:
-    """Two publishers send on an input topic, reported to the adapter; an empty text: no longer."""
+    """Report to the adapter that two publishers send on an input topic or, with an empty text, that this has ended."""
 
     topic: str
     text: str

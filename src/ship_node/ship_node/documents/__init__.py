@@ -1,4 +1,4 @@
 """Persistent files: documents saved for a node's next start, figures and pages.
 
-The lowest room of the package: it imports no other one, and no ROS.
+The folder imports no other folder of the package, and no ROS.
 """

@@ -211,7 +211,7 @@ class SavedStart(Generic[Prior]):
 
     def _start_core(self, content: Prior, now_ns: int) -> None:
         self.messages = self._start_from(content, now_ns)
-        # Remarks mean that only a part of it was used, or with a wider covariance.
+        # If there are remarks, only a part of the content was used, or its covariance was inflated.
         self._origin, self._saved_ns = None if self.messages else self._read, content.time_ns
         remark = f"{self._kind.kind_name} {self._path}, {age_text(content.time_ns, now_ns)}"
         self.notices.append("; ".join([remark, *self.messages]))

@@ -1,4 +1,4 @@
-"""Conversion of messages and the common adapters: field checks, input health, messages of every node.
+"""Interface of the cores to ROS messages: field checks, input health, messages of every node, and the common adapters.
 
-The room may import ``documents/``. Nothing here imports rclpy, so that the offline replay can use all of it.
+The folder may import ``documents/``. Nothing here imports rclpy, so that the offline replay can use all of it.
 """

@@ -27,10 +27,12 @@ class ServiceResult(NamedTuple):
 class Adapter(Protocol):
     """Adapter of one node; ``--help`` prints the first line of the adapter's docstring.
 
-    All times are integer ns. Each message and each tick has two times. ``receive_ns`` or ``now_ns`` is the node's time,
-    against which stamps are checked. ``waiting_ns`` is the time by which timeouts are measured (the timeout clock). It
-    is never set: it is the time in which a live node was listening, /clock with ``use_sim_time``, or the log time in
-    replay. Without it both times are equal.
+    All times are integer ns. Each message and each tick has two times:
+
+    - ``receive_ns`` or ``now_ns``: the node's time, with which stamps are compared.
+    - ``waiting_ns``: the time of the timeout clock, by which timeouts are measured; None if it equals the node's time.
+      The timeout clock never steps. In a live node it counts the time in which the node was listening. With
+      ``use_sim_time`` it follows /clock, in a replay the log time.
 
     Files are read and written through ``files`` only, so that a black box can record what was read. The adapter updates
     ``health``; the node runtime adds what only the middleware reports. The adapter publishes it in :meth:`tick`.

@@ -47,11 +47,11 @@ class BatchAdapter(ReportingAdapter):
             self.health.record_unreadable(topic, receive_ns, receive_ns, reading.value.time_ns, rejection)
             return [self.rejection_message(feed.source, reading.value.time_ns, rejection)]
         self.check_single_publisher(feed, reading)
-        return self.report_input(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
+        return self.report_input(feed, reading, feed.process(reading.value, receive_ns), receive_ns, receive_ns)
 
     @property
     def idle_until_ns(self) -> int:
-        """Timeout-clock time before which a tick only calls the core, while batches are processed as they come."""
+        """Timeout-clock time before which a tick does no more than call the core; 0 if each tick may do more."""
         if self.next_slow_ns is None or (self.saved is not None and self.saved.is_pending):
             return 0
         if self.saved is None:
@@ -95,24 +95,25 @@ class BatchAdapter(ReportingAdapter):
 
     def finish_batch(self, pending: PendingBatch) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
-        feed, usual, known = (
+        feed, reading, accepted_count = (
             self.feeds[pending.topic],
+            pending.reading,
             pending.evaluated.checked.accepted_count,
-            pending.reading.covariance_known,
         )
         assert feed.batch is not None
-        samples = pending.reading.samples.subset(slice(len(pending.receive_ns)))
+        samples = reading.samples.subset(slice(len(pending.receive_ns)))
         self._duplicates.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)
-        if usual:
-            times_ns = pending.reading.samples.times_ns[:usual]
-            self.health.record_batch(pending.topic, pending.receive_ns[:usual], times_ns, known)
+        if accepted_count:
+            receive_ns, times_ns = pending.receive_ns[:accepted_count], reading.samples.times_ns[:accepted_count]
+            self.health.record_batch(pending.topic, receive_ns, times_ns, reading.covariance_known)
         parts: list[BatchOutput] = []
         for some, found in feed.batch.core.batch_estimates(pending.evaluated):
-            parts += self.batch_outputs(some, found, pending.reading.samples.times_ns)
+            parts += self.batch_outputs(some, found, reading.samples.times_ns)
         last = feed.batch.core.finish_batch(pending.evaluated)
         if last is not None:
-            reading, now_ns = ReadMessage(pending.reading.samples.sample(usual), known), int(pending.receive_ns[usual])
-            parts.append(BatchOutput(usual, self.report_input(feed, reading, last, now_ns, now_ns)))
+            message = ReadMessage(reading.samples.sample(accepted_count), reading.covariance_known)
+            now_ns = int(pending.receive_ns[accepted_count])
+            parts.append(BatchOutput(accepted_count, self.report_input(feed, message, last, now_ns, now_ns)))
         return parts
 
     def batch_outputs(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BatchOutput]:

@@ -62,7 +62,7 @@ class DeferringAdapter(BatchAdapter):
     def _compute_pending(self) -> None:
         if not self.core.pending:
             return
-        times_ns = [due.time_ns for due in self.core.pending]
+        times_ns = [pending.time_ns for pending in self.core.pending]
         for some, found in self.core.compute_pending():
             parts = self.batch_outputs(some, found, times_ns)
             self._computed_outputs += [part._replace(place=self._computed_count + part.place) for part in parts]

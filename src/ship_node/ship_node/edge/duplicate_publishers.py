@@ -1,7 +1,7 @@
 """Inputs on which two publishers send; it is unknown which of them is right.
 
-A live node gets their names from the middleware (:mod:`ship_node.live.senders`). In a recording only the values show
-them: two streams alternate, each continuous with itself (:mod:`ship_estimation.interleaved`).
+A live node gets their names from the middleware (:mod:`ship_node.live.active_publishers`). In a recording only the
+values reveal them: two streams alternate, each of which is continuous (:mod:`ship_estimation.interleaved`).
 """
 
 from collections.abc import Callable

@@ -44,7 +44,7 @@ class InnovationReport:
 
     def statuses(self) -> list[DiagnosticStatus]:
         """Return one diagnostic status per diagnosis."""
-        return [_status(source, verdict) for source, verdict in self.diagnoses().items()]
+        return [_status(source, diagnosis) for source, diagnosis in self.diagnoses().items()]
 
 
 def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> DiagnosticStatus:

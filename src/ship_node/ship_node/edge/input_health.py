@@ -164,7 +164,7 @@ class InputHealthMonitor(InputRecords):
         if record.received == 0:
             issues.append((Level.OK, "no message yet"))
         issues.append((Level.OK, f"{_rate_text(record, rate_hz)}, latency {_latency_text(latency_s)}"))
-        return max(issues, key=lambda verdict: verdict[0])
+        return max(issues, key=lambda issue: issue[0])
 
     def _age_text(self, latency_s: float) -> str:
         advice = "/clock is published: start the node with use_sim_time:=true" if self._is_clock_unused else \

@@ -195,8 +195,8 @@ def covariance_3x3(values: Sequence[float], field: str = "covariance") -> FloatA
     """
     try:
         return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())
-    except MessageRejected as refused:
-        raise MessageRejected(refused.rejection.reason, f"{field} {refused.rejection.text}") from None
+    except MessageRejected as problem:
+        raise MessageRejected(problem.rejection.reason, f"{field} {problem.rejection.text}") from None
 
 
 def angular_covariance(values: Sequence[float], field: str) -> FloatArray | None:

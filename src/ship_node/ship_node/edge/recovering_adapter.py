@@ -1,8 +1,9 @@
-"""Adapter with recovery: in trouble a second estimator gets the same inputs and may replace the first.
+"""Adapter with recovery: a second estimator may replace one that is in trouble.
 
-The adapter gives inputs and ticks to both estimators. Once a second it passes status and sources to
-:mod:`ship_estimation.recovery.recovery`, which decides. While the second estimator runs, messages are processed one by
-one, and nothing that the filter has learned is saved.
+Trouble is an excluded source, or a status that is worse than the inputs allow
+(:mod:`ship_estimation.recovery.trouble`). The second estimator then gets the same inputs and ticks. Once a second the
+adapter passes status and sources to :mod:`ship_estimation.recovery.recovery`, which decides. While the second estimator
+runs, messages are processed one by one, and nothing that the filter has learned is saved.
 """
 
 from abc import abstractmethod
@@ -34,7 +35,7 @@ PRESENCE_REASONS = frozenset({
     *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
 })  # fmt: skip
-"""Reasons after which a rejected message still shows that its source is present: only a comparison rejected it."""
+"""Reasons of a comparison. A message that is rejected for one of them was usable, so its source counts as present."""
 
 _RECOVERY = "recovery"
 """Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
@@ -103,7 +104,7 @@ class RecoveringAdapter(BatchAdapter):
         for feed in self.table(self.config, candidate.core):
             topic = feed.input.topic
             self.feeds[topic] = replace(
-                self.feeds[topic], take=_process_in_both(self.feeds[topic].take, feed.take, candidate)
+                self.feeds[topic], process=_process_in_both(self.feeds[topic].process, feed.process, candidate)
             )
 
     def report_input(
@@ -301,9 +302,9 @@ def _process_in_both(
 ) -> Callable[[Any, int], Any]:
     """Return a function that passes a value to both estimators and returns the first one's outcome."""
 
-    def take(value: Any, waiting_ns: int) -> Any:
+    def process(value: Any, waiting_ns: int) -> Any:
         outcome = first(value, waiting_ns)
         candidate.give_input(lambda: second(value, waiting_ns))
         return outcome
 
-    return take
+    return process

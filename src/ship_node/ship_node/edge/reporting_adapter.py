@@ -68,20 +68,20 @@ class Feed:
         source: name of the device in innovation messages.
         read: reader of a message, with its receive time ``receive_ns=`` by the node's clock, ns; it raises
             :class:`ship_node.edge.messages_in.MessageRejected` if the message cannot be used.
-        take: method of the core, called with the value read and the timeout-clock time, ns; it returns the outcome.
-        has_decision: True if a later decision accepts or rejects the message; otherwise it is used unless rejected at
-            once.
+        process: method of the core, called with the value read and the timeout-clock time, ns; it returns the outcome.
+        has_decision: True if the core decides on each message of the topic, perhaps later; False if a message counts as
+            used unless the core rejects it at once.
         measurement_source: name of the device in measurements; empty if it equals ``source``.
         batch: processing of many messages at once (:mod:`ship_node.edge.batch_adapter`); None if there is none.
         read_rows: reader of many messages and their receive times; its result is None for each that ``read`` must read.
-        stream_quantity: quantity that reveals two publishers in a recording: of a decision if ``has_decision``,
-            otherwise of the value read; None if there is none.
+        stream_quantity: quantity by which two publishers are detected in a recording; None if there is none. It is
+            computed from the decision if ``has_decision``, otherwise from the value read.
     """
 
     input: InputTopic
     source: str
     read: Callable[..., ReadMessage[Any]]
-    take: Callable[[Any, int], Any]
+    process: Callable[[Any, int], Any]
     has_decision: bool = False
     measurement_source: str = ""
     batch: BatchFeed | None = None
@@ -89,9 +89,9 @@ class Feed:
     stream_quantity: StreamQuantity | None = None
 
 
-def ignore_time(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
-    """Return a method of a core that needs no receive time as :attr:`Feed.take`."""
-    return lambda value, _waiting_ns: take(value)
+def ignore_time(process: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
+    """Return a method of a core that needs no receive time as :attr:`Feed.process`."""
+    return lambda value, _waiting_ns: process(value)
 
 
 class ReportingAdapter(ABC):
@@ -125,14 +125,14 @@ class ReportingAdapter(ABC):
     outputs: tuple[OutputTopic, ...]
 
     main_topic: ClassVar[str]
-    """Topic of the estimates; also the name of the failed part if one cannot be computed."""
+    """Topic of the estimates. If an estimate cannot be computed, the failure is reported under this name."""
     innovation_topic: ClassVar[str]
     integrity_topic: ClassVar[str] = ""
     """Topic of the protection levels; empty if the node has none."""
     quantities: ClassVar[tuple[str, ...]] = ()
     """Quantities that the protection levels bound."""
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"]
-    """Attributes of an output on which, besides its state, the redundancy of its sources depends."""
+    """Attributes of an output that determine, together with its state, the redundancy of its sources."""
     directions: ClassVar["attrgetter[np.ndarray]"]
     """Attribute of an output: matrix from the errors of its state to those of its angles."""
     integrity_frame: str = ""
@@ -211,7 +211,7 @@ class ReportingAdapter(ABC):
         waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         feed = self.feeds[topic]
         is_off = self.is_off(topic)
-        # A source that is off does not start the core, as if it had no topic.
+        # Messages of a source that is switched off do not start the core.
         if self.saved is not None and self.saved.is_pending and not is_off:
             self.saved.start(receive_ns)
         reading: ReadMessage[Any] | None = None
@@ -223,15 +223,15 @@ class ReportingAdapter(ABC):
             if rejection is not None:
                 raise MessageRejected(rejection.reason, rejection.text)
             self.check_single_publisher(feed, reading)
-            outcome = None if reading.is_empty else feed.take(reading.value, waiting_ns)
-        except MessageRejected as refused:
-            reason = refused.rejection.reason
+            outcome = None if reading.is_empty else feed.process(reading.value, waiting_ns)
+        except MessageRejected as problem:
+            reason = problem.rejection.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             if reading is None and reason is Reason.FUTURE and not is_off:
                 # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
-            self.health.record_unreadable(topic, waiting_ns, receive_ns, time_ns, refused.rejection)
-            return [self.rejection_message(feed.source, time_ns, refused.rejection)]
+            self.health.record_unreadable(topic, waiting_ns, receive_ns, time_ns, problem.rejection)
+            return [self.rejection_message(feed.source, time_ns, problem.rejection)]
         except Exception:
             # The message has arrived nevertheless; the node runtime reports the exception.
             self.health.record_arrival(topic, waiting_ns)
@@ -350,7 +350,7 @@ class ReportingAdapter(ABC):
         return []
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Record a step of the computer's clock; whether the time base has stepped, the inputs decide."""
+        """Record a step of the computer's clock; it becomes a step of the time base if the inputs follow it."""
         self.time_base.note_computer_step(step_ns, waiting_ns)
         self.notices.append(f"the computer's clock stepped by {_step_text(step_ns)}")
         return []
@@ -492,7 +492,7 @@ class ReportingAdapter(ABC):
         return DiagnosticStatus("overload", messages_out.Level.ERROR, self.behind.text(self.node_name), values)
 
     def _autosave(self, waiting_ns: int) -> None:
-        """Save what the core has learned, once a period, while the output is VALID and no source is in conflict."""
+        """Save the core's content once a period, while the output is VALID and no source is in conflict or excluded."""
         if self.saved is None or not self.saved.is_autosave_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.

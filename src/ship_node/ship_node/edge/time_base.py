@@ -1,18 +1,19 @@
-"""Detection of steps of the time base: all clocks aboard, or all that stamp the inputs, jump by the same time at once.
+"""Detection of steps of the time base: all clocks that stamp the inputs jump by the same time at once.
 
-The clock of an input is observed as its stamps minus the timeout-clock time, which is never set. A late message looks
-like a clock that is behind. A clock has moved only if no delay explains the difference:
+The offset of an input's clock is its stamp minus the time of the timeout clock, which never steps. A late message looks
+like a clock that is behind. A clock has moved only if no delay explains the change of its offset:
 
-- back: its stamp is no newer than the newest one of its own input.
-- forward: its stamp is ahead of the node's clock, or has moved by more than :data:`_LONGEST_DELAY_NS`.
-- either way: it follows a step of the computer's clock within a second.
+- It has moved back if a stamp is no newer than the newest one of its own input.
+- It has moved forward if a stamp is ahead of the node's clock, or if its offset has grown by more than
+  :data:`_LONGEST_DELAY_NS`.
+- It has moved either way if its change follows an equal step of the computer's clock within a second.
 
 The time base has stepped if every present input has moved by the same time and no message has contradicted it for 0.3
 s. At least two clocks must agree; the computer's clock counts as one. One device alone is never a step of the time
 base.
 
-A step back of the computer's clock is confirmed by the first input that follows it. An input that does not follow is
-ahead of the node's clock, and could not be used in any case.
+A step back of the computer's clock is confirmed by the first input that follows it. The stamps of an input that does
+not follow are then ahead of the node's clock, so they could not be used in any case.
 """
 
 import bisect
@@ -45,7 +46,7 @@ _ABSENCE_TIMEOUT_NS = 2 * SECOND_NS
 """Minimum timeout after which a moved input no longer keeps a step pending, ns; see :data:`_PRESENCE_PERIODS`."""
 
 _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
-"""Time after which an input that moved alone is compared with its own new clock, ns."""
+"""Time after which the offset of an input that moved alone becomes its normal offset, ns."""
 
 _TOLERANCE, _LARGEST_TOLERANCE_NS = 0.1, 2 * SECOND_NS
 """Largest difference between two equal steps, as a ratio of them and as a maximum, ns."""

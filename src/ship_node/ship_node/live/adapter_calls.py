@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 
 class AdapterCalls:
-    """Calls an adapter; exceptions of the adapter are raised here after the call was recorded.
+    """Calls an adapter; an exception of the adapter is raised after the call was recorded.
 
-    A message and a tick have the node time and the timeout-clock time (:class:`ship_node.edge.adapter.Adapter`).
+    ``now_ns`` is the node time, ``waiting_ns`` the time of the timeout clock (:class:`ship_node.edge.adapter.Adapter`).
 
     Args:
         adapter: the adapter.
@@ -91,7 +91,7 @@ class AdapterCalls:
         self.publish(published, now_ns)
 
     def set_duplicate_publishers(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
-        """Report to the adapter that two publishers send on a topic; an empty text: no longer."""
+        """Report to the adapter that two publishers send on a topic or, with an empty text, that this has ended."""
         try:
             self._adapter.set_duplicate_publishers(topic, text)
         finally:

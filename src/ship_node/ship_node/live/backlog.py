@@ -1,9 +1,9 @@
 """Overload detection: when a node is behind its inputs, and when it keeps up again.
 
-The waiting time of a message runs from its arrival to its use. It is measured in steady time, or in the time of /clock
-with ``use_sim_time``, so that a bag played too fast is detected as well. After a standstill of the node messages have
-waited long but are processed at once: the node is not behind. It is behind if messages wait long although the node is
-working.
+The queue time of a message is the time from its arrival to its use. It is measured by the running clock: in steady
+time, or in the time of /clock with ``use_sim_time``, so that a bag played too fast is detected as well. After a
+standstill of the node messages have waited long but are processed at once: the node is not behind. It is behind if
+queue times stay long while the node is working.
 """
 
 import enum
@@ -14,23 +14,24 @@ from ship_node.edge.overload import Overload
 from ship_node.live.node_clock import TimeoutClock
 
 LONG_QUEUE_TIME_NS = 1_000_000_000
-"""Waiting time that is long, ns.
+"""Queue time that counts as long, ns.
 
-With :data:`BEHIND_AFTER_NS` it stays within the default ``lag_s``, so that outputs are not late at the next node."""
+Together with :data:`BEHIND_AFTER_NS` it is within the default ``lag_s``: as long as a node is not behind, its outputs
+are not late at the next node."""
 
 BEHIND_AFTER_NS = 1_000_000_000
-"""Working time, without standstills, for which waiting times may stay long before the node is behind, ns."""
+"""Working time, without standstills, for which queue times may stay long before the node is behind, ns."""
 
 MAX_QUEUE_TIME_NS = 3_000_000_000
-"""Waiting time above which a node is behind at once, ns."""
+"""Queue time above which a node is behind at once, ns."""
 
 SHORT_QUEUE_TIME_NS = 200_000_000
-"""Maximum waiting time of a node that keeps up, ns: twice the longest wait for an event.
+"""Maximum queue time in a node that keeps up, ns: twice the longest wait for an event.
 
-If /clock is faster than real time, this is real time."""
+If /clock runs faster than real time, queue times are divided by its rate before the comparison."""
 
 RECOVERED_AFTER_NS = 1_000_000_000
-"""Steady time with short waiting times after which a node keeps up again, ns."""
+"""Steady time with short queue times after which a node keeps up again, ns."""
 
 
 class OverloadChange(enum.Enum):
@@ -43,7 +44,7 @@ class OverloadChange(enum.Enum):
 
 
 class Backlog:
-    """Overload detector, by the waiting time of a node's oldest message.
+    """Overload detector, by the queue time of a node's oldest message.
 
     Args:
         steady_ns: a steady clock, ns.
@@ -59,7 +60,7 @@ class Backlog:
         self.restart()
 
     def restart(self) -> None:
-        """Reset the working time: the clock of waiting times went back."""
+        """Reset the working time, because the running clock went back."""
         self._running_ns = 0
         self._worked = TimeoutClock(lambda: self._running_ns)
         self._last_short_ns: int | None = None
@@ -68,8 +69,8 @@ class Backlog:
         """Return the change of the overload state.
 
         Args:
-            waited_ns: waiting time of the oldest message; 0 if none waits.
-            running_ns: current time, by the clock of waiting times.
+            waited_ns: queue time of the oldest message; 0 if none waits.
+            running_ns: current time by the running clock.
         """
         self._running_ns = running_ns
         worked_ns = self._worked.now_ns(0)
@@ -84,7 +85,7 @@ class Backlog:
             return OverloadChange.NONE
         steady_ns = self._steady_ns()
         since_long_ns = steady_ns - self._last_long_ns
-        # Scaled by the rate of /clock since the last long wait; a slow or stopped clock shortens no waiting time.
+        # The queue time divided by the rate of /clock since the last long one, at least 1; written without division.
         if waited_ns * since_long_ns > SHORT_QUEUE_TIME_NS * max(
             since_long_ns, running_ns - self._last_long_running_ns
         ):

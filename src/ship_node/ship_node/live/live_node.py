@@ -1,9 +1,10 @@
 """Live rclpy node around an adapter: inputs, ticks, services and parameters.
 
-An exception of the adapter does not end the node (:mod:`ship_node.live.node_report`). Ticks lie on a grid of the
-timeout clock: of /clock as in replay, or of a clock that is never set (:mod:`ship_node.live.node_clock`). Callbacks
-only put messages into an inbox, which is bounded; the events waiting for a callback are not
-(:mod:`ship_node.live.node_events`). The adapter gets one message whenever no event is left.
+A callback only adds its message to a bounded inbox. When no event is left to process, the adapter gets the oldest
+message (:mod:`ship_node.live.node_events`) by :class:`ship_node.live.adapter_calls.AdapterCalls`, which publishes what
+it returns. Before the message the adapter is ticked up to its receive time, on a grid of the timeout clock
+(:mod:`ship_node.live.node_clock`). An exception of the adapter does not end the node
+(:mod:`ship_node.live.node_report`).
 """
 
 import time
@@ -30,6 +31,7 @@ from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_node.live.active_publishers import ActivePublishers, duplicate_publishers_text, publisher_names
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.backlog import Backlog, OverloadChange, current_overload
 from ship_node.live.node_clock import NodeClock, TickGrid
@@ -38,7 +40,6 @@ from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
-from ship_node.live.senders import Senders, duplicate_publishers_text, publisher_names
 from ship_node.parameters.parameter_file import error_with_location, section_warnings
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
 MIN_JUMP_BACK = Duration(nanoseconds=-100_000_000)
-"""Smallest jump back of the clock that restarts the node: /clock from two computers may fluctuate."""
+"""Smallest jump back of the clock that restarts the node; /clock may go back by less if two computers publish it."""
 
 MAX_CATCH_UP_NS = 10_000_000_000
 """Longest jump forward for which missed ticks are made up, ns; after a longer one the tick grid restarts."""
@@ -87,7 +88,7 @@ class LiveNode:
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
             input_qos_profiles = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
-            self._senders = {i.topic: Senders() for i in self.adapter.inputs}
+            self._active_publishers = {i.topic: ActivePublishers() for i in self.adapter.inputs}
             self._duplicate_publishers: dict[str, str] = {}
             self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in input_qos_profiles.items()}
             self._readers = {i.topic: CdrReader(i.type_name, self._factory.definition) for i in self.adapter.inputs}
@@ -103,13 +104,12 @@ class LiveNode:
         valid_until_next = {i.topic for i in self.adapter.inputs if i.is_valid_until_next}
         self._inbox = Inbox({i.topic: qos.depth for i, qos in input_qos_profiles.items()}, valid_until_next)
         self._backlog = Backlog(time.monotonic_ns)
-        # Messages received from now on have arrived after this time, by the clock of waiting times.
+        # Time by the running clock at which no event was left: a message received later has arrived after it.
         self._queue_empty_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
-        # The path of the black box is logged already; it differs from the parameter if a black box existed.
         clock = self.node.resolve_topic_name("/clock") if self._clock.is_simulated() else ""
-        box = self._parameters.black_box
+        box = self._parameters.black_box  # the path in use is logged already, with a number if the file existed
         self._log.info(start_line(self.adapter, self._parameters.config, clock, box))
         for warning in self.adapter.start_warnings:
             self._log.warning(warning)
@@ -202,8 +202,8 @@ class LiveNode:
         now_ns, waiting_ns = self._clock.times()
         # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception.
         self._inbox.add(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
-        are_two = self._senders[topic].add_message(information["publication_sequence_number"], time.monotonic_ns())
-        if are_two and topic not in self._duplicate_publishers:
+        number, active = information["publication_sequence_number"], self._active_publishers[topic]
+        if active.add_message(number, time.monotonic_ns()) and topic not in self._duplicate_publishers:
             self._check_publishers(topic)
 
     def _check_backlog(self) -> None:
@@ -224,13 +224,13 @@ class LiveNode:
     def _check_publishers(self, topic: str) -> None:
         """Report to the adapter whether two publishers send on a topic, by their messages and the graph."""
         name = self._subscriptions[topic].topic_name
-        count, senders, names = self.node.count_publishers(name), self._senders[topic], []
+        count, active, names = self.node.count_publishers(name), self._active_publishers[topic], []
         if count > 1:
             names = publisher_names(self.node.get_publishers_info_by_topic(name))
         elif topic in self._duplicate_publishers:
-            senders.keep_latest()
+            active.keep_latest()
         self.adapter.health.set_publisher_count(topic, count, names)
-        text = duplicate_publishers_text(topic, names) if senders.has_two(time.monotonic_ns()) else ""
+        text = duplicate_publishers_text(topic, names) if active.has_two(time.monotonic_ns()) else ""
         now_ns, waiting_ns = self._clock.times()
         if text == self._duplicate_publishers.get(topic, "") or not now_ns:
             return

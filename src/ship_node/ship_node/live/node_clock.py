@@ -66,11 +66,11 @@ class NodeClock:
             now_ns = self._system_ns()
             return now_ns, self._timeout_clock.now_ns(now_ns)
         now_ns = self.now_ns()
-        stood_still_ns = self._frozen_ns()
-        return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
+        frozen_ns = self._frozen_ns()
+        return (now_ns, now_ns + frozen_ns) if now_ns else (0, 0)
 
     def running_ns(self) -> int:
-        """Return the time by which messages wait for the node: steady time, or /clock with ``use_sim_time``."""
+        """Return the time of the running clock, by which queue times are measured: steady, or that of /clock."""
         return self.now_ns() if self.is_simulated() else self._steady_ns()
 
     def _system_ns(self) -> int:
@@ -114,8 +114,8 @@ class NodeClock:
 
     def _frozen_ns(self) -> int:
         """Return the time that the timeout clock ran while the node time was frozen, in whole ticks, ns."""
-        silence_ns = self._since_clock_ns()
-        ticks = silence_ns // TICK_PERIOD_NS if silence_ns >= CLOCK_TIMEOUT_NS else 0
+        since_clock_ns = self._since_clock_ns()
+        ticks = since_clock_ns // TICK_PERIOD_NS if since_clock_ns >= CLOCK_TIMEOUT_NS else 0
         return self._frozen_before_ns + ticks * TICK_PERIOD_NS
 
     def _on_clock(self) -> None:
@@ -145,7 +145,11 @@ class TimeoutClock:
         self._waiting_ns: int | None = None
 
     def now_ns(self, node_ns: int) -> int:
-        """Return the timeout-clock time, ns; ``node_ns`` is the node time. A working node calls it at every tick."""
+        """Return the timeout-clock time, ns; a node that is not at a standstill calls this at least once per tick.
+
+        Args:
+            node_ns: the node time.
+        """
         last_ns, self._last_ns = self._last_ns, self._steady_ns()
         if self._waiting_ns is None:
             self._waiting_ns = node_ns

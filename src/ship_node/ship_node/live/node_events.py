@@ -1,7 +1,7 @@
-"""Events of a live node: taken from the middleware promptly and with bounded queues.
+"""Events of a live node, and the bounded queues of its messages.
 
-:class:`NodeEvents` runs the callbacks; these only put messages into the :class:`Inbox`, where a bounded number of each
-topic waits for the adapter in order of arrival.
+:class:`NodeEvents` runs the callbacks without delay. They only add messages to the :class:`Inbox`, where a bounded
+number of each topic waits for the adapter in order of arrival.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -46,8 +46,8 @@ class NodeEvents:
 
     The events executor of rclpy needs half the processor time of the single-threaded one, and reports messages of all
     topics in the order of arrival. But it queues an event for each message without a bound, even if the message has
-    been overwritten meanwhile. Therefore callbacks must be quick, and if more events arrive than even they can process,
-    the queue is dropped. The delay of the node is measured by a timer, whose event waits in the same queue.
+    been overwritten meanwhile. Therefore callbacks must be quick, and the queue is dropped if it grows nevertheless:
+    if the event of a timer waits in it for too long.
 
     The middleware reports each message once. A message whose event was dropped would stay in its queue and delay every
     later message. Therefore all waiting messages are then taken without an event: the newest message of each topic is
@@ -94,8 +94,8 @@ class NodeEvents:
     def process_events(self, timeout_s: float) -> bool:
         """Process the waiting events; wait for the first one no longer than ``timeout_s``.
 
-        If the first event had to be waited for, no other one existed, and none is looked for: that would take 20 us and
-        more.
+        If the call had to wait for the first event, no other one was queued. It then does not look for another one,
+        which would take 20 us and more.
 
         Returns:
             False if events may be left.
@@ -172,7 +172,8 @@ class Arrival(NamedTuple):
         data: its CDR bytes.
         now_ns: receive time by the node's clock; 0 before the first /clock.
         waiting_ns: receive time by the timeout clock; 0 before the first /clock.
-        queued_ns: start of its waiting time, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: from now on.
+        queued_ns: start of its queue time by the running clock
+            (:meth:`ship_node.live.node_clock.NodeClock.running_ns`); 0 if unknown: its queue time then counts as 0.
         stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` at reception.
     """
 
@@ -190,9 +191,9 @@ class Inbox:
     If a queue is full, its oldest message is dropped for the newest. This bounds the age of the data of a node that is
     behind, and a flood on one topic displaces no message of another.
 
-    If a node is behind (:mod:`ship_node.live.backlog`), all topics are cut at one time. It is the newest stamp, not
-    ahead of the node's clock, on the topic of which most messages are cut. Later messages with an earlier stamp would
-    have no counterpart to be compared with.
+    If a node is behind (:mod:`ship_node.live.backlog`), all waiting messages are dropped. Messages that arrive later
+    are dropped as well if their stamp is not after the cut time, because their counterparts of other topics are gone.
+    The cut time is the newest stamp, not ahead of the node's clock, on the topic with most dropped messages.
 
     Args:
         depths: topic → maximum number of waiting messages.
@@ -238,16 +239,16 @@ class Inbox:
 
     @property
     def oldest_queued_ns(self) -> int:
-        """Start of the waiting time of the oldest message; 0 if none waits."""
+        """Start of the queue time of the oldest message; 0 if none waits."""
         return next(iter(self._waiting.values())).queued_ns if self._waiting else 0
 
     def cut_all(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
-        """Cut all waiting messages at one time, because the node is behind.
+        """Drop waiting messages, except those of ``valid_until_next``, because the node is behind; set the cut time.
 
         Args:
             now_ns: the node's time now, which the remaining messages get as their receive time.
             waiting_ns: the same by the timeout clock.
-            since_ns: the same by the clock of waiting times.
+            since_ns: the same by the running clock.
         """
         removed = [arrival for arrival in self._waiting.values() if arrival.topic not in self._valid_until_next]
         kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._valid_until_next]

@@ -1,8 +1,8 @@
 """Log and diagnostics of a live node's own state.
 
 One line at the start gives the set-up. A :class:`ExceptionGuard` catches, counts, logs and reports exceptions of
-callbacks, so that they do not end the node. A :class:`StatusLog` logs changes of the diagnostics for users with a
-terminal only. Further statuses report a duplicate node name and data of another time.
+callbacks, so that they do not end the node. A :class:`StatusLog` logs changes of the diagnostics for users who have
+only a terminal. Further statuses report a duplicate node name and data of another time.
 """
 
 import dataclasses

@@ -50,18 +50,19 @@ _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 class ParameterNode(Node):
     """Node that passes every live change of parameters through one function.
 
-    rclpy calls no callback for a change that it refuses itself (by range, type, read-only, unknown name).
+    A parameter callback would not suffice: rclpy calls none for a change that it refuses itself (by range, type,
+    read-only, unknown name), and such a refusal must be logged and recorded, too.
 
     Attributes:
-        change: function that processes a request, called with rclpy's own method; None for rclpy's method only.
+        change: function that processes a request; its second argument is rclpy's own method. None: only the latter.
     """
 
     change: Callable[[list[Parameter], Callable[..., SetParametersResult]], SetParametersResult] | None = None
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Apply or refuse all parameters of a request; rclpy's services call this."""
-        take = super().set_parameters_atomically
-        return take(parameter_list) if self.change is None else self.change(parameter_list, take)
+        apply = super().set_parameters_atomically
+        return apply(parameter_list) if self.change is None else self.change(parameter_list, apply)
 
 
 class NodeParameters:
@@ -125,7 +126,7 @@ class NodeParameters:
         return DiagnosticStatus("parameters", Level.OK, text + self._last_refusal, changed)
 
     def _change(
-        self, parameters: list[Parameter], take: Callable[[list[Parameter]], SetParametersResult]
+        self, parameters: list[Parameter], apply: Callable[[list[Parameter]], SetParametersResult]
     ) -> SetParametersResult:
         """Apply a request, or refuse it with a reason for log, diagnostics and black box."""
         self._before_change()
@@ -143,7 +144,7 @@ class NodeParameters:
             with_changes(
                 self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)}
             )
-            result = take(parameters)
+            result = apply(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))
         result.reason = shorten(result.reason)

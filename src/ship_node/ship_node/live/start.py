@@ -29,8 +29,8 @@ def start_node(module: str, adapter: str) -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         # Nothing has to be closed yet; an exception could get lost in a library that is being imported.
         signal.signal(number, lambda *_: os._exit(0))
-    # Objects of the imports are never freed: collecting garbage meanwhile takes a tenth of the time, and scanning them
-    # later would occasionally delay an output.
+    # Imported objects are never freed. Garbage collection would take a tenth of the time of the imports, and scanning
+    # these objects later would delay an output now and then.
     gc.disable()
     adapter_class = getattr(importlib.import_module(module), adapter)
     from ship_node.live.node_runtime import run

@@ -1,7 +1,7 @@
 """Nodes of a suite that are not estimators: a suite file may have sections for them; no replay runs them.
 
-They depend on the packages that read suite files. Therefore they are listed here by name, and their parameters are
-imported from their package only if a file has a section for them.
+Their package depends on this one. Therefore they are listed here by name, and their parameters are imported from their
+package only if a file has a section for them.
 """
 
 import importlib

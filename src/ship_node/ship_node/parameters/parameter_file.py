@@ -1,8 +1,8 @@
 """Parameters of one node from a ROS 2 parameter file, and a configuration as such a file; without ROS.
 
 A file has sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in namespaces
-or with wildcards (``/**``, ``/**/name``, ``/*/name``). A section without any matches only the node without namespace,
-as in rcl; of several matching sections, later ones override earlier ones.
+or with wildcards (``/**``, ``/**/name``, ``/*/name``). As in rcl, a section whose name has neither matches only the
+node without namespace. Of several matching sections, later ones override earlier ones.
 """
 
 import re
@@ -60,7 +60,8 @@ def read_node_parameters(source: Path | str, node: str) -> ParameterFile:
 
     Args:
         source: a path; a ``str`` is the text itself.
-        node: full name (:func:`full_name`), a name alone for a node without namespace, or :func:`in_any_namespace`.
+        node: full name (:func:`ship_bags.parameter_yaml.full_name`), a name alone for a node without namespace, or
+            :func:`ship_bags.parameter_yaml.in_any_namespace`.
 
     Raises:
         BadInput: the file cannot be read, is not a parameter file, has no section that matches the node, or has

@@ -1,4 +1,4 @@
-"""Command lines: arguments in, text and exit codes out.
+"""Command lines: arguments, printed text and exit codes.
 
-The room imports all other rooms except ``trials/``.
+The folder imports all other folders except ``trials/``.
 """

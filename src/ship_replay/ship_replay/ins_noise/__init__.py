@@ -10,5 +10,5 @@ Data flow from the bag:
 6. :mod:`identification`: model selection, warnings.
 7. :mod:`parameter_output`: the parameter file, the text.
 
-The room imports only ``offline/``.
+The folder imports only ``offline/``.
 """

@@ -158,7 +158,7 @@ def run_session(
             for feed in super().table(config, core):
                 if feed.source == INS:
                     # Attitudes are not requested: they would double the time.
-                    feed = replace(feed, take=functools.partial(core.add_ins, estimate=False), batch=None)
+                    feed = replace(feed, process=functools.partial(core.add_ins, estimate=False), batch=None)
                 yield feed
 
         def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:

@@ -1,4 +1,4 @@
 """A bag through the suite's nodes, in process: the chain of adapters, its outputs, black boxes, comparison to the bit.
 
-The room uses the adapters and the configurations of the nodes. It imports no other room.
+The folder imports the nodes' adapters and configurations, and no other folder of the package.
 """

@@ -87,8 +87,8 @@ def nodes_of(
 ) -> tuple[type[Adapter], ...]:
     """Return the nodes of a namespace that a configuration (a path, or the text itself) has sections for.
 
-    The first of the known nodes is the main one: a section for all nodes (``/**``) counts for it, and it is selected if
-    no node is named. The others must be named.
+    The first of the known nodes is the main one. It is also selected by a section for all nodes (``/**``), and if no
+    other node has a section. The others are selected only by sections with their names.
 
     Raises:
         BadInput: it is no parameter file.
@@ -125,7 +125,7 @@ class AdapterChain:
         configs: node name → its configuration; may be omitted.
 
     Attributes:
-        configs: the same.
+        configs: node name → its configuration.
         input_topics: input topics of each adapter, from outside or from earlier adapters.
         linked: True if outputs of an adapter are inputs of later ones.
         inputs: input topics from outside.

@@ -247,7 +247,7 @@ class _BlackBoxReplay:
             self._closed = True
 
     def _use(self, what: str, time_ns: int, call: Callable[[], list[OutputMessage]]) -> None:
-        """Call the adapter; its outputs wait for their records in the black box."""
+        """Call the adapter; its outputs are compared with the entries of the black box that follow."""
         published = self._call(what, time_ns, call) or []
         for topic, message in published:
             if topic in self._older_messages:
@@ -258,7 +258,7 @@ class _BlackBoxReplay:
                 self._pending_outputs.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
-        """Return the result of a call; None if it raised an error, which did not end the node either."""
+        """Return the result of a call; None if it raised an exception, which did not end the live node either."""
         self._check_no_pending_outputs(time_ns)
         self._result.input_counts[what] += 1
         try:

@@ -77,7 +77,7 @@ class BlockRun(ReplayRun):
         self._publish_batch(events, event_records, node_outputs, self._truth(events, event_records))
         self._output.flush()
 
-    # -- what goes in ---------------------------------------------------------------------------------------
+    # -- inputs ---------------------------------------------------------------------------------------------
 
     def _events(self, records: list[tuple[str, BagRecord]]) -> tuple[list[InputEvent], list[BagRecord | None]]:
         """Return the ticks and messages of a batch, and the record of each message."""
@@ -193,7 +193,7 @@ class BlockRun(ReplayRun):
             for errors in self._errors:
                 errors.add_rows(rows)
 
-    # -- what goes out --------------------------------------------------------------------------------------
+    # -- outputs --------------------------------------------------------------------------------------------
 
     def _publish_batch(
         self,
@@ -212,7 +212,7 @@ class BlockRun(ReplayRun):
                 runs[int(run.event_indices[0])].append((run.topic, run.estimates))
         copied = {place for place, event in enumerate(events) if event.topic.startswith(TRUTH_PREFIX)}
         has_pending = self._has_pending_errors
-        for place, (moment, record) in enumerate(zip(events, event_records, strict=True)):
+        for place, (event, record) in enumerate(zip(events, event_records, strict=True)):
             if not has_pending and place not in single and place not in runs and place not in copied:
                 continue
             for topic, estimates in runs.get(place, ()):
@@ -220,12 +220,12 @@ class BlockRun(ReplayRun):
                 history.add_run(estimates.status, estimates.time_ns)
             for order, published in sorted(single.get(place, ()), key=lambda each: each[0]):
                 self._output.position = place, order
-                self._publish(published, moment.now_ns)
+                self._publish(published, event.now_ns)
             self._output.position = place, _LAST_INDEX
             if record is not None:
                 if place in copied:
-                    self._copy_truth(moment.topic, record, truth.get(place))
-                self._write_errors(moment.now_ns)
+                    self._copy_truth(event.topic, record, truth.get(place))
+                self._write_errors(event.now_ns)
             has_pending = self._has_pending_errors
 
 

@@ -23,7 +23,7 @@ _MAJORITY_SHARE = 0.5
 
 _MIN_REPORTED_SHARE = 0.01
 _MARGIN_SHARE = 0.5
-"""Share of a limit above which usual gaps exceed it now and then without any loss."""
+"""Ratio of the median gap to a limit above which gaps may exceed the limit although no message was lost."""
 
 _REORDER_DEPTH = 1000
 """Number of times buffered for sorting."""
@@ -80,7 +80,7 @@ class Gaps:
         self._counts: Counter[int] = Counter()
 
     def add(self, time_ns: int) -> None:
-        """Add a time. A time that arrives more than `_REORDER_DEPTH` times too late is ignored."""
+        """Add a time. Times may be out of order by up to `_REORDER_DEPTH` places; a later one is ignored."""
         heappush(self._pending, time_ns)
         if len(self._pending) > _REORDER_DEPTH:
             self._count_gap(heappop(self._pending))
@@ -230,7 +230,7 @@ class LogDelays:
         lengths, numbers = np.unique(np.rint(delays_ns / _DELAY_RESOLUTION_NS), return_counts=True)
         for length, number in zip(lengths.tolist(), numbers.tolist(), strict=True):
             counts[int(length)] += number
-        # Of equal delays the last one.
+        # The index of the largest delay; of equal ones the last.
         place = len(delays_ns) - 1 - int(np.argmax(delays_ns[::-1]))
         latest = int(delays_ns[place]), int(log_times_ns[place])
         self._latest[topic] = max(self._latest.get(topic, (latest[0], 0)), latest)

@@ -1,8 +1,8 @@
 """One node's processing of a batch of messages and ticks, its inputs in blocks where possible.
 
 For each event the node receives the same as in message-by-message replay: outputs of the nodes before it, then the
-message of the bag or the tick. Only work that does not depend on other inputs is done for the messages of a block
-together.
+message of the bag or the tick. Of a block of messages, only the computations that do not depend on other inputs are
+done together.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -62,7 +62,7 @@ def read_ahead(
 
 
 class EstimateBatch(NamedTuple):
-    """Estimates of several events; ``orders`` are their positions among the other outputs of the event."""
+    """Estimates of several events; ``orders`` gives the position of each among all outputs of its event."""
 
     topic: str
     event_indices: StampArray
@@ -120,12 +120,12 @@ class NodePass:
             for topic, block in rows.items()
             if topic in input_topics
         }
-        # The same node if it processes blocks; else None.
+        # The adapter if it processes blocks; else None.
         self._block_adapter = adapter if isinstance(adapter, BatchAdapter) else None
         self._batch: PendingBatch | None = None
         self._batch_indices: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._backoff = self._order = 0
-        # The same node if it publishes outputs later, and the event index and order of each pending output.
+        # The adapter if it publishes outputs later, and the event index and order of each pending output.
         self._deferring_adapter = adapter if isinstance(adapter, DeferringAdapter) else None
         self._pending_outputs: list[tuple[int, int]] = []
         if self._deferring_adapter is not None:
@@ -157,7 +157,7 @@ class NodePass:
             self.outputs.message_batches.append(MessageBatch(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, index: int, now_ns: int) -> None:
-        # Within a block a tick has no effect on the node, or the block would end before it.
+        # A block ends before the first tick with an effect (_start_batch), so a tick within it can be skipped.
         if self._batch is not None and self._block_adapter is not None and self._block_adapter.has_idle_ticks:
             return
         self._commit_arrived()
@@ -201,7 +201,7 @@ class NodePass:
             self._backoff -= 1
             return None
         rows, batch = self._rows[topic], None
-        # The first tick with an effect comes before the message logged at the same time.
+        # The block ends before the first tick with an effect. A tick precedes a message logged at the same time.
         tick_ns = -(-adapter.idle_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
@@ -218,7 +218,7 @@ class NodePass:
         if self._deferring_adapter is not None:
             while len(self._pending_outputs) < self._deferring_adapter.pending_count:
                 self._pending_outputs.append((index, self._order))
-                self._order += 2  # for what is published before it, and itself
+                self._order += 2  # one for the messages published before it, one for the output
 
     def _publish_deferred(self, adapter: DeferringAdapter) -> None:
         """Collect the outputs that were deferred during this pass."""

@@ -64,7 +64,6 @@ class ReplaySummary:
     duration_s: float = 0.0
     elapsed_s: float = 0.0
 
-
     def status_lines(self) -> list[str]:
         """Return each output's status history, with the exclusions and reinstatements of sources below it."""
         lines = []

@@ -159,7 +159,7 @@ def poor_status_reasons(
     if sum(counts[word] for word in _POOR) <= _MIN_POOR_SHARE * counts.total():
         return []
     diagnostics = history.diagnostic_lines
-    warnings = [warning for warning in adapter.start_warnings if not any(warning in line for line in diagnostics)]
+    warnings = [warning for warning in adapter.start_warnings if not any(warning in text for text in diagnostics)]
     reasons = [*diagnostics, *warnings, *_reference_only_reasons(config)]
     reasons += [excess.text for excess in exceeded_limits(config, dict(times), "the bag")]
     reasons += [line for message in health if (line := low_use_text(message))]

@@ -49,7 +49,7 @@ class Difference:
 
     @property
     def line(self) -> str:
-        """The difference for people."""
+        """The difference as text for the user."""
         field = f", field {self.field}" if self.field else ""
         when = f"{utc_text(self.stamp_ns)} ({self.stamp_ns} ns)"
         return f"{self.topic}, stamp {when}{field}: recorded {self.recorded}, replayed {self.replayed}"
@@ -62,7 +62,7 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
         topic: topic of both.
         recorded: decoded from the bag.
         replayed: of the same type.
-        time_ns: when they were published, for messages without a stamp.
+        time_ns: time of publication, for messages without a stamp.
     """
     # Both are serialised again: the bytes between the fields are not part of a message.
     one, other = serialize(recorded), serialize(replayed)
@@ -156,8 +156,8 @@ def verify_bag(
 ) -> Verification:
     """Compare the outputs of a replay with those recorded in a bag.
 
-    A recording lacks the order in which the node used its inputs, and its service calls. With a black box, a difference
-    is always one of the estimate.
+    A recording contains neither the order in which the node used its inputs nor its service calls, so outputs may
+    differ although the estimator is the same. With a black box a difference always comes from the computation.
 
     Args:
         bag: inputs and outputs of one run.
@@ -193,7 +193,7 @@ def verify_bag(
 def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
     """Return name in the bag → relative name, for the outputs that are compared.
 
-    Topics that several nodes share, as ``/tf``, are not compared: a recording does not contain the publisher.
+    Topics on which several nodes publish, as ``/tf``, are not compared: a recording does not contain the publisher.
     """
     found = relative_topics(bag.topics, namespace)
     outputs = {}

@@ -1,4 +1,4 @@
 """Checks of a suite configuration before the voyage, by itself and against a bag.
 
-Of this package the room imports only ``offline/``.
+Of this package the folder imports only ``offline/``.
 """

@@ -1,5 +1,5 @@
 """Scenario files, read and checked, as frozen dataclasses, and the names that follow from them.
 
-The room draws nothing and imports no other room. Of the nodes it imports the parameters of a star camera
+The folder draws no random numbers and imports no other folder. Of the nodes it imports the parameters of a star camera
 (``ship_attitude_star.stars.config``).
 """

@@ -13,5 +13,5 @@ the deck, m the main frame, t the telescope, b a drone, k the refraction coeffic
 A light is observed along its path raised by k · (horizontal distance) / (2 R), and imaged with the true focal length.
 Each value has an error from the scenario: constant in a run, correlated, or white.
 
-The room imports ``stars/``, ``ship/``, ``draws/`` and ``scenario/``, and the pure geometry of ``theodolite_calib``.
+The folder imports ``stars/``, ``ship/``, ``draws/`` and ``scenario/``, and the pure geometry of ``theodolite_calib``.
 """

@@ -49,7 +49,7 @@ class ShipCheck:
         return self._batch_check.rate_status is RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
-        """Announce the next attitudes, with rates and covariances, as far as they are known."""
+        """Announce the next attitudes, so that they are checked together (offline only)."""
         self._batch_check.expect(samples)
 
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:

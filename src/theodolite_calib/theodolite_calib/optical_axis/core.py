@@ -76,8 +76,8 @@ if TYPE_CHECKING:
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
 _MAX_JUMPS = 100
-"""Maximum number of jumps of encoders and ship that are kept until they are requested, once a second."""
-_REPEATED_TIME_TEXT = "encoders and ship attitude have jumped or repeated stamps together: a clock has repeated a time"
+"""Maximum number of jumps stored until :meth:`OpticalAxisCore.take_jumps`, which is called once a second."""
+_REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
 
 
 class _WaitingReading(NamedTuple):
@@ -117,7 +117,7 @@ class OpticalAxisCore:
         model: EstimatorModel[CalibrationState, AnyExposure, ExposureDecision, Jump] = EstimatorModel(
             step=self._step,
             inflate=self._inflate_covariance,
-            failure_decision=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
+            failure_decision=lambda exposure, why: ExposureDecision(exposure, why.reason, text=why.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             drop_before=self._drop_before,
             on_decision=self._update_checks,
@@ -198,21 +198,21 @@ class OpticalAxisCore:
 
         Args:
             sample: the reading.
-            arrival_ns: time of reception, in the waiting time base; None if each reading arrives at its stamp.
+            arrival_ns: arrival time by the timeout clock; None if each reading arrives at its stamp.
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
-        track, shell = self._tracks.encoder, self._estimator
-        result = self._encoder_check.check(sample, track, shell.window.late_rejection(sample.time_ns))
+        track, estimator = self._tracks.encoder, self._estimator
+        result = self._encoder_check.check(sample, track, estimator.window.late_rejection(sample.time_ns))
         outcome = PointingOutcome(result.rejection)
         self._record_stream_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
         self._record_stream_jump(sample.time_ns, result)
         if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
-            shell.add_jump(result.jump.time_ns, ENCODER, result.jump, track.add_cut(result.jump.time_ns))
+            estimator.add_jump(result.jump.time_ns, ENCODER, result.jump, track.cut(result.jump.time_ns))
         if result.rejection is not None:
-            shell.add_rejected(ENCODER, track, sample)
+            estimator.add_rejected(ENCODER, track, sample)
             self._check_repeated_time()
             return outcome
-        shell.add_sample(ENCODER, track, sample, outcome)
+        estimator.add_sample(ENCODER, track, sample, outcome)
         if outcome.rejection is not None:
             self._record_stream_fault(ENCODER, sample.time_ns, outcome.rejection)
             self._check_repeated_time()
@@ -244,7 +244,7 @@ class OpticalAxisCore:
         return outcome
 
     def expect_ships(self, samples: Sequence[ShipSample]) -> None:
-        """Announce the next attitudes of the ship, with rates and covariances, as far as they are known."""
+        """Announce the next attitudes of the ship, so that they are checked together (offline only)."""
         self._ship_check.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
@@ -299,7 +299,7 @@ class OpticalAxisCore:
         if outcome.rejection is None:
             waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
             self._targets.add(sample, waiting_ns, outcome)
-            self._answer_targets(outcome)
+            self._publish_targets(outcome)
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
@@ -310,11 +310,11 @@ class OpticalAxisCore:
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Report INVALID once a second while no pointing has been published for a second.
+        """Publish the pointing from stars alone if an input has timed out, and INVALID once a second if there is none.
 
         Args:
             now_ns: current time.
-            waiting_ns: current time in the waiting time base; None if the two are one.
+            waiting_ns: current time by the timeout clock; None if it equals ``now_ns``.
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
@@ -325,7 +325,7 @@ class OpticalAxisCore:
         self._estimator.report_invalid(
             outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing)
         )
-        self._answer_targets(outcome, waiting_ns)
+        self._publish_targets(outcome, waiting_ns)
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
@@ -334,8 +334,8 @@ class OpticalAxisCore:
 
     def compute_pending(self) -> list[tuple[slice, PointingSeries | Rejection]]:
         """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
-        due, self.pending = self.pending or [], []
-        return self._pointing.compute_pending(due)
+        pending, self.pending = self.pending or [], []
+        return self._pointing.compute_pending(pending)
 
     def calibration(self) -> Calibration:
         """Return the estimated axis errors, focal length and deformation; cached per state for several topics."""
@@ -354,7 +354,7 @@ class OpticalAxisCore:
         return self._pointing.integrity(estimate)
 
     def escort(self, estimate: PointingEstimate) -> "EscortAdvice | None":
-        """Return the advised positions of the drones for the latest pointing; None if disabled or not yet pending."""
+        """Return the advised positions of the drones for the latest pointing; None if disabled or not due yet."""
         return None if self._escort is None else self._escort.advice(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
@@ -391,9 +391,9 @@ class OpticalAxisCore:
         return conflict is not None and conflict.is_persistent
 
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
-        """Return another estimator, from a remembered state or, without one, from the saved calibration or the prior.
+        """Return another estimator that starts from a stored state, else from the saved calibration or the prior.
 
-        With a memory it also starts with the current position and air.
+        With a stored state it also starts with the current position and air data.
         """
         second = type(self)(self.config, None if self._sky is None else self._sky.clone(memory is not None))
         second._start = self._start
@@ -411,11 +411,11 @@ class OpticalAxisCore:
         return jumps
 
     def propagate_memory(self, memory: CalibrationState, jumps: Sequence[StreamJump]) -> CalibrationState:
-        """Return a remembered state propagated to the oldest time that measurements may still have."""
+        """Return a stored state propagated to the oldest time that measurements may still have."""
         return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
-        """Return the residuals of the last evaluated beacons against a remembered state, by source."""
+        """Return the residuals of the last evaluated beacons against a stored state, by source."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
@@ -425,7 +425,7 @@ class OpticalAxisCore:
     def largest_difference_sigmas(
         self, state: CalibrationState, memory: CalibrationState, is_later: bool = False
     ) -> float:
-        """Return the largest difference from a remembered state, in standard deviations of both."""
+        """Return the largest difference from a stored state, in standard deviations of both."""
         time_ns = state.time_ns
         ship = None if time_ns is None else self._tracks.ship_at(time_ns)
         encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
@@ -444,7 +444,7 @@ class OpticalAxisCore:
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
-        """Continue the outputs of another estimator that ends and has none pending."""
+        """Continue the outputs of another estimator, which ends and has no pending output."""
         self._estimator.continue_outputs(live._estimator)
         self._target_stamp_conflicts = live._target_stamp_conflicts
         self._targets.take_over(live._targets)
@@ -592,9 +592,9 @@ class OpticalAxisCore:
         """Publish pointings whose ship attitude is final, or will never come, and the targets that wait for them."""
         if self._waiting_readings:
             self._publish_waiting(outcome, waiting_ns)
-        self._answer_targets(outcome)
+        self._publish_targets(outcome)
 
-    def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
+    def _publish_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
         self._targets.publish_ready(
             outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now
         )

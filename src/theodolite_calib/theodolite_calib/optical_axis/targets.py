@@ -91,8 +91,8 @@ class TargetProcessor:
 
         Args:
             outcome: receives the directions and the rejections.
-            waiting_ns: waiting time base at a tick; None with a message, because a rejected one must not trigger
-                directions.
+            waiting_ns: time by the timeout clock at a tick; None with a message, because a rejected one must not
+                trigger directions.
             oldest_ns: data before it can no longer come.
             state: returns the current state of the filter, for outputs.
         """

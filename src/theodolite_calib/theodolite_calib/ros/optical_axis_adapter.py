@@ -165,7 +165,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return OpticalAxisCore(config, sky_model)
 
     def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that take them."""
+        """Yield the inputs and the methods of a core that process them."""
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
@@ -179,8 +179,9 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         read_ship = functools.partial(read_ship, config=config)
         yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
-        read_image, take_image = functools.partial(messages_in.exposure, config=config), ignore_time(core.add_exposure)
-        yield Feed(image, "lights", read_image, take_image, has_decision=True, measurement_source=Exposure.source)
+        read_image = functools.partial(messages_in.exposure, config=config)
+        process = ignore_time(core.add_exposure)
+        yield Feed(image, "lights", read_image, process, has_decision=True, measurement_source=Exposure.source)
         target = InputTopic(
             TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, is_occasional=True
         )
@@ -192,14 +193,14 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(messages_in.baseline, beacon=beacon, least_fix=config.least_fix)
-            take = ignore_time(functools.partial(core.add_baseline, id_))
-            yield Feed(topic, f"baseline.{id_}", read_baseline, take, stream_quantity=BASELINE)
+            process = ignore_time(functools.partial(core.add_baseline, id_))
+            yield Feed(topic, f"baseline.{id_}", read_baseline, process, stream_quantity=BASELINE)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/imu", _IMU_TYPE, required=False, depth=1000)
             read_imu = functools.partial(messages_in.drone_attitude, beacon=beacon)
             read_imus = functools.partial(rows_in.drone_attitudes, beacon=beacon)
-            take = ignore_time(functools.partial(core.add_drone_attitude, id_))
-            yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus, stream_quantity=ATTITUDE)
+            process = ignore_time(functools.partial(core.add_drone_attitude, id_))
+            yield Feed(topic, f"drone.{id_}", read_imu, process, read_rows=read_imus, stream_quantity=ATTITUDE)
 
     def _star_feeds(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
         """Yield the inputs of star cameras on the theodolite, and of position and air for the sky model."""

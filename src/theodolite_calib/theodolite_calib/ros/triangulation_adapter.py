@@ -61,7 +61,7 @@ class TriangulationAdapter(ReportingAdapter):
         super().__init__(config, TriangulationCore(config), factory, functools.partial(position_messages, factory))
 
     def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that take them."""
+        """Yield the inputs and the methods of a core that process them."""
         for name in sorted(config.stations):
             topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, is_occasional=True)
             read = functools.partial(direction, station=name, horizon=config.frames.horizon)

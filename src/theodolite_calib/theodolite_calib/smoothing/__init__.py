@@ -1,4 +1,4 @@
 """Smoothing: pointings at earlier times, improved by later sightings (Rauch, Tung and Striebel).
 
-No ROS, no files.
+The folder uses no ROS and no files.
 """

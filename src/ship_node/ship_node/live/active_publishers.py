@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 UNNUMBERED = 2**64 - 1
-"""Number of every message if the middleware counts none, as CycloneDDS: publishers are then unknown."""
+"""Number of every message if the middleware does not number messages, as CycloneDDS: publishers are then unknown."""
 
 MIN_TIMEOUT_NS = 1_000_000_000
 """Minimum timeout of a publisher, ns."""
@@ -21,13 +21,13 @@ _REMOVAL_TIMEOUT_NS = 10_000_000_000
 """Time without a message after which a publisher is removed, ns."""
 
 _MIN_RETURNS = 2
-"""Number of returns to a publisher after messages of another one that shows two publishers.
+"""Minimum number of returns to a publisher, after messages of another one, by which two publishers are detected.
 
-A restart gives none, a lost message may give one."""
+A restart of a publisher causes no return; a lost message may cause one."""
 
 
 @dataclass
-class _Sender:
+class _Publisher:
     """Publisher, by its messages.
 
     Attributes:
@@ -45,17 +45,17 @@ class _Sender:
         return now_ns - self.last_ns > max(MIN_TIMEOUT_NS, _TIMEOUT_PERIODS * self.longest_ns)
 
 
-class Senders:
+class ActivePublishers:
     """Counts the active publishers of one topic.
 
-    >>> senders = Senders()
-    >>> [senders.add_message(number, n * 10_000_000) for n, number in enumerate((700, 701, 1, 702, 2, 703))]
+    >>> publishers = ActivePublishers()
+    >>> [publishers.add_message(number, n * 10_000_000) for n, number in enumerate((700, 701, 1, 702, 2, 703))]
     [False, False, False, False, True, True]
     """
 
     def __init__(self) -> None:
-        self._senders: list[_Sender] = []
-        self._latest: _Sender | None = None
+        self._publishers: list[_Publisher] = []
+        self._latest: _Publisher | None = None
         self._returns = 0
 
     def add_message(self, number: int, now_ns: int) -> bool:
@@ -63,18 +63,18 @@ class Senders:
         if number == UNNUMBERED:
             return False
         latest = self._latest
-        if len(self._senders) == 1 and latest is not None and number > latest.number:
+        if len(self._publishers) == 1 and latest is not None and number > latest.number:
             # This is the case for nearly every message.
             latest.longest_ns = max(latest.longest_ns, now_ns - latest.last_ns)
             latest.number, latest.last_ns = number, now_ns
             return False
-        self._senders = [sender for sender in self._senders if now_ns - sender.last_ns <= _REMOVAL_TIMEOUT_NS]
-        earlier = [sender for sender in self._senders if sender.number < number]
+        self._publishers = [each for each in self._publishers if now_ns - each.last_ns <= _REMOVAL_TIMEOUT_NS]
+        earlier = [each for each in self._publishers if each.number < number]
         # Of two publishers with the same number the latest one continues.
-        found = max(earlier, key=lambda sender: (sender.number, sender is latest), default=None)
+        found = max(earlier, key=lambda each: (each.number, each is latest), default=None)
         if found is None:
-            found = _Sender(number, now_ns)
-            self._senders.append(found)
+            found = _Publisher(number, now_ns)
+            self._publishers.append(found)
             self._returns = 0
         else:
             self._returns += found is not latest
@@ -85,11 +85,11 @@ class Senders:
 
     def has_two(self, now_ns: int) -> bool:
         """Return True if two publishers send: each has continued after the other, and neither has timed out."""
-        return self._returns >= _MIN_RETURNS and sum(not sender.is_timed_out(now_ns) for sender in self._senders) >= 2
+        return self._returns >= _MIN_RETURNS and sum(not each.is_timed_out(now_ns) for each in self._publishers) >= 2
 
     def keep_latest(self) -> None:
         """Keep only the latest publisher: the middleware lists no other one."""
-        self._senders, self._returns = [self._latest] if self._latest is not None else [], 0
+        self._publishers, self._returns = [self._latest] if self._latest is not None else [], 0
 
 
 def publisher_names(publishers: Sequence[Any]) -> list[str]:
