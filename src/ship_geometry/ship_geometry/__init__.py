@@ -211,20 +211,7 @@ Terms of estimation
         Unit: rad², n; module: ship_attitude_star.ship_attitude.ins_fault_handling.
     Prior
         Estimate before a measurement, with its covariance.
-    White, correlated, constant
-        An error that is independent in each sample; one with a correlation time (Gauss–Markov); one that is constant.
-    Inflated covariance
-        A covariance to which that of a possible jump is added.
-    NEES, NIS
-        Normalised estimation error (innovation) squared: e^T P^-1 e (Bar-Shalom, Li, Kirubarajan 2001, §5.4). Its mean
-        is the number of components if P is consistent.
-    Lag
-        Maximum delay of a measurement that is still applied at its own time.
-    Stamp, log time, timeout clock
-        Time at which a measurement was valid; time at which a recorder wrote it; monotonic clock for timeouts, whose
-        time is ``waiting_ns``.
-    Exposure, streak
-        The time over which a camera collects light; the trail of a star or a light in this time.
+        Module: ship_estimation.kalman.
 
 Terms of integrity
     Main filter, subfilter
@@ -262,7 +249,7 @@ Terms of integrity
         Module: ship_watch.safety.
 
 Terms of running
-    Stamp, log time, waiting time
+    Stamp, log time, timeout clock
         Time at which a measurement was valid; time at which a recorder wrote it; monotonic time for timeouts.
         Unit: ns; module: ship_node.live.node_clock.
     Lag

@@ -47,7 +47,7 @@ def test_a_new_publisher_after_two_is_one() -> None:
 
 
 def test_without_sequence_numbers_no_publisher_is_stored() -> None:
-    """As with CycloneDDS: each message would count as a new publisher for ten seconds."""
+    """CycloneDDS gives none: each message would count as a new publisher for ten seconds."""
     publishers = ActivePublishers()
     assert not any(two_found([2**64 - 1] * 500, publishers=publishers))
     assert publishers._publishers == []

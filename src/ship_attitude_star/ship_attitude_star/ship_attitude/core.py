@@ -278,7 +278,8 @@ class ShipAttitudeCore:
             self._estimator.apply(outcome)
         self._ins_jumps.extend(checked.jumps)
         for jump in checked.jumps:
-            self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
+            effective_ns = self.filter.change_effective_ns(jump)
+            self._estimator.add_jump(effective_ns, INS, jump, self._track.add_cut(jump.time_ns))
         if checked.rejection is not None:
             outcome.rejection = checked.rejection
             self._estimator.add_rejected(INS, self._track, checked.sample)

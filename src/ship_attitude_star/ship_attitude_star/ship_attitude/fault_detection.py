@@ -528,7 +528,8 @@ class FaultDetector:
         remaining = {name: one for name, one in state.excluded.items() if name not in reinstated}
         are = "is" if len(reinstated) == 1 else "are"
         text = f"{' and '.join(reinstated)} {are} reinstated"
-        return with_changes(state, innovation_means=means, excluded=MappingProxyType(remaining), unresolved_fault=None), text
+        excluded = MappingProxyType(remaining)
+        return with_changes(state, innovation_means=means, excluded=excluded, unresolved_fault=None), text
 
     def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state with the stamp since which the offset of an excluded source is larger than at its exclusion.

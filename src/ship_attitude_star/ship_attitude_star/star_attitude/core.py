@@ -282,9 +282,9 @@ class StarCore:
         if known is None:
             rejection = self._plausibility.check(exposure, self._ins.track)
             return rejection is None, rejection
-        told = resolve_same_stamp(known, exposure)[1]
-        if told.reason is Reason.DUPLICATE:
-            return False, told
+        conflict = resolve_same_stamp(known, exposure)[1]
+        if conflict.reason is Reason.DUPLICATE:
+            return False, conflict
         # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
         self._stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
         text = "the same stamp with different content: do two sensors publish on one topic?"

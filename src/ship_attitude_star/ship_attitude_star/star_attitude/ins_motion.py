@@ -157,7 +157,7 @@ class InsMotion:
         if checked.rates_wrong_after_ns is not None:
             self.track.drop_rates(checked.rates_wrong_after_ns)
         for jump in checked.jumps:
-            self.track.cut(jump.time_ns)
+            self.track.add_cut(jump.time_ns)
             self._jumps.append(jump)
         if checked.noise is not None:
             self.track.add_noise(checked.noise)

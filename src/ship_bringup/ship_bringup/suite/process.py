@@ -1,7 +1,7 @@
 """One process of a suite: start it in a session of its own, read its lines, let it begin, end it.
 
-A process can be started before it is needed, as a reserve: it loads its libraries, which takes about a second and on a
-busy machine several, and then waits for a line on stdin (:mod:`ship_node.live.start`).
+A process can be started before it is needed, as a reserve. It loads its libraries, which takes about a second and on a
+busy machine several, and waits for a line on stdin (:mod:`ship_node.live.start`).
 """
 
 import contextlib

@@ -207,7 +207,7 @@ class OpticalAxisCore:
         self._record_stream_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
         self._record_stream_jump(sample.time_ns, result)
         if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
-            estimator.add_jump(result.jump.time_ns, ENCODER, result.jump, track.cut(result.jump.time_ns))
+            estimator.add_jump(result.jump.time_ns, ENCODER, result.jump, track.add_cut(result.jump.time_ns))
         if result.rejection is not None:
             estimator.add_rejected(ENCODER, track, sample)
             self._check_repeated_time()
