@@ -25,7 +25,7 @@ from ship_estimation.parameters import ParameterError
 from ship_estimation.protection_levels import IntegrityConfig
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 
 _MAX_LEVER_M = 200.0
 """Largest lever of any ship, m: a larger number is in millimetres, or another mistake."""
@@ -140,7 +140,7 @@ class AxesConfig:
 
     @property
     def values(self) -> FloatArray:
-        """Prior values, in the order of :data:`theodolite_calib.chain.axes.NAMES`, rad, shape (7,)."""
+        """Prior values, in the order of :data:`theodolite_calib.axis_geometry.axes.NAMES`, rad, shape (7,)."""
         return ARCSEC * np.array([getattr(self, f"{name}_arcsec") for name in NAMES])
 
     @property

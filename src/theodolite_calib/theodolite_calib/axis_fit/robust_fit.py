@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.sightings import Sightings
-from theodolite_calib.chain.axes import NAMES, AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, main_axis_rotation
 
 HUBER_K = 1.345
 """Residual at which the loss changes from quadratic to linear, in scales."""

@@ -1,7 +1,7 @@
 """Comparison of stars in a camera on the theodolite with the camera's attitude predicted by the filter's state.
 
 The camera s is fixed to the main axis, whose attitude follows from encoders, deformation and ship
-(:mod:`theodolite_calib.chain`):
+(:mod:`theodolite_calib.axis_geometry`):
 
     rotation_ns = exp(a) R_ship · exp(e) · R_axes · R(ΔA, ΔE, Δω)ᵀ
 
@@ -25,8 +25,8 @@ from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.rejections import Rejection
 from ship_estimation.subfilters import FilterInnovations, subfilter_innovations
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.chain.axes import axis_geometry
-from theodolite_calib.chain.parallelism import telescope_from_main
+from theodolite_calib.axis_geometry.axes import axis_geometry
+from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
 from theodolite_calib.filter.prediction import SightingModel
@@ -107,7 +107,7 @@ class StarModel:
         errors = self._sightings.geometry_errors(mean)
         geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         configured, block = self._cameras[sighting.camera_id]
-        rotation_ns, by_angles = telescope_from_main(configured + mean[self._model.slices[block]], geometry.rotation_nm)
+        rotation_ns, by_angles = telescope_rotation(configured + mean[self._model.slices[block]], geometry.rotation_nm)
         noise_n = {
             SOURCE_ENCODER: encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T),
             SOURCE_SHIP_NOISE: ship.noise * np.eye(3),

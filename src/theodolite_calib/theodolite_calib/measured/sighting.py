@@ -9,7 +9,7 @@ from ship_geometry.exposure_mean import Nodes
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import BeaconStreaks, Camera, Image
 from theodolite_calib.lights.line_of_sight import BeaconPoses

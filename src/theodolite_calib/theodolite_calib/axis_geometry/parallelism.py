@@ -10,7 +10,7 @@ from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angl
 from ship_geometry.rotations import FloatArray
 
 
-def telescope_from_main(parallelism: FloatArray, rotation_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def telescope_rotation(parallelism: FloatArray, rotation_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the telescope's attitude from that of the main axis.
 
     Args:
