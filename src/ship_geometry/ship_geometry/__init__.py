@@ -17,10 +17,10 @@ Frames
     v     forward, up, right       the device                   a device aboard where the code serves several kinds of
                                                                 it: a star sensor or a reference
     r     forward, up, right       the device                   reference: another attitude system aboard
-    b     forward, up, right       the body                     body where the code serves several: a drone (nose, up,
-                                                                right); sensor or deck where stars are fitted
-    f     bow, up, starboard       the hull                     foot of the theodolite: d as the hull, bent since it
-                                                                was surveyed, carries it there
+    b     forward, up, right       the body                     body where the code serves several kinds: a drone (nose,
+                                                                up, right), or the sensor or deck of a fit to stars
+    f     bow, up, starboard       the hull                     foot of the theodolite: d rotated by the bending of the
+                                                                hull since the survey
     x     forward, up, right       the theodolite               the part of the mount that turns in azimuth
     m     optical axis, up, right  the theodolite               main frame: the main tube
     t     optical axis, up, right  the theodolite               calibration telescope, parallel to the main tube
@@ -53,18 +53,26 @@ Names and units
     conversion. ``sigma`` is a standard deviation, ``covariance_n`` a covariance about the axes of n.
 
 Terms of the sky
+    Catalogue place
+        Right ascension and declination in the ICRS at the catalogue's epoch, with proper motion and parallax.
+    Direction without air
+        Direction of a star in n: its catalogue place after proper motion, parallax, light deflection, aberration and
+        the Earth's rotation. In SOFA: the topocentric place.
     Apparent direction
-        Direction of a star as seen from the ship: its catalogue place after proper motion, parallax, aberration, the
-        Earth's rotation and refraction.
+        Direction of a star in n with refraction. In SOFA: the observed place; the apparent place of an almanac is
+        geocentric and without air.
     Aberration
-        The shift of a star's direction by the observer's speed: 20″ by the Earth's way round the Sun, 0.3″ by its
-        rotation, 0.01″ by the ship's own speed.
+        The shift of a star's direction by the observer's velocity: 20″ by the Earth's orbit (annual), 0.3″ by its
+        rotation (diurnal), 0.01″ by the ship's own velocity.
     Refraction
         Angle by which the air raises the apparent direction of a star (or a light).
+    Earth orientation parameters (EOP)
+        UT1 − UTC and polar motion, measured and predicted by the IERS.
     UT1
-        Time defined by the Earth's rotation. UT1 − UTC is measured by the IERS; a second of it is 15″.
+        Time scale defined by the Earth's rotation. The Earth rotates by 15″ in a second.
     Deflection of the vertical
-        The angle between gravity's zenith, on which an INS levels itself, and the ellipsoid normal Up.
+        The angle from the ellipsoid normal Up to the astronomical zenith, that of gravity: xi northward, eta eastward.
+        An INS levels itself by gravity.
 
 Terms of the ship
     INS
@@ -98,9 +106,10 @@ Terms of the theodolite
     Encoder
         The scale on an axis of the mount; the two encoders measure azimuth and elevation.
     Axis errors
-        The terms of a pointing model (Wallace, TPOINT): g and h, zero points of the encoders; c, collimation; I,
-        non-perpendicularity (tilt of the horizontal axis). Further terms: beta_x and beta_y, tilt of the vertical axis
-        towards the bow and towards starboard; flexure of the tube.
+        The terms of the pointing model, with the names of [W18]: g and h, zero points of the encoders; c, collimation;
+        I, non-perpendicularity (tilt of the horizontal axis); beta_x and beta_y, tilt of the vertical axis towards the
+        bow and towards starboard; flexure of the tube. Up to the sign these are TPOINT's IA, IE, CA, NPAE, AN, AW and
+        TF (Wallace).
     Axis geometry
         The rotations from the ship's attitude through foot and mount to the main optical axis.
     Parallelism
