@@ -43,9 +43,8 @@ class CameraAttitude:
 
     Attributes:
         rotation_ns: horizon from camera, shape (3, 3).
-        by_state_n: its rotation vector in n per state, shape (3, n).
-        noise_n: covariance of that rotation vector that is white from exposure to exposure, by source, rad², shape (3,
-            3).
+        by_state_n: derivatives of its rotation vector in n by the states, shape (3, n).
+        noise_n: covariance of its errors that are independent between exposures, by source, rad², shape (3, 3).
     """
 
     rotation_ns: FloatArray
@@ -66,7 +65,7 @@ class StarComparison:
         camera: attitude at the point of linearisation.
         stars: accepted stars, with residuals at that point.
         measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
-        innovations: innovation against the propagated state, as the only filter.
+        innovations: innovation of the propagated state, in the form for several filters.
     """
 
     camera: CameraAttitude
@@ -144,7 +143,7 @@ class StarModel:
         """Return the rejection of an exposure that moves the focal length far from the configured one, or None.
 
         Args:
-            mean: mean of the state after it, shape (n,).
+            mean: mean of the state updated by the exposure, shape (n,).
             covariance: covariance of that state, shape (n, n).
             sighting: the exposure.
         """
@@ -160,8 +159,8 @@ class StarModel:
     ) -> StarComparison | Rejection:
         """Compare an exposure with a state propagated to its time, or return the reason why no star of it is usable.
 
-        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the least
-        sum of squares that any state can reach against prediction and stars together.
+        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the
+        minimum over all states of a sum of squares in standard deviations: state minus prediction, and star residuals.
 
         Args:
             mean: mean of the propagated state, shape (n,).

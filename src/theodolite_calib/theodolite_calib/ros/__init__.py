@@ -1,6 +1,6 @@
 """Adapters of the nodes, message conversion in both directions, saved calibration: interface of the cores to ROS.
 
-The room may import all others; only ``ship_replay``, ``axis_fit`` (which writes the saved calibration) and the
+The folder may import all others; only ``ship_replay``, ``axis_fit`` (which writes the saved calibration) and the
 executable import it.
 
 A new kind of sensor is a struct in ``measured/`` and a reader here that converts a message to that struct or rejects

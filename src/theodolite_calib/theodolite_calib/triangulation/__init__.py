@@ -1,4 +1,4 @@
 """Command ``triangulate``: recorded directions of several theodolites to a target, and the positions that follow.
 
-It uses bags, the reader of directions (``ros``) and the room ``target``, but no filter and no node.
+It uses bags, the reader of directions (``ros``) and the folder ``target``, but no filter and no node.
 """
