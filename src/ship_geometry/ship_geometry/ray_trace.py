@@ -14,8 +14,9 @@ Astronomical Almanac (1992, §3.281):
 Along a ray n r sin z is constant, with n the index of refraction, r the distance from the Earth's centre and z the
 zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Down to 5° the integrand is
 smooth enough for Gaussian quadrature with ten points in the troposphere (Legendre) and ten above it (Laguerre), with
-errors of 1e-6″. The Laguerre points cover all heights above the tropopause. The Technical Note stops at 80 km, which
-gives 0.003″ less at a zenith distance of 80°.
+errors of 1e-6″. Auer and Standish integrate over the zenith distance instead, which is needed only near the horizon.
+The Laguerre points cover all heights above the tropopause. The Technical Note stops at 80 km, which gives 0.003″ less
+at a zenith distance of 80°.
 """
 
 from dataclasses import dataclass
