@@ -67,7 +67,9 @@ class Axes:
     h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     c_arcsec: float = parameter(0.0, doc="known collimation of the optical axis, to the left", **_AXIS_ERROR)
     c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    I_arcsec: float = parameter(0.0, doc="known non-perpendicularity: tilt of the horizontal axis, right end up", **_AXIS_ERROR)
+    I_arcsec: float = parameter(
+        0.0, doc="known non-perpendicularity: tilt of the horizontal axis, right end up", **_AXIS_ERROR
+    )
     I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     beta_x_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to the bow", **_AXIS_ERROR)
     beta_x_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
