@@ -21,7 +21,7 @@ from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.true_optics import TrueOptics
 from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import EncoderSample
 from theodolite_calib.measured.star_sighting import StarSighting

@@ -14,7 +14,7 @@ import numpy as np
 from ship_estimation.parameters import build, nest
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Image
 from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M, BeaconPoses

@@ -28,7 +28,7 @@ from ship_testing.adapter_runs import (
     stamp_of,
 )
 from ship_testing.simulated_sightings import project, raise_elevation
-from theodolite_calib.chain.axes import AxisErrors, encoder_angles, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, encoder_angles, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M

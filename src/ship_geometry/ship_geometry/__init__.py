@@ -54,13 +54,20 @@ Names and units
     conversion. ``sigma`` is a standard deviation, ``covariance_n`` a covariance about the axes of n.
 
 Terms of the sky
-    Apparent place
-        Direction of a star as seen from the ship: its catalogue place after proper motion, parallax, aberration, Earth
-        rotation and refraction.
+    Catalogue place
+        Right ascension and declination in the ICRS at the catalogue's epoch, with proper motion and parallax.
+        Unit: rad, c; module: ship_attitude_star.sky.catalogue.
+    Direction without air
+        Catalogue place after proper motion, parallax, light deflection, aberration and Earth rotation: SOFA's
+        topocentric place.
         Unit: unit vector in n; source: IAU 2006/2000A; module: ship_geometry.star_directions.
+    Apparent place, apparent direction
+        Direction of a star as seen from the ship, refraction included: SOFA's observed place. An almanac's apparent
+        place is geocentric and without air.
+        Unit: unit vector in n; module: ship_attitude_star.sky.sky_model.
     Aberration
-        Shift of an apparent place by the observer's velocity: 20″ by the Earth's orbit, 0.3″ by its rotation, 0.01″ by
-        the ship.
+        Shift of a star's direction by the observer's velocity: 20″ by the Earth's orbit (annual), 0.3″ by its rotation
+        (diurnal), 0.01″ by the ship.
         Unit: rad; module: ship_geometry.star_directions.
     Refraction
         Angle by which the air raises the apparent place of a star or a light.
@@ -68,11 +75,12 @@ Terms of the sky
     Sky model
         Apparent places of all stars for the ship's position, time and weather, with the errors that they share.
         Unit: unit vectors in n; module: ship_attitude_star.sky.sky_model.
-    UT1
-        Time defined by the Earth's rotation; UT1 − UTC is measured by the IERS, and 1 s of it is 15″.
+    Earth orientation parameters (EOP), UT1
+        UT1 − UTC and polar motion, measured by the IERS; UT1 is the time scale of the Earth's rotation, 15″ per second.
         Unit: s; source: finals2000A; module: ship_geometry.earth_orientation.
     Deflection of the vertical
-        Angle between gravity's zenith, to which an INS levels itself, and the ellipsoid normal Up.
+        Angle from the ellipsoid normal Up to gravity's zenith, to which an INS levels itself: xi northward, eta
+        eastward.
         Unit: rad; module: ship_attitude_star.vertical.
 
 Terms of the ship
@@ -125,23 +133,23 @@ Terms of the theodolite
         Unit: rad, n; module: theodolite_calib.optical_axis.
     Axis geometry
         Rotations from the ship's attitude through foot and mount to the main optical axis.
-        Module: theodolite_calib.chain.axes.
+        Module: theodolite_calib.axis_geometry.axes.
     Encoder
         Scale on an axis of the mount; two encoders measure azimuth and elevation.
         Unit: rad, d; module: theodolite_calib.measured.encoder_check.
     Axis errors
-        Terms of a pointing model: zero points g and h of the encoders, collimation, non-perpendicularity, tilt of the
-        vertical axis (beta_x, beta_y), flexure of the tube.
-        Unit: rad; source: Wallace 2002; module: theodolite_calib.chain.axes.
+        Terms of a pointing model: zero points g and h of the encoders, collimation c, non-perpendicularity I, tilt
+        beta_x, beta_y of the vertical axis, flexure of the tube. TPOINT has IA, IE, CA, NPAE, AN, AW and TF for them.
+        Unit: rad; source: Wallace 2002; module: theodolite_calib.axis_geometry.axes.
     Collimation c
         Angle of the optical axis against the normal to the horizontal axis.
-        Unit: rad; module: theodolite_calib.chain.axes.
+        Unit: rad; module: theodolite_calib.axis_geometry.axes.
     Non-perpendicularity I
         Tilt of the horizontal axis against the normal to the vertical axis.
-        Unit: rad; module: theodolite_calib.chain.axes.
+        Unit: rad; module: theodolite_calib.axis_geometry.axes.
     Parallelism
         Three angles from the axis of the calibration telescope to the main optical axis.
-        Unit: rad, t; module: theodolite_calib.chain.parallelism.
+        Unit: rad, t; module: theodolite_calib.axis_geometry.parallelism.
     Deformation
         Bending of the hull between the INS and the theodolite's foot: f relative to d.
         Unit: rad, d; module: theodolite_calib.filter.model.

@@ -8,7 +8,7 @@ mount (optical axis, up, right) is
     R_nm = exp(a) R exp(-τ ω) · exp(e) · T Ry(A - g) Rx(I) Rz(-(E - h + f cos E)) Ry(-c),   T = exp((βy, 0, -βx))
 
 A and E are the encoder readings. The order of the errors is always: a (rotation vector in n), e (rotation vector in d),
-g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are documented in :mod:`theodolite_calib.chain.axes`.
+g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are documented in :mod:`theodolite_calib.axis_geometry.axes`.
 """
 
 import cython

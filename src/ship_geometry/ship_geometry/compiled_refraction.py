@@ -63,7 +63,7 @@ def _raise_direction(direction: cython.p_double, angle: cython.double, out: cyth
 
 
 def _check_model(coefficients, of_observed, sigmas) -> None:
-    """Raise ValueError for numbers that are not those of a model, because the loops do not check bounds."""
+    """Raise ValueError if coefficients or sigmas have wrong shapes; the loops do not check bounds."""
     terms = coefficients.shape[0]
     check("model", terms == 2 or (terms > 2 and not of_observed))
     check("model", coefficients.shape[1] == sigmas.shape[0] == 3)
@@ -85,8 +85,9 @@ def refraction_angles(
             temperature, shape (t, 3).
         curvature: c; with c = 0 the terms are tan z, tan³ z, tan⁵ z ….
         lowest: lowest elevation of the model, rad; below it the results are NaN.
-        of_observed: True if the coefficients, two of them, belong to the zenith distance with air.
-        sigmas: standard deviation of the model: rad, rad per tan⁵ z, and per angle, shape (3,).
+        of_observed: True if the coefficients belong to the zenith distance with air; there are two then.
+        sigmas: terms of the standard deviation of the model: constant, rad; factor of tan⁵ z, rad; factor of the angle;
+            shape (3,).
 
     Returns:
         The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).

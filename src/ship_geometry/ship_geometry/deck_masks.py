@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 EDGE_STEP = np.deg2rad(0.25)
-"""Spacing of points on the edge of a mask, rad; a field that a mask enters by less may count as clear."""
+"""Spacing of points on the edge of a mask, rad. A mask that reaches into a field by less may be overlooked."""
 
 BoolArray = NDArray[np.bool_]
 
@@ -59,7 +59,7 @@ class DeckMasks:
 
         Args:
             directions_d: unit vectors.
-            margin: minimum distance from the edge of its mask for a direction to count as hidden, rad.
+            margin: a direction counts as hidden only if it is at least this far inside the edge of a mask, rad.
         """
         hidden = self.hidden_by_mask(directions_d)
         if margin > 0.0:
@@ -153,7 +153,9 @@ def field_directions(half_field: FloatArray) -> FloatArray:
 
 
 def _is_inside(corners: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> BoolArray:
-    """Return True for directions inside a polygon, modulo whole turns: a ray upward crosses an odd number of edges.
+    """Return True for directions inside a polygon: a ray upward from there crosses an odd number of edges.
+
+    Azimuths are compared modulo 360°.
 
     Args:
         corners: shape (k, 2), rad.

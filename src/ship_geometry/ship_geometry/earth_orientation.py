@@ -1,7 +1,7 @@
-"""Earth orientation: UT1 − UTC and the pole from the IERS's finals2000A, measured and predicted, with their errors.
+"""Earth orientation parameters (EOP): UT1 − UTC and polar motion from the IERS's finals2000A, with their errors.
 
-One second of UT1 is 15″ of azimuth and elevation. The table comes with `astropy-iers-data`. It has measured values up
-to its issue and predictions for the year after it. Later times have no value, but a reason.
+An error of UT1 of one second rotates the sky by 15″. The table comes with `astropy-iers-data`. It has measured values
+up to its issue and predictions for the year after it. For later times an error states the reason.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.text_tables import numbers, read_lines
 from ship_geometry.time_scales import DAY_NS, UNIX_EPOCH_MJD, LeapSeconds, TimeNs, leap_seconds, utc_text
 
-# Columns (first, last; counted from 1) of finals2000A, as its ReadMe gives them; B where A is replaced by Bulletin B.
+# Columns (first, last; counted from 1) of finals2000A, from its ReadMe. Values of Bulletin B (_b) replace those of
+# Bulletin A.
 _RECORD_LENGTH = 188
 _UT1_FLAG = 58
 _MEASURED, _PREDICTED = b"IP"
@@ -142,7 +143,7 @@ class EarthOrientationTable:
             raise OutsideEarthOrientation(reason)
         mjd = UNIX_EPOCH_MJD + np.asarray(time_ns, dtype=np.int64) / DAY_NS
         days_predicted = np.maximum(mjd - self.measured_until_mjd, 0.0)
-        # A measured value has the file's error; a prediction has that of the last measurement and its own.
+        # A measured value has the error of the file. A prediction adds its own error to that of the last measurement.
         own_sigma_s = np.interp(np.minimum(mjd, self.measured_until_mjd), self.mjd, self.ut1_sigma_s)
         variance_s2 = own_sigma_s**2 + _UT1_FLOOR_S**2 + prediction_sigma_s(days_predicted) ** 2
         return EarthOrientation(

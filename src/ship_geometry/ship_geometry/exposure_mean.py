@@ -27,10 +27,11 @@ _STEP_S = 0.1
 
 @dataclass(frozen=True)
 class Nodes:
-    """Times whose weighted mean is the mean over an exposure.
+    """Quadrature nodes of an exposure: the weighted mean of values at these times is their mean over the exposure.
 
     Attributes:
-        offset_ns: time of each from the middle of the exposure, increasing; the middle is one of them; shape (m,).
+        offset_ns: time of each node relative to the middle of the exposure, increasing, with the middle itself; shape
+            (m,).
         weight: weight of each in the mean, none negative, their sum 1, shape (m,).
     """
 
@@ -77,7 +78,7 @@ def exposure_nodes(exposure_s: float) -> Nodes:
         outer_weight = (exposure_s / _STEP_S) ** 2 / 24.0
         weight, half_s = np.array([outer_weight, 1.0 - 2.0 * outer_weight, outer_weight]), _STEP_S
     else:
-        # Simpson's rule, weights 1 4 2 4 ... 4 1: whatever the number of pairs of steps, one node is at the middle.
+        # Simpson's rule, weights 1 4 2 4 ... 4 1. The number of steps is even, so one node is at the middle.
         weight = np.full(2 * pairs + 1, 2.0)
         odd_nodes, end_nodes = slice(1, None, 2), [0, -1]
         weight[odd_nodes], weight[end_nodes] = 4.0, 1.0
@@ -94,12 +95,11 @@ class ExposureMotion:
         nodes: nodes of the exposure.
         turns: rotations "body at the node from body at the middle", shape (m, 3, 3).
         rate: mean angular velocity between the outermost nodes about the body's axes at the middle, rad/s, shape (3,).
-        noise_gain: variance of the mean attitude over the exposure per variance of the samples' independent noise.
-        correction_gain: variance of (mean attitude - attitude at the middle) per variance of that noise.
-        error_covariance: covariance of the mean attitude's error by interpolation, as a rotation vector in the body's
+        noise_gain: variance of the mean attitude by the white noise of the samples, divided by that noise's variance.
+        correction_gain: the same for the difference mean attitude - attitude at the middle.
+        error_covariance: covariance of the interpolation error of the mean attitude, rotation vector in the body's
             frame, rad², shape (3, 3).
-        correction_error: variance of (mean attitude - attitude at the middle) by interpolation, the sum over the three
-            axes, rad².
+        correction_error: variance of the interpolation error of that difference, sum over the three axes, rad².
     """
 
     nodes: Nodes
@@ -125,7 +125,7 @@ class ExposureMotion:
 
 
 def exposure_motion(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> ExposureMotion | None:
-    """Return the rotation of a body over an exposure; None if its track has a gap, or ends, within it.
+    """Return the rotation of a body over an exposure; None if the track does not cover all nodes.
 
     Args:
         track: attitudes of the body.
@@ -145,8 +145,9 @@ def exposure_motion(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Exposur
     around = [found for found in (track.at(moment_ns) for moment_ns, _ in moments) if found is not None]
     if middle is None or len(around) < len(moments):
         return None
-    # The errors at the nodes are not independent. The mean of their covariances bounds the covariance of their mean.
-    # For the difference from the middle, errors there and at the outer nodes are taken as opposite: an upper bound.
+    # The interpolation errors at the nodes are not independent. The mean of their covariances is an upper bound of the
+    # covariance of their mean. For the difference mean - middle, the errors at the middle and at the outer nodes are
+    # assumed to have opposite signs, which is an upper bound too.
     errors = np.array([found.error_covariance_d for found in around])
     outer_weights = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
     share, variances = float(outer_weights.sum()), np.trace(errors, axis1=-2, axis2=-1)

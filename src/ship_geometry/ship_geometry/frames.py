@@ -63,7 +63,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     # atan2 keeps full precision near the zenith, where an arcsine would not.
     horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
     elevation = np.arctan2(rotation[..., 1, 0], horizontal)
-    # The roll that belongs to this azimuth. -R23/R22 would do elsewhere, but both vanish at the zenith.
+    # Roll is computed with this azimuth. The usual atan2(-R23, R22) fails at the zenith, where both elements vanish.
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
     cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
@@ -93,7 +93,9 @@ def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: fl
 
 
 def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
-    """Return the inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`.
+    """Return the inverse of the matrix B of :func:`rotation_vector_from_angle_errors`, shape (..., 3, 3).
+
+    It is NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
         A tilt by 20″ about North is 35″ of azimuth (20″ tan 60°) for a sensor that looks North at 60° elevation:

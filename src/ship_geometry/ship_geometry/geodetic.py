@@ -1,8 +1,8 @@
 """Positions on the WGS 84 ellipsoid, the horizon there, and its rotation with the distance travelled.
 
 ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
-ellipsoid normal, so a level instrument differs from it by the deflection of the vertical.
-All functions accept arrays of positions.
+ellipsoid normal. The vertical of a level instrument differs from it by the deflection of the vertical.
+All functions except :func:`normal_gravity` accept arrays of positions.
 """
 
 import math
@@ -97,9 +97,9 @@ def normal_gravity(latitude: float) -> float:
 
 
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
-    """Return the distances north and east for one radian of rotation of the horizon, m.
+    """Return the radii of curvature in the meridian and in the prime vertical, each plus the height, m.
 
-    They are the radii of curvature in the meridian and in the prime vertical, each plus the height.
+    A displacement by such a radius to the north, or to the east, rotates the horizon by one radian.
 
     Example:
         A minute of arc at the equator:

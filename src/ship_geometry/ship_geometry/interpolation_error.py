@@ -1,12 +1,13 @@
 """Interpolation error as a covariance, estimated from the neighbouring samples.
 
-A cubic connects two samples. Its differences from the other neighbouring samples show its error between the two. With
-measured rates the difference at one other sample is scaled to the requested time
-(:func:`ship_geometry.compiled_rotations.interpolate_attitude`). Without them the polynomial through all neighbouring
-samples is compared with the cubic (:func:`polynomial_errors`).
+Values between two samples are interpolated by a cubic. Its error is estimated from its differences to the other
+neighbouring samples. With measured rates, the difference at one other sample is scaled to the requested time
+(:func:`ship_geometry.compiled_rotations.interpolate_attitude`). Without them, the cubic is compared with the polynomial
+through all neighbouring samples (:func:`polynomial_errors`).
 
-The estimates contain the noise of the samples, which is never divided by a step. At high sample rates the estimate is
-therefore a small part of that noise. docs/explanation/interpolation.md has the derivation and numbers.
+The noise of the samples contributes to the estimates, but by a fraction of itself only: it is not divided by the time
+between samples. At high sample rates the estimate is therefore a small part of the noise. Derivation and numbers:
+docs/explanation/interpolation.md.
 """
 
 import math
@@ -27,20 +28,20 @@ NEXT_TERM_SHARE = 0.5
 In a wave the terms of successive orders are out of phase: if one is zero, the next one is largest."""
 
 ANY_DIRECTION = 0.3
-"""Relative error of an estimated error, in any direction."""
+"""Relative error of an estimated interpolation error, the same in all directions."""
 
 
 def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = math.inf) -> FloatArray:
     """Return the covariance of an error from estimates of it, shape (k, k).
 
-    The estimates count as independent, and each has a relative error of 0.3 in any direction.
+    The estimates are assumed to be independent. Each adds a covariance of 0.3² times its square in every direction.
 
     Args:
         errors: one estimate in each row, shape (k,) each.
         largest: bound of the sum of their squares; larger ones are scaled down to it.
 
     Example:
-        An estimated error of 2, with a relative error of 0.3 in any direction:
+        An estimated error of 2 along the first axis:
 
         >>> print(as_covariance([np.array([2.0, 0.0])]).round(2))
         [[4.36 0.  ]
@@ -106,9 +107,9 @@ def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: F
         [-0.25]
     """
     if len(nodes) == 2:
-        # Without other samples: as if the whole change began, or ended, within the interval.
+        # Without other samples: error of a straight line if the rate changes from 0.5 to 1.5 times its mean.
         return (0.5 * at * (1.0 - at) * (values[1] - values[0]),)
-    # The last term estimates the missing ones: a share of the next one, and with fewer samples one of equal size.
+    # The missing terms are estimated as a share of the polynomial's last term; with fewer samples, as all of it.
     next_term_share = NEXT_TERM_SHARE if len(nodes) == MOST_SAMPLES else 1.0
-    error, left_out = compiled_polynomials.polynomial_errors(nodes, values, at, found, next_term_share)
-    return error, left_out
+    error, missing_terms = compiled_polynomials.polynomial_errors(nodes, values, at, found, next_term_share)
+    return error, missing_terms

@@ -14,8 +14,9 @@ Astronomical Almanac (1992, §3.281):
 Along a ray n r sin z is constant, with n the index of refraction, r the distance from the Earth's centre and z the
 zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Down to 5° the integrand is
 smooth enough for Gaussian quadrature with ten points in the troposphere (Legendre) and ten above it (Laguerre), with
-errors of 1e-6″. The upper points extend to the end of the air; the Technical Note stops at 80 km, which is 0.003″ less
-at 80°.
+errors of 1e-6″. Auer and Standish integrate over the zenith distance instead, which is needed only near the horizon.
+The Laguerre points cover all heights above the tropopause. The Technical Note stops at 80 km, which gives 0.003″ less
+at a zenith distance of 80°.
 """
 
 from dataclasses import dataclass
@@ -71,7 +72,7 @@ def traced_refraction(
     """Return refraction at observed zenith distances, in several kinds of weather, rad.
 
     Args:
-        observed_zenith_distance: with air, rad, shape (k,); up to 86°, beyond more points would be necessary.
+        observed_zenith_distance: with air, rad, shape (k,); up to 86°. Larger ones need more quadrature points.
         pressure_hpa: at the observer, shape (w,).
         temperature_c: at the observer, shape (w,).
         relative_humidity: 0 to 1.
@@ -114,8 +115,8 @@ def _points(
     Args:
         atmosphere: the air above.
         kelvin: temperature at the observer, K, shape (w, 1).
-        of_air: n - 1 of the air at the observer, shape (w, 1).
-        of_vapour: its reduction by vapour, shape (w, 1).
+        of_air: part of n - 1 that decreases with height as air does, at the observer, shape (w, 1).
+        of_vapour: part that decreases as vapour does, at the observer; it is subtracted; shape (w, 1).
         per_scale_k_per_m: temperature over the scale height of isothermal air, K/m.
     """
     thickness_m = atmosphere.tropopause_m - atmosphere.height_m

@@ -1,7 +1,8 @@
 """Refraction of starlight by the air, and its dependence on the weather.
 
-There are three models. All use the elevation without air, which follows from the catalogue, so no prior attitude is
-needed ([P15] §3). ``erfa`` is A tan z + B tan³ z of the observed zenith distance, with A and B of ERFA's ``refco``.
+There are three models. The argument of each function is the elevation without air, which is computed from catalogue,
+time and place; so no prior attitude is needed ([P15] §3). ``erfa`` is A tan z + B tan³ z of the observed zenith
+distance, with A and B of ERFA's ``refco``; one step of Newton's method solves for the observed zenith distance.
 ``almanac`` is [P15] (8)-(12) of the true zenith distance. ``ray_trace`` is the result of
 :mod:`ship_geometry.ray_trace`, expanded in the true zenith distance once for each weather, with tan⁵ z and higher
 terms. Below its lowest elevation a model gives NaN.
@@ -39,14 +40,14 @@ _TINY = 1e-300
 # the light, and differs from erfa by 0.7 %.
 # The error of a traced ray comes from properties of the air that are not measured aboard. At 5°, 10° and 45° these are,
 # by further traces: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″, 0; gravity at the pole
-# or the equator 0.17″, 0.03″, 0. A pressure gradient of 1 hPa in 100 km, as in a wind of 10 m/s, bends by ∫ ∂n/∂x dh
-# over sin² E: 0.62″, 0.16″, 0.01″. The refractivity is known to 0.02 %. The sum is less than the values here.
+# or the equator 0.17″, 0.03″, 0. A pressure gradient of 1 hPa in 100 km, as in a wind of 10 m/s, bends by
+# ∫ ∂n/∂x dh / sin² E: 0.62″, 0.16″, 0.01″. The refractivity is known to 0.02 %. The sum is less than the values here.
 _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
     "erfa": np.array([0.03 * ARCSEC, 1e-4 * ARCSEC, 0.0]),
     "almanac": np.array([0.0, 0.0, 0.007]),
     "ray_trace": np.array([0.0, 5e-6 * ARCSEC, 6e-4]),
 }
-"""Each model's own standard deviation: everywhere, per tan⁵ z, and as a share of the angle."""
+"""Standard deviation of each model, three terms to add: constant, rad; factor of tan⁵ z, rad; factor of the angle."""
 
 # Rays are expanded as tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), z without air. With c = 0 it is the series in
 # tan z, tan³ z, tan⁵ z …, which converges slowly for long paths through curved air. The c of curved air is 2 H/R with
@@ -88,7 +89,7 @@ class Weather:
 
 @dataclass(frozen=True)
 class Refraction:
-    """Refraction at some elevations. Each array has their shape, and is NaN below the model's lowest elevation.
+    """Refraction at elevations. Each array has the shape of the elevations; it is NaN below the lowest of the model.
 
     An error of the pressure, of the temperature or of the model is common to all stars.
 
@@ -113,11 +114,11 @@ class Refraction:
 def refraction(
     model: ModelName, elevation: FloatArray | float, weather: Weather, wavelength_um: float = 0.55
 ) -> Refraction:
-    """Return refraction of stars at elevations without air.
+    """Return the refraction of stars.
 
     Args:
         model: one of MODELS.
-        elevation: rad, shape (...).
+        elevation: without air (true elevation), rad, shape (...).
         weather: the air at the ship.
         wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
 
@@ -142,8 +143,8 @@ class StarsThroughAir(NamedTuple):
 
     Attributes:
         direction_n: unit vectors (North, Up, East), shape (k, 3); NaN below the model's lowest elevation.
-        shared_n: their displacement by one sigma of refraction, and by each of m rotations of the sky, rad, shape
-            (k, 3, 1 + m).
+        shared_n: displacement of each star by errors common to all: by one sigma of refraction (first column), and by
+            each of m rotations of the sky; rad, shape (k, 3, 1 + m).
         elevation: without air, rad, shape (k,).
     """
 
@@ -190,7 +191,7 @@ def refraction_slopes(
 ) -> tuple[float, float]:
     """Return the first and second derivative of refraction by elevation, rad/rad and rad/rad².
 
-    They are NaN below the lowest elevation. Those of ``erfa`` have an error of 0.1 % over sin² E, because the small
+    They are NaN below the lowest elevation. Those of ``erfa`` have a relative error of 0.1 %/sin² E, because the small
     difference between observed and true zenith distance is neglected; the others are exact.
 
     Args:

@@ -5,8 +5,8 @@ Sun, annual aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotatio
 aberration. The aberration by the ship's own velocity is last (10 mas at 15 m/s). Refraction is added by
 :mod:`ship_geometry.refraction`.
 
-:func:`directions` computes all steps at each time. :class:`RefreshedSky` computes the slow steps once in ten seconds;
-it is several times faster, and equal within 0.1 mas if the Sun is more than 5° away.
+:func:`directions` computes all steps for each time. :class:`RefreshedSky` computes the slow steps once in ten seconds.
+It is several times faster, and agrees within 0.1 mas for stars more than 5° from the Sun.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ REFRESH_PERIOD_NS = 10 * SECOND_NS
 
 _J2000 = 2_451_545.0
 _JULIAN_YEAR_D = 365.25
-_EPOCHS_KEPT = 4
+_INTERVALS_KEPT = 4
 
 _NO_REFRACTION = 0.0
 """ERFA's refraction constants for no air; refraction is computed in :mod:`ship_geometry.refraction`."""
@@ -130,7 +130,7 @@ class Observer:
 
 
 def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) -> FloatArray:
-    """Return unit vectors (North, Up, East) to stars, without refraction, by all steps at each time.
+    """Return unit vectors (North, Up, East) to stars, without refraction; all steps are computed for each time.
 
     Args:
         stars: arrays of shape (...).
@@ -174,8 +174,8 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
 
 
 @dataclass(frozen=True)
-class _Epoch:
-    """The slowly changing quantities: the geocentric sky, and the orientation of the Earth."""
+class _SlowSteps:
+    """Results of the slow steps: ERFA's parameters from ICRS to CIRS at the geocentre, and the Earth's orientation."""
 
     to_cirs: Any
     orientation: EarthOrientation
@@ -188,7 +188,7 @@ class RefreshedSky:
     The slow steps are computed for the middle of fixed intervals, so the result does not depend on earlier calls. Leap
     seconds fall between intervals.
 
-    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used: it keeps the place of the first time, which gives
+    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. It keeps the observer's first place, which gives
     an error of 6″ after the ship has moved by 150 m.
 
     Args:
@@ -208,7 +208,7 @@ class RefreshedSky:
 
     def __init__(self, table: EarthOrientationTable) -> None:
         self._table = table
-        self._epochs: dict[int, _Epoch] = {}
+        self._slow_steps: dict[int, _SlowSteps] = {}
 
     def directions(self, stars: StarPositions, time_ns: int, observer: Observer) -> FloatArray:
         """Return unit vectors (North, Up, East) without refraction, shape (..., 3).
@@ -216,42 +216,42 @@ class RefreshedSky:
         Raises:
             OutsideEarthOrientation: the table has no value for this time.
         """
-        epoch = self._epoch(time_ns)
+        slow = self._slow_steps_at(time_ns)
         to_horizon = erfa.apio(
-            epoch.tio_locator, *_site(time_ns, observer, epoch.orientation), _NO_REFRACTION, _NO_REFRACTION
+            slow.tio_locator, *_site(time_ns, observer, slow.orientation), _NO_REFRACTION, _NO_REFRACTION
         )
-        return _horizon_directions(stars, epoch.to_cirs, to_horizon, observer)
+        return _horizon_directions(stars, slow.to_cirs, to_horizon, observer)
 
     def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
         """Return the rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
 
-        It rotates axes, as those of a body; aberration, which changes directions, is not included.
+        It transforms the axes of a body. Aberration is not included: it shifts the directions of stars, not axes.
 
         Raises:
             OutsideEarthOrientation: the table has no value for this time.
         """
-        epoch = self._epoch(time_ns)
-        polar_motion = erfa.pom00(epoch.orientation.pole_x, epoch.orientation.pole_y, epoch.tio_locator)
-        earth_rotation = erfa.era00(*_ut1(time_ns, epoch.orientation))
-        rotation_ec = erfa.c2tcio(epoch.to_cirs["bpn"], earth_rotation, polar_motion)
+        slow = self._slow_steps_at(time_ns)
+        polar_motion = erfa.pom00(slow.orientation.pole_x, slow.orientation.pole_y, slow.tio_locator)
+        earth_rotation = erfa.era00(*_ut1(time_ns, slow.orientation))
+        rotation_ec = erfa.c2tcio(slow.to_cirs["bpn"], earth_rotation, polar_motion)
         rotation_nc: FloatArray = rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ec
         return rotation_nc
 
     def orientation(self, time_ns: int) -> EarthOrientation:
         """Return the Earth orientation used at a time, with its error."""
-        return self._epoch(time_ns).orientation
+        return self._slow_steps_at(time_ns).orientation
 
-    def _epoch(self, time_ns: int) -> _Epoch:
+    def _slow_steps_at(self, time_ns: int) -> _SlowSteps:
         index = time_ns // REFRESH_PERIOD_NS
-        epoch = self._epochs.get(index)
-        if epoch is None:
+        slow = self._slow_steps.get(index)
+        if slow is None:
             middle_ns = index * REFRESH_PERIOD_NS + REFRESH_PERIOD_NS // 2
             tt = tt_julian_date(middle_ns)
-            epoch = _Epoch(erfa.apci13(*tt)[0], self._table.at(middle_ns), erfa.sp00(*tt))
-            self._epochs[index] = epoch
-            if len(self._epochs) > _EPOCHS_KEPT:
-                del self._epochs[next(iter(self._epochs))]
-        return epoch
+            slow = _SlowSteps(erfa.apci13(*tt)[0], self._table.at(middle_ns), erfa.sp00(*tt))
+            self._slow_steps[index] = slow
+            if len(self._slow_steps) > _INTERVALS_KEPT:
+                del self._slow_steps[next(iter(self._slow_steps))]
+        return slow
 
 
 def _ut1(time_ns: TimeNs, orientation: EarthOrientation) -> JulianDate:
@@ -266,7 +266,7 @@ def _site(time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) ->
 
 
 def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, observer: Observer) -> FloatArray:
-    """Return unit vectors: ICRS → intermediate frame CIRS → (North, Up, East) → aberration by the ship's velocity."""
+    """Return unit vectors (North, Up, East): ICRS to CIRS, CIRS to horizon, aberration by the ship's velocity."""
     # atciq, not atciqz: only the former includes proper motion and parallax.
     cirs_alpha, cirs_delta = erfa.atciq(
         stars.right_ascension,

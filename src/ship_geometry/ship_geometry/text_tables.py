@@ -33,7 +33,7 @@ def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
 
 
 def numbers(lines: NDArray[np.uint8], *columns: Columns) -> FloatArray:
-    r"""Return the numbers in some columns, shape (columns, lines), to the last bit as by ``float``; NaN if blank.
+    r"""Return the numbers in some columns, shape (columns, lines), bit for bit those of ``float``; NaN if blank.
 
     Raises:
         ValueError: a text is not a number.

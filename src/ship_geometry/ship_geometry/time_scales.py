@@ -1,7 +1,7 @@
 """Time scales: POSIX UTC in integer nanoseconds to TAI, TT and two-part Julian dates for ERFA.
 
-Leap seconds come from the table in `astropy-iers-data`. POSIX time has no number for a leap second: 23:59:60 has the
-number of the following 00:00:00.
+Leap seconds come from the table in `astropy-iers-data`. POSIX time cannot represent a leap second: 23:59:60 has the
+same number as the following 00:00:00.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class LeapSeconds:
     Attributes:
         starts_ns: times from which each value is valid, increasing, shape (n,).
         tai_minus_utc_s: the values, shape (n,).
-        known_until_ns: expiry of the table; no other leap second is possible before.
+        known_until_ns: expiry of the table; no leap second that it lacks is possible before.
     """
 
     starts_ns: NDArray[np.int64]

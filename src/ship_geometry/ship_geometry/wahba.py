@@ -1,8 +1,8 @@
 """Wahba's problem: the rotation between two frames from directions known in both, with its covariance.
 
 The rotation R minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²,  where vᵢ are reference directions (n) and uᵢ measured ones (d), by the
-singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). For directions of equal error across the line of sight
-the minimum is the maximum-likelihood attitude, and its covariance is (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
+singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). If each direction has the same error σᵢ in both axes
+across the line of sight, the minimum is the maximum-likelihood attitude; its covariance is (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
 
 All functions accept leading dimensions: many attitudes at once, with the same number of directions each.
 """
@@ -17,7 +17,7 @@ from ship_geometry import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)
-"""Largest standard deviation of the worst axis of an attitude that counts as solved, rad.
+"""Limit of the standard deviation about the worst axis, rad; an attitude with a larger one counts as not solved.
 
 The covariance is valid for small errors only."""
 
@@ -82,22 +82,23 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
     left, singular, right = np.linalg.svd(weighted @ measured_d)
     rotation_nd = left @ right
-    # If the best fit is a reflection (-1), which is no attitude, the best rotation has its weakest axis reversed.
+    # If the best orthogonal fit is a reflection (determinant -1), the best rotation has the axis of the smallest
+    # singular value reversed.
     handedness = np.copysign(1.0, np.linalg.det(rotation_nd))
     if np.any(handedness < 0.0):
         left[..., :, 2] *= handedness[..., None]
         rotation_nd = left @ right
-    # The information about the worst axis, from the singular values of the data. It vanishes for parallel directions,
-    # and for directions so inconsistent that two rotations fit equally, which information_n does not show.
+    # Information about the worst axis, from the singular values. It vanishes for parallel directions. It also vanishes
+    # for directions so inconsistent that two rotations fit equally well; information_n does not show this.
     worst_information = singular[..., 1] + handedness * singular[..., 2]
     solved = worst_information > WORST_SIGMA**-2.0
     if np.all(solved):
         return WahbaSolution(rotation_nd, np.linalg.inv(information_n), information_n, solved)
-    refused = ~solved[..., None, None]
-    covariance_n = np.linalg.inv(np.where(refused, _IDENTITY, information_n))
+    undetermined = ~solved[..., None, None]
+    covariance_n = np.linalg.inv(np.where(undetermined, _IDENTITY, information_n))
     return WahbaSolution(
-        rotation_nd=np.where(refused, np.nan, rotation_nd),
-        covariance_n=np.where(refused, np.nan, covariance_n),
+        rotation_nd=np.where(undetermined, np.nan, rotation_nd),
+        covariance_n=np.where(undetermined, np.nan, covariance_n),
         information_n=information_n,
         solved=solved,
     )

@@ -15,7 +15,7 @@ from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.replay import replay
 from theodolite_calib.axis_fit import fit_axes_command
 from theodolite_calib.axis_fit.sighting_file import read_sightings
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 BAGS = Path(__file__).parents[3] / "bags"

@@ -18,7 +18,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault
 from ship_simulation.simulate_command import main
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, with_beacons, with_theodolite
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 
 ENCODER, IMAGE, BASELINE, DRONE = "theodolite/encoder", "theodolite/beacons", "beacon/a/baseline", "beacon/a/imu"
 

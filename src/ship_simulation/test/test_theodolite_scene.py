@@ -22,7 +22,7 @@ from ship_testing.theodolite_scenes import (
     with_theodolite,
     without_errors,
 )
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 

@@ -14,7 +14,7 @@ from ship_geometry.rotations import (
     log_rotation,
     wrap_pi,
 )
-from theodolite_calib.chain.axes import (
+from theodolite_calib.axis_geometry.axes import (
     NAMES,
     AxisErrors,
     AxisGeometry,
@@ -229,7 +229,7 @@ def test_the_compiled_chain_is_that_of_arrays() -> None:
     for errors, azimuth, elevation in product((SMALL, LARGE), azimuths[0, ::5].tolist(), elevations[:, 0].tolist()):
         ship_n, deformation_d, rotation_v, rate_d = 1e-3 * rng.standard_normal((4, 3))
         ship_time_s, measured_nd = 0.01, exp_rotation(1e3 * rotation_v)
-        chain = axis_geometry(
+        geometry = axis_geometry(
             np.concatenate([ship_n, deformation_d, errors.vector(), [ship_time_s]]),
             measured_nd,
             rate_d,
@@ -252,5 +252,5 @@ def test_the_compiled_chain_is_that_of_arrays() -> None:
             ),
             rotation_nd @ bent_df @ main.by_encoder,
         )
-        for name, found in vars(chain).items():
+        for name, found in vars(geometry).items():
             np.testing.assert_allclose(found, getattr(expected, name), rtol=0.0, atol=1e-13, err_msg=name)

@@ -15,7 +15,7 @@ from ship_testing.axis_sightings import ERRORS, random_angles, simulate_sighting
 from theodolite_calib.axis_fit.fit_axes_command import OUTPUT_NAMES, main
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
 from theodolite_calib.axis_fit.sightings import azimuth_and_elevation
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 

@@ -11,7 +11,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.chain.axes import axis_geometry
+from theodolite_calib.axis_geometry.axes import axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import UnresolvedFault
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -82,12 +82,13 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
         stated_n = None if ship.correlated_covariance_n is None else ship.correlated_covariance_n[number]
         later = filter_.propagate(state, time_ns, stated_n)
         errors = filter_.sightings.geometry_errors(later.mean)
-        chain = axis_geometry(errors, ship.rotation_nd[number], ship.rate_d[number], *encoders.angles[number].tolist())
-        by_error = chain.by_error[:, : len(rows)]
+        angles = encoders.angles[number].tolist()
+        geometry = axis_geometry(errors, ship.rotation_nd[number], ship.rate_d[number], *angles)
+        by_error = geometry.by_error[:, : len(rows)]
         parts_n = by_error @ later.covariance_by_source[:, rows[:, None], rows] @ by_error.T
-        parts_n[index("encoder")] += encoders.variance[number] * chain.by_encoder @ chain.by_encoder.T
+        parts_n[index("encoder")] += encoders.variance[number] * geometry.by_encoder @ geometry.by_encoder.T
         parts_n[index("ship_noise")] += ship.noise[number] * np.eye(3)
-        np.testing.assert_allclose(axes.rotation_nm[number], chain.rotation_nm, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(axes.rotation_nm[number], geometry.rotation_nm, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(axes.by_error_n[number], by_error, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(axes.covariance_by_source_n[number], parts_n, rtol=0.0, atol=1e-13 * np.max(parts_n))
 

@@ -6,7 +6,7 @@ import pytest
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.simulated_sightings import truth_of
-from theodolite_calib.chain.parallelism import telescope_from_main
+from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 
 ANGLES = np.deg2rad([0.3, -0.2, 0.5])
 
@@ -18,7 +18,7 @@ def test_first_order_of_the_models_page(elevation_deg, rotation_deg):
     small = np.array([40.0, -30.0, 20.0]) * ARCSEC
     telescope = truth_of(123.0, elevation_deg, rotation_deg).rotation_nt
     main = telescope @ rotation_from_angles(*small)
-    azimuth, elevation, _ = angles_from_rotation(main) - angles_from_rotation(telescope_from_main(small, main)[0])
+    azimuth, elevation, _ = angles_from_rotation(main) - angles_from_rotation(telescope_rotation(small, main)[0])
     d_a, d_e, omega = small[0], small[1], np.deg2rad(rotation_deg)
     expected = (d_a * np.cos(omega) + d_e * np.sin(omega)) / np.cos(np.deg2rad(elevation_deg))
     assert azimuth / ARCSEC == pytest.approx(expected / ARCSEC, abs=0.05)
@@ -27,14 +27,14 @@ def test_first_order_of_the_models_page(elevation_deg, rotation_deg):
 
 def test_composition_is_exact_and_regular_at_the_zenith():
     main = truth_of(50.0, 90.0, 20.0).rotation_nt
-    telescope, _ = telescope_from_main(ANGLES, main)
+    telescope, _ = telescope_rotation(ANGLES, main)
     assert telescope.T @ main == pytest.approx(rotation_from_angles(*ANGLES), abs=1e-15)
 
 
 @pytest.mark.parametrize("elevation_deg", [35.0, 90.0])
 def test_turn_of_the_telescope_by_each_angle(elevation_deg):
     main, step = truth_of(50.0, elevation_deg, -70.0).rotation_nt, 1e-5
-    _, by_angles = telescope_from_main(ANGLES, main)
+    _, by_angles = telescope_rotation(ANGLES, main)
     for column, change in enumerate(step * np.eye(3)):
-        after, before = (telescope_from_main(ANGLES + sign * change, main)[0] for sign in (0.5, -0.5))
+        after, before = (telescope_rotation(ANGLES + sign * change, main)[0] for sign in (0.5, -0.5))
         assert log_rotation(after @ before.T) / step == pytest.approx(by_angles[:, column], abs=1e-8)

@@ -18,7 +18,7 @@ from theodolite_calib.axis_fit.sightings import (
     directions,
     right_and_up,
 )
-from theodolite_calib.chain.axes import NAMES, AxisErrors, direction_change
+from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, direction_change
 
 SEEDS = 200
 

@@ -11,7 +11,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import fixed_stars
 from ship_testing.mount_stars import CAMERA_ID, mount_config
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 from theodolite_calib.measured.star_sighting import StarSighting, star_sighting
 from theodolite_calib.measured.tracks import MeasuredTracks

@@ -1,14 +1,15 @@
 """Theodolite pointing: axis errors calibrated by beacons on drones, and the main axis in the horizon at each reading.
 
-Each of these parts may import only those after it:
+Each folder imports only those below it:
 
-- ``axis_fit``: fit of axis errors to a table of sightings; ``design``: accuracy study; ``triangulation``: command.
-- ``ros``: adapters of the nodes, conversion of messages to samples and of results to messages.
-- ``smoothing``: pointings improved by later sightings.
-- ``optical_axis``: core of the node of that name.
-- ``target``: directions and positions of targets; ``escort``: advice for the drones.
-- ``filter``: calibration filter.
-- ``measured``: samples, their checks and tracks.
-- ``config``: parameters.
-- ``lights`` and ``chain``: geometry of beacons and axes, without a configuration.
+- ``axis_fit`` fits axis errors to a table of sightings, ``design`` predicts the accuracy before a voyage,
+  ``triangulation`` computes positions of targets from recorded directions.
+- ``ros`` converts messages to samples and results to messages.
+- ``smoothing`` improves pointings by later sightings.
+- ``optical_axis`` is the core of the node.
+- ``target`` gives directions and positions of targets; ``escort`` gives advised positions of the drones.
+- ``filter`` estimates axis errors, deformation and the ship's error.
+- ``measured`` holds the samples, ``config`` the parameters.
+- ``lights`` is the camera model for beacons and the attitude of the telescope from them.
+- ``axis_geometry`` is the mount model: zero points, collimation, non-perpendicularity, tilt and flexure.
 """

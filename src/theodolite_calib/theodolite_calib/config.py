@@ -25,7 +25,7 @@ from ship_estimation.parameters import ParameterError
 from ship_estimation.protection_levels import IntegrityConfig
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 
 _MAX_LEVER_M = 200.0
 """Largest lever of any ship, m: a larger number is in millimetres, or another mistake."""
@@ -33,11 +33,11 @@ _MAX_LEVER_M = 200.0
 _SHORTEST_FOCAL_LENGTH_M = 0.001
 
 _SAME_TOLERANCE = 1e-9
-"""Relative difference up to which two texts of one number are equal."""
+"""Relative difference up to which two parameters count as equal: the same number may be written in different units."""
 
 
 def _axis_error(doc: str) -> Any:
-    """Return the field of an axis error with a known value; zero points beyond a degree need ``fit_axes``."""
+    """Return the field of the known value of an axis error, up to 1°; larger zero points need ``fit_axes``."""
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
 
 
@@ -127,9 +127,9 @@ class AxesConfig:
     g_sigma_arcsec: float = _axis_sigma()
     h_arcsec: float = _axis_error("zero point of the elevation encoder; the axis points at E - h")
     h_sigma_arcsec: float = _axis_sigma()
-    c_arcsec: float = _axis_error("collimation, to the left")
+    c_arcsec: float = _axis_error("collimation of the optical axis, to the left")
     c_sigma_arcsec: float = _axis_sigma()
-    I_arcsec: float = _axis_error("tilt of the horizontal axis, right end up")
+    I_arcsec: float = _axis_error("non-perpendicularity: tilt of the horizontal axis, right end up")
     I_sigma_arcsec: float = _axis_sigma()
     beta_x_arcsec: float = _axis_error("tilt of the vertical axis towards the bow")
     beta_x_sigma_arcsec: float = _axis_sigma()
@@ -140,7 +140,7 @@ class AxesConfig:
 
     @property
     def values(self) -> FloatArray:
-        """Prior values, in the order of :data:`theodolite_calib.chain.axes.NAMES`, rad, shape (7,)."""
+        """Prior values, in the order of :data:`theodolite_calib.axis_geometry.axes.NAMES`, rad, shape (7,)."""
         return ARCSEC * np.array([getattr(self, f"{name}_arcsec") for name in NAMES])
 
     @property
@@ -406,7 +406,7 @@ class EscortConfig:
                     value=least,
                 )
         near, far, field = self.range_min_m, self.range_max_m, np.deg2rad(self.field_deg)
-        # Both far, or one of them near: across the whole field.
+        # The largest distance is across the whole field: between two far positions, or a near and a far one.
         same_range_m, different_range_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
         widest_m = float(max(same_range_m, different_range_m))
         if not self.separation_min_m <= widest_m:
@@ -473,7 +473,7 @@ class OpticalAxisConfig:
     )
 
     def __post_init__(self) -> None:
-        # All sources; without each drone; without the encoders; without the ship's attitude.
+        # One main filter; subfilters without each drone, without the encoders, without the ship's attitude.
         hypotheses, most = 3 + len(self.beacons), self.integrity.max_hypotheses
         if hypotheses > most:
             raise ParameterError(
@@ -490,7 +490,7 @@ class OpticalAxisConfig:
             )
 
     def star_camera(self, id_: str) -> RequiredCameraConfig:
-        """Return the camera of ``telescopes.<id>``; the calibration telescope has one focal length sigma for all."""
+        """Return the camera of ``telescopes.<id>``, with ``telescope.focal_length_sigma_m`` for that telescope."""
         camera, sigma_m = self.telescopes[id_].camera, self.telescope.focal_length_sigma_m
         if id_ != self.telescope.telescope_id or not sigma_m:
             return camera

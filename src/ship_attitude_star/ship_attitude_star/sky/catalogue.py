@@ -50,7 +50,7 @@ class StarCatalogue:
     Attributes:
         hip: HIP numbers, increasing.
         at_epoch: positions and proper motions at 1991.25, ICRS.
-        at_j2000: the same at J2000.0, the epoch that :mod:`ship_geometry.star_directions` takes.
+        at_j2000: the same at J2000.0, the epoch that :mod:`ship_geometry.star_directions` requires.
         magnitude: in the Hipparcos band Hp.
         position_sigma: standard deviation of a position at 1991.25, the larger of its two components, rad.
         pm_sigma: standard deviation of the proper motion, the larger of its two components, rad/year.
@@ -87,11 +87,11 @@ class StarCatalogue:
         return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
 
     def entries(self, hip: NDArray[np.int64], time_ns: int) -> "CatalogueEntries":
-        """Return rows, positions and position errors of stars at a time.
+        """Return rows and J2000.0 positions of stars, with the errors of their positions at a time.
 
         Args:
             hip: HIP numbers, shape (k,).
-            time_ns: time to which the errors of the positions are propagated.
+            time_ns: time to which the errors are propagated by the errors of the proper motions.
         """
         rows = self.rows(hip)
         listed = np.maximum(rows, 0)

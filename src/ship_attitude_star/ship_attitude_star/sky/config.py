@@ -30,14 +30,14 @@ class SkyConfig:
     relative_humidity: float = parameter(0.7, doc="humidity without met/humidity, 0 to 1", minimum=0.0, maximum=1.0)
     pressure_sigma_hpa: float = parameter(
         15.0,
-        doc="error of pressure_hpa; the error of a reading grows to it with age",
+        doc="error of pressure_hpa; the error of a reading grows to this value with age",
         unit="hPa",
         minimum=0.0,
         maximum=200.0,
     )
     temperature_sigma_k: float = parameter(
         10.0,
-        doc="error of temperature_c; the error of a reading grows to it with age",
+        doc="error of temperature_c; the error of a reading grows to this value with age",
         unit="K",
         minimum=0.0,
         maximum=60.0,
@@ -69,7 +69,7 @@ class SkyConfig:
     )
     gnss_delay_s: float = parameter(
         0.5,
-        doc="age from which fixes and readings of the air are used; those that arrive later need a recomputation",
+        doc="least age of a fix or a reading of the air for its use; one that arrives later needs a recomputation",
         unit="s",
         minimum=0.0,
         maximum=10.0,

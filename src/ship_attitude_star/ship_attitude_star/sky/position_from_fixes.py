@@ -1,12 +1,13 @@
 """The ship's position at any time, from position fixes.
 
 The position is extrapolated along the line through two fixes stamped ``gnss_delay_s`` or more before the requested
-time. A fix that arrives within this delay changes no result, so no comparison has to be repeated. In 1.5 s a ship
-leaves the line by half a metre, 0.016″ (0.1 m/s²). The line is straight in Earth-fixed coordinates, so the date line
-and the poles need no special treatment. At the start, and after a time without fixes, no such line is known yet. The
-position then lies on the line through the two fixes nearest in time, including later ones. The first fixes are
-provisional until ten are consistent (:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict them,
-no position is known. The results do not depend on the order of arrival.
+time. A fix that arrives within this delay changes no result, so no exposure has to be processed again. With an
+acceleration of 0.1 m/s² the error of the extrapolation is half a metre (0.016″) 1.5 s after the later fix. The line is
+straight in Earth-fixed coordinates, so the date line and the poles need no special treatment. At the start, and after a
+time without fixes, there is no such line. The position then lies on the line through the two fixes nearest in time,
+including later ones. The first fixes are provisional until ten are consistent
+(:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict them, no position is known. The results do
+not depend on the order of arrival.
 """
 
 import bisect
@@ -38,8 +39,8 @@ A ship that turns at 0.6°/s and 10 m/s has this acceleration.
 LINE_LENGTH_NS = 5 * SECOND_NS
 """Time between the two fixes that define the extrapolation line, ns.
 
-One second after the later fix, the line errs by 0.3 m because the ship accelerates. It multiplies the independent error
-of each fix by 1.2; with fixes one second apart the factor would be 2.2, with 0.1 s it would be 15.
+One second after the later fix, the acceleration of the ship causes an error of 0.3 m. Independent errors of the two
+fixes are multiplied by 1.2; with fixes one second apart the factor would be 2.2, with 0.1 s it would be 15.
 """
 
 SPEED_SIGMA_M_PER_S = 10.0
@@ -48,11 +49,14 @@ SPEED_SIGMA_M_PER_S = 10.0
 JUMP_CONFIRMATION_S = 25.0
 """Time after which a position that has jumped is accepted, s.
 
-The node has no means to decide which of two positions is right; the wrong one may have come first.
+Which of two positions is right cannot be decided, and the wrong one may have come first.
 """
 
 MIN_CONSISTENT_FIXES = 10
-"""Number of different consistent fixes that establish a position; until then, as many other fixes replace it."""
+"""Number of different consistent fixes that establish a position.
+
+A position not yet established is replaced by another one as soon as that has this number of fixes.
+"""
 
 MAX_POSITION_STEP_M = 50.0
 """Largest step of a position that is not a jump: change of antenna or of the receiver's solution type, m.
@@ -132,26 +136,27 @@ class PositionFromFixes:
         return min(unchanged_until_ns, default=None)
 
     def _last_unchanged_ns(self, changed_ns: int) -> int:
-        """Return the time after which results may differ if the accepted fixes differ from a stamp on."""
+        """Return the time after which positions may change if the accepted fixes change from ``changed_ns`` on."""
         times, index = self._fixes.times, bisect.bisect_left(self._fixes.times, changed_ns)
         if index < 2:
             return 0  # the first two fixes define the line for all earlier times
-        # The velocity changes from the fix before the new one; if that fix is not connected, from the one before it.
+        # The velocity changes from the last unchanged fix on. If that one is not connected to its predecessor, the
+        # velocity between the two may change as well.
         nearest_after_ns = times[index - 1] - 1 if self._is_connected(index - 2) else times[index - 2]
         return self._extrapolated_until_ns(nearest_after_ns, changed_ns + self._delay_ns - 1)
 
     def _extrapolated_until_ns(self, after_ns: int, until_ns: int) -> int:
         """Return the last time up to which all positions after ``after_ns`` are extrapolated; at most ``until_ns``."""
-        last_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
-        while last_ns < until_ns:
-            line = self._line_fixes(last_ns + 1)
+        extrapolated_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
+        while extrapolated_ns < until_ns:
+            line = self._line_fixes(extrapolated_ns + 1)
             if line is None:
                 break
-            # The line is used until the next fix is old enough, or its own last one is too old.
+            # A line is used until the next fix is old enough for use, or until the later fix of the line is too old.
             _, last = line
             old_enough_ns = [time_ns + self._delay_ns - 1 for time_ns in self._fixes.times[last + 1 : last + 2]]
-            last_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
-        return last_ns
+            extrapolated_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
+        return extrapolated_ns
 
     def drop_before(self, time_ns: int) -> None:
         """Drop the fixes that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
@@ -169,20 +174,20 @@ class PositionFromFixes:
         """Return the position at a time, or NO_FIX.
 
         NO_FIX is returned if no fix is near enough in time, or if provisional fixes contradict each other. Errors of
-        successive fixes are treated as equal, as those of GNSS are; averaging does not reduce them. The error of the
-        straight line grows with the time to its two fixes.
+        successive fixes are assumed to be equal, which is nearly true of GNSS; so averaging does not reduce them. The
+        error of the straight line grows with the time to its two fixes.
         """
         if self._fixes.has_conflict_at(time_ns - self._delay_ns):
-            text = f"no position until {MIN_CONSISTENT_FIXES} in a row are consistent"
-            return Rejection(Reason.NO_FIX, f"the first position fixes contradict one another: {text}")
+            text = "the first position fixes contradict one another"
+            return Rejection(Reason.NO_FIX, f"{text}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent")
         line = self._line_fixes(time_ns)
         return self._position_near_fixes(time_ns) if line is None else self._position_on_line(*line, time_ns)
 
     def _line_fixes(self, time_ns: int) -> tuple[int, int] | None:
         """Return the indices of the two fixes, both older than the delay, that define the line at a time.
 
-        None if the last one is too old, or if the two are closer to each other than to the requested time: the line
-        would amplify their errors.
+        None if the later one is too old, or if the two are less than the delay apart: the extrapolation would then
+        amplify their errors.
         """
         times, last = self._fixes.times, self._fixes.last_before(time_ns - self._delay_ns)
         if last < 0 or time_ns - times[last] > self._fix_max_age_ns:
@@ -239,7 +244,7 @@ class PositionFromFixes:
         times = self._fixes.times
         left = nearest if times[nearest] <= time_ns else nearest - 1
         for index in (left, left - 1) if left == nearest else (left, left + 1):
-            # One of two connected fixes is recent enough for any time between them.
+            # Connected fixes are at most twice fix_max_age_s apart, so for any time between them one is recent enough.
             if 0 <= index < len(times) - 1 and self._is_connected(index):
                 return index
         return None

@@ -1,9 +1,9 @@
 """Apparent directions of stars over the ship at any time, and the errors that all of them share.
 
 :class:`SkyModel` returns a :class:`LocalSky` for a time, computed from position fixes and air readings. It places stars
-in the horizon frame (North, Up, East), with refraction. Errors of refraction, Earth rotation (UT1) and the ship's
-position are common to all stars and do not average. Each direction therefore comes with its displacement by one
-standard deviation of each of them (docs/explanation/stars.md).
+in the horizon frame (North, Up, East), with refraction (SOFA's observed places). Errors of refraction, Earth rotation
+(UT1) and the ship's position are common to all stars and do not average. Each direction therefore comes with its
+displacement by one standard deviation of each of these errors (docs/explanation/stars.md).
 
 An error of UTC rotates the sky as one of UT1 does. It is a separate term because its cause is different. Where the
 clocks are taken as exact (``sky.utc_sigma_s`` 0), the term is absent.
@@ -77,7 +77,7 @@ class BrightStars:
     magnitudes: FloatArray
 
     def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
-        """Return the number of candidates per steradian within a magnitude tolerance; all candidates where NaN."""
+        """Return the number of candidates per steradian within a magnitude tolerance; a NaN magnitude fits them all."""
         faintest = np.where(np.isfinite(magnitude), magnitude + tolerance, np.inf)
         brightest = np.where(np.isfinite(magnitude), magnitude - tolerance, -np.inf)
         count = np.searchsorted(self.magnitudes, faintest, "right") - np.searchsorted(self.magnitudes, brightest)
@@ -157,19 +157,23 @@ class LocalSky:
 
     def refraction_at(self, elevation: float) -> tuple[float, float]:
         """Return refraction and its sigma at an elevation without air, rad; NaN outside the model's range."""
-        bent = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
-        return float(bent.angle), float(bent.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
+        found = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
+        return float(found.angle), float(found.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
 
     def refraction_slopes_at(self, elevation: float) -> tuple[float, float]:
         """Return the first and second derivative of refraction by elevation, rad/rad and rad/rad²."""
         return refraction_slopes(self.model, elevation, self.air.weather, self.wavelength_um)
 
     def aberration_at(self, direction_n: FloatArray) -> FloatArray:
-        """Return the displacement by aberration at a direction (N, U, E), without refraction, rad, shape (3,)."""
+        """Return the displacement of a star by aberration and light deflection, rad, shape (3,).
+
+        Args:
+            direction_n: geometric direction of the star (N, U, E): without aberration and refraction, shape (3,).
+        """
         rotation_nc = self.rotation_horizon_from_icrs()
         star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
-        seen_n = self.airless_sky.directions(star, self.time_ns, self.position.observer)
-        displacement: FloatArray = seen_n - direction_n
+        aberrated_n = self.airless_sky.directions(star, self.time_ns, self.position.observer)
+        displacement: FloatArray = aberrated_n - direction_n
         return displacement
 
     def sky_rotations(self) -> FloatArray:
@@ -263,8 +267,8 @@ def _sky_rotations(position: ShipPosition, ut1_sigma_s: float, utc_sigma_s: floa
     """Return the sky's rotation in the horizon frame by one sigma of UT1, position and UTC, rad, shape (n, 3).
 
     A ship farther north than assumed sees the sky rotated about East; one farther east sees it rotated about the
-    Earth's axis. 31 m correspond to 1″. The first position error is that of north with the correlated part of east; the
-    second is the rest of east, so that a filter may keep the two as independent states.
+    Earth's axis. 31 m correspond to 1″. The position has two independent errors, so that a filter may keep them as two
+    states: the error north with the correlated part of the error east, and the rest of the error east.
     """
     covariance_m2, latitude = position.covariance_m2, float(position.observer.position.latitude)
     radius_north_m, radius_east_m = map(float, position.horizon_radii_m)

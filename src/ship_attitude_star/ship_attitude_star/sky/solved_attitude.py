@@ -1,8 +1,8 @@
 """Separation of shared errors from a horizon attitude computed by a sensor: refraction, UT1, the ship's position.
 
-Such a sensor has placed its stars with the same fix, UT1 and air as any other sensor on board. These errors are part of
-the covariance that its message states. Treated as the sensor's own, they would seem to average over the sensors. Here
-they become errors common to all sensors:
+Such a sensor computes the directions of its stars with the same fix, UT1 and air data as any other sensor on board. The
+errors of these are part of the covariance that its message states. If they were treated as errors of the sensor, they
+would seem to average over the sensors. Here they become errors common to all sensors:
 
 - An error of UT1 or of the position rotates the whole sky, whatever stars were seen: :meth:`LocalSky.sky_rotations`.
 - An error of refraction raises the stars of a sensor. It rotates the attitude about the axis across the boresight, and
@@ -24,9 +24,9 @@ _ROUNDING_RATIO = 1e-9
 """Ratio to the total variance below which a variance is rounding error and set to zero."""
 
 _LOW_STARS_FACTOR = 1.5
-"""Ratio of the refraction error averaged over a field's stars to that at the boresight, at most.
+"""Maximum ratio of the refraction error averaged over a field's stars to that at the boresight.
 
-At boresight elevation 45° the ratio is 1.4 for stars 10° lower, at 25° for stars 7° lower.
+The ratio is 1.4 for stars 10° below a boresight at 45°, and for stars 7° below one at 25°.
 """
 
 
@@ -51,13 +51,13 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
         )
     else:
         stated_n, lifted_n = _split_refraction(_without_sky_rotations(noise_n, turns_n), lift, sigma)
-    noise_is_left = solved.covariance_known and not solved.has_noise_covariance
+    has_one_covariance = solved.covariance_known and not solved.has_noise_covariance
     return AttitudeMeasurement(
         solved.source,
         solved.time_ns,
         rotation_ns,
-        rotation_ns.T @ stated_n @ rotation_ns if noise_is_left else solved.noise_v,
-        np.zeros((3, 3)) if noise_is_left else stated_n,
+        rotation_ns.T @ stated_n @ rotation_ns if has_one_covariance else solved.noise_v,
+        np.zeros((3, 3)) if has_one_covariance else stated_n,
         covariance_known=solved.covariance_known,
         shared_n=np.column_stack([lifted_n, turns_n]),
     )
@@ -76,14 +76,15 @@ def _without_sky_rotations(stated_n: FloatArray, turns_n: FloatArray) -> FloatAr
     """Return a stated covariance without rotations of the whole sky (3, n); non-negative in every direction."""
     values, vectors = np.linalg.eigh(stated_n - turns_n @ turns_n.T)
     nonnegative = np.where(values > _ROUNDING_RATIO * np.trace(stated_n), values, 0.0)
-    left: FloatArray = (vectors * nonnegative) @ vectors.T
-    return left
+    remaining: FloatArray = (vectors * nonnegative) @ vectors.T
+    return remaining
 
 
 def _split_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tuple[FloatArray, FloatArray]:
     """Return the covariance without refraction, and the rotation by one sigma of refraction, rad.
 
-    The rotation is about ``refraction_rotation`` and at most ``most``.
+    The component of the rotation along ``lift``, the axis about which refraction raises the boresight, is ``most`` at
+    most.
     """
     along = float(np.sqrt(max(float(lift @ stated_n @ lift), 0.0)))
     # Written so that NaN, outside the model's range, uses the stated covariance.

@@ -1,11 +1,11 @@
 """Conversion of a star tracker's attitude against the ICRS into the horizon, with the same sky model as single stars.
 
-A tracker compares the stars that it sees with a catalogue and does not model the air: it takes a refracted star for a
-higher one. The rotation by refraction at the boresight must therefore be added. The same holds for aberration where the
-tracker does not correct it.
+A tracker matches the stars in its field with a catalogue and does not model the air. Refraction raises all its stars,
+so its attitude is rotated the other way. The rotation by refraction at the boresight must therefore be added. The same
+holds for aberration where the tracker does not correct it.
 
-Refraction varies over the field. It compresses the image towards the vertical by ρ tan E and along the vertical by
--dρ/dE, both in radians per radian (ρ the refraction, E the elevation). No rotation represents a compression. The
+Refraction varies over the field. It compresses the image horizontally by ρ tan E and vertically by -dρ/dE, both in
+radians per radian (ρ the refraction, E the elevation). No rotation represents a compression. The
 residual error of the tracker's attitude depends on the positions of its stars, which the tracker does not report, and
 lasts as long as they stay there. Each tracker therefore has a correlated error of its own.
 """
@@ -85,23 +85,23 @@ def _field_refraction(
     about the boresight where the stars lie along a diagonal: their Σxy/Σr² has the variance 1/(6 (n - 1)), for any F.
 
     Returns:
-        The mean additional lift by the curvature of refraction, rad; and the covariance of the rest, rotation vector in
-        the horizon frame, rad², shape (3, 3).
+        Mean additional lift by the second derivative of refraction, rad; covariance of the remaining error, rotation
+        vector in the horizon frame, rad², shape (3, 3).
     """
     if field.radius == 0.0:
         return 0.0, np.zeros((3, 3))
     slope, curvature = local_sky.refraction_slopes_at(elevation)
-    # ρ tan E; at the zenith it equals the slope.
-    towards = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
+    # ρ tan E; at the zenith it equals -dρ/dE.
+    sideways = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
     middle = field.radius / (2.0 * np.sqrt(_ASSUMED_STARS))
-    left_in = 0.0 if field.aberration_removed else _MAX_ABERRATION
+    aberration = 0.0 if field.aberration_removed else _MAX_ABERRATION
     lift, about = raising_axis(forward), np.outer(forward, forward)
-    common_n = (towards**2 + left_in**2) * middle**2 * (np.eye(3) - about)
+    common_n = (sideways**2 + aberration**2) * middle**2 * (np.eye(3) - about)
     mean_extra_lift = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
-    # The slope itself varies over the field, near the horizon by its own size.
+    # dρ/dE also varies over the field; near the horizon the variation is as large as dρ/dE.
     uneven = (0.5 * field.radius * curvature) ** 2
-    common_n += ((slope**2 + uneven - towards**2) * middle**2 + mean_extra_lift**2 / _ASSUMED_STARS) * np.outer(
+    common_n += ((slope**2 + uneven - sideways**2) * middle**2 + mean_extra_lift**2 / _ASSUMED_STARS) * np.outer(
         lift, lift
     )
-    common_n += ((slope + towards) ** 2 + uneven) / (6.0 * (_ASSUMED_STARS - 1)) * about
+    common_n += ((slope + sideways) ** 2 + uneven) / (6.0 * (_ASSUMED_STARS - 1)) * about
     return mean_extra_lift, common_n

@@ -49,7 +49,7 @@ class AttitudeSolution:
 
     Attributes:
         sensor_id: id of the sensor, or JOINT.
-        time_ns: time of validity: stamp of the exposure, for a joint solution of its first exposure.
+        time_ns: time of validity: stamp of the exposure; for a joint solution, that of its first exposure.
         solution: the attitude.
         rejected_stars: rejected stars.
         sources: sensors whose stars are used, ``star.<id>``.
@@ -108,11 +108,11 @@ class PlacedExposure:
 
 @dataclass(frozen=True)
 class MountedExposure:
-    """An exposure in the deck frame at another time.
+    """An exposure with the rotation of its directions to the deck frame at a common time.
 
     Attributes:
         exposure: the exposure.
-        rotation_ds: deck at that time from sensor at its exposure, shape (3, 3).
+        rotation_ds: deck at the common time from sensor at the exposure, shape (3, 3).
     """
 
     exposure: PlacedExposure
@@ -190,26 +190,26 @@ def solve_deck(
         prior: attitude of the deck for the selection of stars; None if not known.
     """
     with_stars = [index for index, mounted in enumerate(group) if mounted.exposure.stars is not None]
-    seeing = group
+    usable = group
     if len(with_stars) < len(group):
-        seeing = [group[index] for index in with_stars]
+        usable = [group[index] for index in with_stars]
         turn_covariance_d = turn_covariance_d[with_stars][:, :, with_stars]
-    if not seeing:
+    if not usable:
         rejection = Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), rejection), (), ())
-    solution, against_prior = solve_with_fallback(_stars_in_deck(seeing, turn_covariance_d, sensors), prior)
-    rejected = _rejected_stars(solution, seeing)
+    solution, against_prior = solve_with_fallback(_stars_in_deck(usable, turn_covariance_d, sensors), prior)
+    rejected = _rejected_stars(solution, usable)
     known = (
         {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars}
         if rejected
         else set()
     )
-    new_rejected = tuple(star for star in rejected if (star.source, star.name) not in known)
+    newly_rejected = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
-        members, rows = solution.members.tolist(), _rows(seeing)
-        sources = tuple(m.exposure.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
-    return AttitudeSolution(JOINT, time_ns, solution, new_rejected, sources, _AGAINST_INS if against_prior else "")
+        members, rows = solution.members.tolist(), _rows(usable)
+        sources = tuple(m.exposure.source for m, own in zip(usable, rows, strict=True) if any(members[own]))
+    return AttitudeSolution(JOINT, time_ns, solution, newly_rejected, sources, _AGAINST_INS if against_prior else "")
 
 
 def _stars_in_deck(
@@ -232,7 +232,7 @@ def _stars_in_deck(
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
         time_transfer_b=_turn_errors_in_deck(group, turn_covariance_d),
-        false_match_density=_rivals(stars),
+        false_match_density=_false_match_density(stars),
         pixel_sigma=_pixel_sigma(stars),
         field_b=_field_in_deck(stars, group),
         field_sources=tuple(source for s in stars for source in s.field_sources),
@@ -264,7 +264,7 @@ def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposur
     )
 
 
-def _rivals(stars: Sequence[MatchedStars]) -> FloatArray | None:
+def _false_match_density(stars: Sequence[MatchedStars]) -> FloatArray | None:
     """Return the density of false matches for all stars, 1/sr, shape (k,); None if all identities are certain."""
     if all(s.false_match_density is None for s in stars):
         return None

@@ -127,8 +127,8 @@ class InsMotion:
         Returns:
             The batch; None if the first sample needs separate handling.
         """
-        newest, guard = self.track.newest, self._plausibility.ins
-        if newest is None or not guard.can_check_block(int(block.times_ns[0])):
+        newest, check = self.track.newest, self._plausibility.ins
+        if newest is None or not check.can_check_block(int(block.times_ns[0])):
             return None
         # No sample after a gap, and none that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
@@ -137,7 +137,7 @@ class InsMotion:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        checked = guard.check_block(samples, block)
+        checked = check.check_block(samples, block)
         if not checked.count:
             return None
         return MotionBatch(samples[: checked.accepted_count], block.rotations_nd[: checked.count], checked)
@@ -165,14 +165,14 @@ class InsMotion:
             return checked.rejection
         sample = checked.sample
         known = self.track.get(sample.time_ns)
-        taken, rejection = (True, None) if known is None else resolve_same_stamp(known, sample)
+        is_kept, rejection = (True, None) if known is None else resolve_same_stamp(known, sample)
         self._stamp_conflicts.record(INS, sample.time_ns, rejection)
-        if taken:
+        if is_kept:
             self.track.insert(sample)
         return rejection
 
     def is_awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
-        """True if pending samples may provide the attitude from a time until ``reach_ns`` later."""
+        """True if samples to come may still determine the attitude up to ``reach_ns`` after a time."""
         newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
         if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._is_contradictory(stamp_ns):
             return False
@@ -203,9 +203,9 @@ class InsMotion:
     def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
         """Return the rotations of the deck from the middles of exposures to one time.
 
-        The correlated error of the INS is constant over these times and cancels. Noise remains, and the effect of the
-        time offset if the rate changes. The noise of :meth:`at_middle` is included, because the rotation to the middle
-        and that from there on share it. If a rotation is not known, the deck is assumed not to rotate.
+        The correlated error of the INS is constant over these times and cancels. Two errors remain: noise, and the time
+        offset if the rate changes. The noise includes that of the reduction to the middle (:meth:`at_middle`), because
+        the two are correlated. If a rotation is not known, the deck is assumed not to rotate.
         """
         turned_rows = [
             row
@@ -295,7 +295,7 @@ class InsMotion:
         return stated + extra.white_rad2 + extra.jitter_s2 * float(found.rate_d @ found.rate_d)
 
     def _ins_jumps_n(self, time_ns: int) -> FloatArray:
-        """Return the sum of all INS jumps until a time, rotation vector, rad; its attitude may be wrong by it."""
+        """Return the sum of all INS jumps until a time, rotation vector, rad: the INS attitude may have this error."""
         before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
         return np.sum(before, axis=0) if before else np.zeros(3)
 

@@ -58,7 +58,7 @@ class Distortion:
         return matrix
 
     def undistort(self, distorted: FloatArray) -> FloatArray:
-        """Return the ideal points of distorted ones, shape (..., 2); NaN beyond the turning point of the model."""
+        """Return the ideal points of distorted points, shape (..., 2); NaN where the model folds over."""
         ideal = np.array(distorted, dtype=float)
         for _ in range(_NEWTON_STEPS):
             step = _solve_symmetric(self.jacobian(ideal), distorted - self.distort(ideal))
@@ -69,7 +69,7 @@ class Distortion:
 
 
 def _solve_symmetric(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive, where the model folds over."""
+    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive: the distortion folds over there."""
     determinant = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] ** 2
     x, y = right_side[..., 0], right_side[..., 1]
     cofactors = np.stack(
@@ -134,14 +134,14 @@ class StarCamera:
         return self._covariance(self._undistorted_points(pixels), sigma_px)
 
     def optics_jacobian(self, directions_s: FloatArray) -> FloatArray:
-        """Return the derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 4).
+        """Return the derivative of directions by the parameters of the optics, shape (..., 3, 4), for constant pixels.
 
         Args:
             directions_s: as measured, unit vectors (forward, up, right), shape (..., 3).
 
         Returns:
-            Columns: by the logarithm of the focal length, by ``principal_u_px`` and ``principal_v_px`` (per pixel), by
-                k1 of the distortion.
+            Columns: by the logarithm of the focal length (rad), by ``principal_u_px`` and ``principal_v_px`` (rad per
+                pixel), by k1 of the distortion (rad).
         """
         forward = directions_s[..., 0]
         ideal = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
@@ -193,7 +193,7 @@ class StarCamera:
 def tangent_basis(directions_s: FloatArray) -> FloatArray:
     """Return two unit vectors across each direction (forward, up, right), shape (..., 2, 3): first up, then right.
 
-    They are NaN for the sensor's zenith and nadir, which no lens images.
+    They are NaN for the directions of the sensor's up axis and its opposite, 90° from the boresight.
     """
     basis = np.zeros((*directions_s.shape[:-1], 2, 3))
     forward, up, right = directions_s[..., 0], directions_s[..., 1], directions_s[..., 2]
@@ -207,9 +207,10 @@ def tangent_basis(directions_s: FloatArray) -> FloatArray:
 
 
 def equivalent_sigma(covariance: FloatArray) -> FloatArray:
-    """Return the root mean variance, rad per axis, shape (...), of a direction's covariance (..., 2, 2).
+    """Return the square root of the mean variance, rad per axis, shape (...), of a covariance of shape (..., 2, 2).
 
-    Wahba's problem has one sigma per direction. Off axis the sigmas up and right differ by the cosine: 3 % at 14°.
+    Wahba's problem has one sigma per direction. The sigmas up and right differ by the cosine of the angle from the
+    boresight: by 3 % at 14°.
     """
     sigma: FloatArray = np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1]))
     return sigma

@@ -19,7 +19,9 @@ length is 2e-4.
 
 
 def camera_blocks(name: str, camera: CameraConfig, has_focal_length: bool = True) -> list[StateBlock]:
-    """Return the blocks ``<name>.optics`` and, if the camera has a field-spatial error, ``<name>.field``, in sigmas.
+    """Return the blocks ``<name>.optics`` and, if the camera has a field-spatial error, ``<name>.field``.
+
+    The states are in units of their standard deviations.
 
     Args:
         name: name of the camera among the states.
@@ -39,7 +41,7 @@ def camera_state_indices(slices: Mapping[str, slice], name: str, focal_length: s
     Args:
         slices: slices of the filter's states by block.
         name: name of the camera among the states.
-        focal_length: block that holds the focal length; empty where ``<name>.optics`` does.
+        focal_length: block that holds the focal length; empty if ``<name>.optics`` holds it.
     """
     blocks = [slices[block] for block in (focal_length, f"{name}.optics", f"{name}.field") if block in slices]
     return np.concatenate([np.arange(rows.start, rows.stop) for rows in blocks]) if blocks else None

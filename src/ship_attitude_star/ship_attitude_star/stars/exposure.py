@@ -1,13 +1,13 @@
 """Stars of one exposure: directions at mid-exposure, identities and catalogue positions.
 
 A ship rotates while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
-The INS measures the rotation of the sensor, and so the offset of that mean from the pixel at mid-exposure, which the
-angular acceleration and its centripetal part cause. A streak of L pixels increases the variance of the light along
-itself by L²/12 over that of an image at rest, s². The centroid's variance along the streak is therefore σ² (1 + L²/(12
-s²)). Across the streak nothing changes (docs/explanation/star_camera.md).
+It differs from the pixel at mid-exposure because of the angular and the centripetal acceleration. The INS measures the
+rotation of the sensor, and this difference is computed from it. The variance of the light along a streak of L pixels is
+s² + L²/12, with s² that of an image at rest. The centroid's variance σ² grows by the same factor along the streak, to
+σ² (1 + L²/(12 s²)), and is unchanged across it (docs/explanation/star_camera.md).
 
-A detection without an identity is identified with the predicted attitude of its sensor, as the nearest catalogue star
-within the gate. If a second star is possible too, it stays without an identity.
+A detection without an identity is identified with the predicted attitude of its sensor, as the only catalogue star
+within the gate. If two stars are possible, it stays without an identity.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class ExposureLength:
         return Rejection(Reason.GAP, f"no INS samples over the whole exposure of {self.exposure_s:g} s")
 
     def unmeasured_turn_variance(self, acceleration: float) -> float:
-        """Return the variance of the rotation from the exposure's mean to its middle without an INS, each axis, rad².
+        """Return the variance of mean attitude minus middle attitude if no INS measures it, each axis, rad².
 
         Args:
             acceleration: standard deviation of the sensor's angular acceleration, each axis, rad/s².
@@ -114,7 +114,7 @@ class StarExposure:
     optics: OpticsErrors | None = None
     spatial: SpatialErrors | None = None
     pixel_dwell: PixelDwell | None = None
-    covariance_known = True  # a star whose message gives no centroid error has the configured one
+    covariance_known = True  # where the message gives no centroid error, the configured one is used
 
     @property
     def reach_ns(self) -> int:
@@ -161,7 +161,11 @@ class StarExposure:
         )
 
     def with_pixel_dwell(self, before: PixelDwell | None) -> StarExposure:
-        """Return the exposure with its pixel dwell after the sensor's previous exposures; None for none."""
+        """Return the exposure with its pixel dwell.
+
+        Args:
+            before: pixel dwell of the sensor's previous exposure; None if there is none.
+        """
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return self
         return replace(self, pixel_dwell=self.spatial.pixel_dwell(self.directions_s, self.sigma, before))
@@ -189,7 +193,7 @@ class StarExposure:
 
     @property
     def field_sources(self) -> tuple[str, ...]:
-        """Error source of each of these errors."""
+        """Error source of each column of :attr:`field_modes`."""
         of_field = self.spatial is not None and self.spatial.field_sigma_px > 0.0
         of_optics = self.optics is not None
         return (SOURCE_OPTICS,) * (OPTICS_MODES * of_optics) + (SOURCE_FIELD,) * (FIELD_MODES * of_field)
@@ -207,7 +211,7 @@ class StarExposure:
         )
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated message, and to sort different ones with one stamp."""
         positions = self.positions
         arrays = (
             self.hip,
@@ -261,7 +265,7 @@ def visible_stars(
     Args:
         exposure: the stars as the sensor measured them.
         sky_model: the sky model.
-        prior: attitude of the sensor, used to identify stars without an identity; None leaves these out.
+        prior: attitude of the sensor, used to identify stars; if None, stars without an identity are rejected.
 
     Returns:
         The exposure with the usable stars; the same stars matched with their sky directions, in the sensor frame; and

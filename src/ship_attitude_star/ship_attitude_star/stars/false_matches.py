@@ -25,10 +25,13 @@ WRONG_IDENTITY_RATIO = 0.01
 
 
 def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
-    """True if even a single star fits a prior falsely less often than :data:`MAX_FALSE_MATCHES`, by a quick bound.
+    """True if the expected number of false matches of a single star is at most :data:`MAX_FALSE_MATCHES`.
+
+    This is a quick bound: sets of several stars have fewer false matches. True also for stars without false match
+    densities, and for no stars.
 
     Args:
-        stars: with their false match densities; True if they have none.
+        stars: with their false match densities.
         covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
     if stars.false_match_density is None or not len(stars):
@@ -63,7 +66,11 @@ def expected_false_matches(
 
 
 def gate_area(variance: float) -> float:
-    """Return the solid angle of a gate by the root of its covariance's determinant, at most 4π, steradian."""
+    """Return the solid angle of a gate, at most 4π, steradian.
+
+    Args:
+        variance: square root of the determinant of the gate's covariance, rad².
+    """
     return min(float(np.pi * chi_square_gate(GATE_PROBABILITY, 2)) * variance, 4.0 * float(np.pi))
 
 

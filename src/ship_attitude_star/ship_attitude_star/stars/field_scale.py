@@ -11,7 +11,7 @@ of the measured direction by θ. The coefficients f of the field-spatial error a
 constant over all fields. The information of several fields is the sum of theirs; f and z have their prior sigmas of 1.
 
 The focal length is determined well: a field of ten stars over 13°, each known to 3″, gives 0.005 %. The principal point
-is not: its shift equals a rotation of the camera up to 1 %, at the edge of such a field.
+is not: its shift is a rotation of the camera, except for 1 % at the edge of such a field.
 """
 
 from dataclasses import dataclass, replace
@@ -66,7 +66,7 @@ class OpticsEstimate:
         scale: relative correction of the focal length.
         principal_px: correction of the principal point (u, v), px, shape (2,).
         covariance: of (scale, u, v), shape (3, 3).
-        chi_square: of the displacements remaining with the corrected optics, and of the unknowns against their priors.
+        chi_square: of the displacements that remain with the corrected optics, and of the unknowns under their priors.
         degrees: degrees of freedom of ``chi_square``.
     """
 
@@ -137,7 +137,7 @@ def estimate_optics(
         None if stars and priors do not determine all three.
     """
     count = len(information.right_side)
-    # In units of its sigma, a fixed value needs no division by zero; a free one keeps its own unit.
+    # Values with a prior are in units of their sigma, so that a fixed value (sigma 0) causes no division by zero.
     sigma = np.append(np.asarray(prior_sigma, dtype=float), np.ones(count - OPTICS.stop))
     is_free = np.isinf(sigma)
     unit = np.where(is_free, 1.0, sigma)

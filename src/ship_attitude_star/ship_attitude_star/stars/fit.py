@@ -88,7 +88,7 @@ class MatchedStars:
 
     @property
     def max_sigma(self) -> FloatArray:
-        """Upper bound of the same in any direction, streaks included, rad, shape (k,)."""
+        """Upper bound of the standard deviation of a star in any direction, streaks included, rad, shape (k,)."""
         if self.smear_b is None:
             return self.single_star_sigma
         sigma: FloatArray = np.sqrt(self.single_star_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
@@ -160,11 +160,12 @@ class StarFit:
         Each value is distributed as chi² with two degrees of freedom if all members are correctly identified.
         """
         jacobian = self.jacobian[members]
-        left = self.displacement[members] - jacobian @ solution.unknowns
+        residual = self.displacement[members] - jacobian @ solution.unknowns
         leverage = jacobian @ np.linalg.inv(solution.information_with_prior) @ np.swapaxes(jacobian, -1, -2)
         # Along the line of sight the displacement is zero and the matrix is the identity, so it adds nothing.
-        gain: FloatArray = np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
-        return gain
+        without_member = np.linalg.solve(np.eye(3) - leverage, residual[..., None])[..., 0]
+        reduction: FloatArray = np.einsum("ki,ki->k", residual, without_member)
+        return reduction
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ class StarFitSolution:
         information: of all unknowns by the stars alone, shape (q, q).
         information_with_prior: the same with the priors, shape (q, q).
         unknowns: most likely values of the unknowns, shape (q,).
-        chi_square: squares of the remaining displacements, and of the unknowns against their priors.
+        chi_square: sum of squares of the remaining displacements and of the unknowns with a prior, in sigmas.
         degrees: degrees of freedom of ``chi_square``.
     """
 
@@ -267,7 +268,7 @@ def field_columns(stars: MatchedStars, unknowns: int) -> slice:
 
 
 def _field_weight(information: FloatArray, fields: slice) -> FloatArray:
-    """Return the weights of the field errors that are subtracted to eliminate them, shape (q, f).
+    """Return the weights W, shape (q, f), that eliminate the field errors: information - W @ information[fields].
 
     Args:
         information: of all unknowns by the stars, shape (q, q). The errors have the prior sigma 1.

@@ -1,8 +1,9 @@
 """Candidate catalogue stars of a detection without an identity, by the predicted attitude of its sensor.
 
-A detection and a catalogue star match if a probable rotation of the predicted attitude maps one to the other. Where the
-prediction is wide, this rotation is not small: the most likely one is found iteratively (Gauss-Newton) for each pair of
-detection and star.
+A detection and a catalogue star match if a probable error of the predicted attitude explains the angle between them.
+Where the prediction is uncertain (a wide prior), this error is not small: the most likely one is found iteratively
+(Gauss-Newton) for each pair of detection and star. :func:`ship_attitude_star.stars.exposure.identify_stars` assigns
+identities from these candidates.
 """
 
 from dataclasses import dataclass
@@ -97,7 +98,7 @@ def find_candidates(
 
 
 def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, local_sky: LocalSky) -> float:
-    """Return the expected number of catalogue stars in the gate of the detection with the fewest."""
+    """Return the expected number of catalogue stars in a detection's gate, the minimum over the detections."""
     turned = perpendicular_basis(seen_n) @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
@@ -127,14 +128,14 @@ def _mahalanobis(
     if prior.is_wide:
         return _mahalanobis_wide(seen_n, reference_n, variance, smear_n, prior)
     basis = perpendicular_basis(seen_n)
-    left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
+    residual = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
     turned = basis @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     if smear_n is not None:
         covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
     near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
     return np.where(
-        near, mahalanobis_squared(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf
+        near, mahalanobis_squared(residual, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf
     )
 
 
@@ -143,24 +144,25 @@ def _mahalanobis_wide(
 ) -> FloatArray:
     """Return Mahalanobis² as :func:`_mahalanobis`, for a wide prior.
 
-    It is the minimum over all rotations of the sum of squares of the rotation against the prior and of the direction
-    against its noise. Infinite if the search does not converge.
+    It is the minimum over all rotations of the predicted attitude of a sum: Mahalanobis² of the rotation under the
+    prior, plus that of the remaining displacement under the noise. Infinite if the search does not converge.
     """
-    turn_n, squared, settled = np.zeros((*variance.shape, 3)), np.zeros(variance.shape), np.zeros(variance.shape, bool)
+    turn_n, squared = np.zeros((*variance.shape, 3)), np.zeros(variance.shape)
     for _ in range(_MAX_STEPS):
         moved_n = np.einsum("kcij,kj->kci", exp_rotation(turn_n), seen_n)
         basis = perpendicular_basis(moved_n)
         by_turn = -basis @ skew(moved_n) @ left_jacobian(turn_n)
-        left = np.einsum("kcij,kcj->kci", basis, reference_n - moved_n) + np.einsum("kcij,kcj->kci", by_turn, turn_n)
+        residual = np.einsum("kcij,kcj->kci", basis, reference_n - moved_n)
+        residual += np.einsum("kcij,kcj->kci", by_turn, turn_n)
         cross = by_turn @ prior.covariance_n
         covariance = cross @ np.swapaxes(by_turn, -1, -2) + variance[..., None, None] * np.eye(2)
         if smear_n is not None:
             covariance += basis @ smear_n[:, None] @ np.swapaxes(basis, -1, -2)
-        solution = np.linalg.solve(covariance, left[..., None])[..., 0]
+        solution = np.linalg.solve(covariance, residual[..., None])[..., 0]
         reached_n = np.einsum("kcij,kci->kcj", cross, solution)
-        settled = np.linalg.norm(reached_n - turn_n, axis=-1) < _SMALL_TURN
-        turn_n, squared = reached_n, np.sum(left * solution, axis=-1)
-        if settled.all():
+        converged = np.linalg.norm(reached_n - turn_n, axis=-1) < _SMALL_TURN
+        turn_n, squared = reached_n, np.sum(residual * solution, axis=-1)
+        if converged.all():
             break
     near = np.einsum("kci,ci->kc", moved_n, reference_n) > 0.0
-    return np.where(near & settled, squared, np.inf)
+    return np.where(near & converged, squared, np.inf)

@@ -8,8 +8,8 @@ the field. The centroid of a star at (x, y), in focal lengths from the principal
 * An error of k1 moves it by this error times (x² + y²) (x, y).
 
 An error of the principal point is nearly a rotation of the camera. The mounting is calibrated with the camera's own
-stars and the same parameters, so it already contains that rotation. Only the part that no rotation explains remains: an
-error of a pixels in u displaces a star by -a (x², x y), in units of a pixel, and likewise in v.
+stars and the same parameters, so it already contains that rotation. Only the remainder is an error: if the principal
+point is wrong by ε pixels in u, the remainder displaces a star by -ε (x², x y) pixels; likewise in v.
 """
 
 from dataclasses import dataclass

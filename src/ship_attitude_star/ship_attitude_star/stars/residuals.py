@@ -38,8 +38,8 @@ class StarResiduals:
     Attributes:
         residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
         jacobian: derivative of the residual by the n states, shape (2 k, n).
-        rotation_jacobian: its derivative by a rotation of the predicted sensor, rotation vector in its own frame, shape
-            (2 k, 3).
+        rotation_jacobian: derivative of the residual by a rotation of the predicted attitude, rotation vector in the
+            sensor frame, shape (2 k, 3).
         noise: covariance by error source, rad², shape (2 k, 2 k) each.
         components: name of each residual.
         rejected: the other stars by name, each with its rejection.
@@ -77,12 +77,12 @@ def star_residuals(
         sky_model: the sky model.
         sky_slice: slice of the states of the shared errors.
         mean: of the state, shape (n,).
-        initial_ns: an attitude near the truth, where that of the prior may be far from it, shape (3, 3).
+        initial_ns: an attitude within a degree of the truth, shape (3, 3); None if that of the prior is.
         camera_indices: state indices of the correlated errors of the sensor's camera; None if it has none.
 
     Returns:
-        The rejection of the whole exposure if no star can be placed in the sky at its time, if none can be used, or if
-        the stars contradict the focal length of their camera.
+        The residuals, or the rejection of the whole exposure. It is rejected if no star can be placed in the sky at its
+        time, if none can be used, or if the stars contradict the focal length of their camera.
     """
     found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, initial_ns, camera_indices)
     used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2
@@ -106,8 +106,8 @@ def _compare(
         return visible
     seen, stars, rejected = visible
     if len(stars.sigma) == 0:
-        nameless = any(rejection.reason is Reason.UNIDENTIFIED for _, rejection in rejected)
-        reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
+        has_unidentified = any(rejection.reason is Reason.UNIDENTIFIED for _, rejection in rejected)
+        reason = Reason.UNIDENTIFIED if has_unidentified else Reason.TOO_FEW_STARS
         return Rejection(reason, _with_rejected_stars(f"none of {len(exposure)} stars is usable", rejected))
     # The estimate of the shared errors corrects the expected directions.
     expected_n = compiled_fit.expected_directions(stars.reference_n, stars.shared_n, mean[sky_slice])
@@ -119,9 +119,9 @@ def _compare(
     if isinstance(selection, Rejection):
         return Rejection(selection.reason, _with_rejected_stars(selection.text, rejected))
     members, alone_ns = selection
-    turned_ns = rotation_ns if alone_ns is None else alone_ns
+    fitted_ns = rotation_ns if alone_ns is None else alone_ns
     rejected += [
-        (seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()
+        (seen.name(row), _misfit_rejection(stars, row, fitted_ns)) for row in np.flatnonzero(~members).tolist()
     ]
     if not members.any():
         return Rejection(Reason.MISIDENTIFIED, _with_rejected_stars(_inconsistency_text(len(members)), rejected))
@@ -151,11 +151,12 @@ def _select_consistent(
         stars: with their directions by the sky model.
         at_estimate: the same, corrected by the estimate of the shared errors.
         prior: the prediction.
-        initial_ns: an attitude near the truth, where that of the prediction may be far from it, shape (3, 3).
+        initial_ns: an attitude within a degree of the truth, shape (3, 3); None if that of the prediction is.
 
     Returns:
-        True for each selected star, shape (k,), none if the stars contradict the prediction and one another; and the
-        attitude of the sensor by these stars alone if they contradict the prediction, else None.
+        True for each selected star, shape (k,); all False if the stars are consistent neither with the prediction nor
+        with each other. Attitude of the sensor by the selected stars alone if they contradict the prediction; else
+        None.
     """
     choice = select_stars(at_estimate, prior, initial_ns)
     if choice.false_matches is not None:

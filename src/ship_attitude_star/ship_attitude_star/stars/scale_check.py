@@ -23,7 +23,7 @@ MAX_SIGMAS = 4.0
 """Threshold of the difference between the fitted focal length and the configured one, standard deviations."""
 
 _ENOUGH_STARS = 6
-"""Number of fitting stars at which the field is not solved again: a wrong focal length lets fewer fit."""
+"""If as many stars fit one attitude, the field is not solved again: with a wrong focal length fewer would fit."""
 
 
 def check_focal_length(
@@ -53,14 +53,14 @@ def check_focal_length(
     information = field_information(optics.camera, stars, members)
     principal = optics.principal_sigma_px
     found = None if information is None else estimate_optics(information, (np.inf, principal, principal))
-    # Written so that NaN is a contradiction of the focal length.
+    # Written so that NaN leads to the rejection.
     if found is None or abs(found.scale) <= MAX_SIGMAS * np.hypot(optics.focal_sigma, found.scale_sigma):
         return None
     return focal_length_rejection(optics, found.scale, f"the angles between {count} stars")
 
 
 def check_estimated_focal_length(optics: OpticsErrors, error: float, variance: float) -> Rejection | None:
-    """Return the rejection of an exposure whose focal length the filter has estimated as another one; None if not.
+    """Return the rejection of an exposure if the filter's focal length is far from the configured one; else None.
 
     Args:
         optics: as configured.

@@ -28,7 +28,11 @@ MEMBER_GATE = 16.0
 """Gate of a trial's members, Mahalanobis² (two degrees of freedom)."""
 
 DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
-"""The worst member is dropped below the first probability; the last members are accepted above the second."""
+"""Limits of the probability of the members' chi².
+
+Below the first, the worst member is dropped, down to the minimum number of members. The last ones are accepted above
+the second.
+"""
 
 MIN_VERIFIED_STARS = 3
 """Least number of stars that verify one another without a prior."""
@@ -39,7 +43,7 @@ AMBIGUITY_THRESHOLD = 13.8
 LINEAR_RANGE = 5e-4
 """Maximum standard deviation of a predicted attitude for which one linearisation suffices, rad.
 
-At three times as much, the square of the error is 0.2 arcseconds.
+The neglected second-order term, half the square, is 0.2″ for an error of three such standard deviations.
 """
 
 _MAX_REFINED_TRIALS = 3
@@ -97,7 +101,7 @@ class StarSelection:
     Attributes:
         members: True for each selected star, shape (k,); all False if no set is larger than its rivals.
         attitude_fit: the attitude that they give; None if the selection did not need it.
-        false_matches: expected number of false sets if that is too large for the consistent stars; else None.
+        false_matches: expected number of false sets if it exceeds MAX_FALSE_MATCHES; else None.
     """
 
     members: BoolArray
@@ -114,7 +118,7 @@ def select_stars(
         stars: all measured stars that have a sky direction.
         prior: used to select among sets, and to accept a single star. It does not enter the attitude of the selected
             stars.
-        initial_nb: an attitude within a degree of the truth, where that of the prior may be further away, shape (3, 3).
+        initial_nb: an attitude within a degree of the truth, shape (3, 3); None if that of the prior is.
     """
     if prior is None:
         return _select_without_prior(stars)
@@ -161,7 +165,8 @@ def _refine_without_prior(stars: MatchedStars, members: BoolArray) -> BoolArray:
 def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
     """Drop the ambiguous members.
 
-    A member is ambiguous if a star left out explains the rest as well as it does.
+    A member is ambiguous if a star outside the set could replace it: with that star in its place, chi² is less than
+    AMBIGUITY_THRESHOLD larger.
     """
     limit = fit.solve(members).chi_square + AMBIGUITY_THRESHOLD
     remaining: BoolArray = members.copy()
@@ -198,7 +203,7 @@ def _pair_trials(stars: MatchedStars) -> list[Trial]:
     rotation_nb, covariance_n = solution.rotation_nd[solved], solution.covariance_n[solved]
     basis = perpendicular_basis(stars.reference_n)
     displacement = stars.reference_n - stars.measured_b @ np.swapaxes(rotation_nb, -1, -2)
-    left = np.einsum("kij,tkj->tki", basis, displacement)
+    residual = np.einsum("kij,tkj->tki", basis, displacement)
     turned = basis @ skew(stars.reference_n)
     covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
     own = (stars.single_star_sigma**2 + common)[:, None, None] * np.eye(2)
@@ -206,7 +211,7 @@ def _pair_trials(stars: MatchedStars) -> list[Trial]:
         turned_basis = basis @ rotation_nb[:, None]
         own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
     covariance += own
-    members = mahalanobis_squared(left, covariance) < MEMBER_GATE
+    members = mahalanobis_squared(residual, covariance) < MEMBER_GATE
     # A star on the other side of the sphere is no member. The two stars of the trial always are.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
     members[np.arange(len(pairs))[:, None], pairs] = True
@@ -270,16 +275,16 @@ def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
     Each star rotates the prior; the other stars are compared with the rotated prior.
     """
     basis = perpendicular_basis(stars.reference_n)
-    left = np.einsum("kij,kj->ki", basis, fit.displacement)
+    residual = np.einsum("kij,kj->ki", basis, fit.displacement)
     rows = basis @ fit.jacobian
     covariance = np.einsum("kia,lja->klij", rows, rows)
     own = np.arange(len(stars))
     covariance[own, own] += np.eye(2)
-    possible = np.flatnonzero(mahalanobis_squared(left, covariance[own, own]) < MEMBER_GATE)
+    possible = np.flatnonzero(mahalanobis_squared(residual, covariance[own, own]) < MEMBER_GATE)
     # Each possible star t updates the prior; the other stars k are compared with the updated prediction.
     cross = covariance[:, possible].swapaxes(0, 1)
     gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
-    rest = left - np.einsum("tkij,tj->tki", gain, left[possible])
+    rest = residual - np.einsum("tkij,tj->tki", gain, residual[possible])
     rest_covariance = covariance[own, own] - gain @ np.swapaxes(cross, -1, -2)
     rest_covariance[np.arange(len(possible)), possible] = np.eye(2)
     rest[np.arange(len(possible)), possible] = 0.0
@@ -293,9 +298,10 @@ def _sort_by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
     return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
 
 
-def mahalanobis_squared(left: FloatArray, covariance: FloatArray) -> FloatArray:
+def mahalanobis_squared(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return Mahalanobis² of residuals, shape (..., 2), under their covariances, shape (..., 2, 2)."""
-    squared: FloatArray = np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
+    whitened = np.linalg.solve(covariance, residual[..., None])[..., 0]
+    squared: FloatArray = np.einsum("...i,...i->...", residual, whitened)
     return squared
 
 

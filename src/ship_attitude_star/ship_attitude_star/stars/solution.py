@@ -83,7 +83,7 @@ class StarSolution:
             (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
-        rejected: by row, stars that were not used because their identity is wrong.
+        rejected: rejections of the stars that were not used because their identity is wrong, by row.
     """
 
     status: SolutionStatus
@@ -102,7 +102,7 @@ class StarSolution:
 
     @property
     def noise_n(self) -> FloatArray:
-        """Covariance of the error that is independent from epoch to epoch, rad², shape (3, 3)."""
+        """Covariance of the error that is independent from exposure to exposure, rad², shape (3, 3)."""
         noise: FloatArray = self.covariance_by_source_n[_STAR_NOISE]
         return noise
 
@@ -137,11 +137,11 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
     if choice.false_matches is not None:
         return invalid_solution(members, ambiguous_identity_rejection(choice.false_matches))
     count = int(np.count_nonzero(members))
-    together = members if count else np.ones_like(members)
-    found = choice.attitude_fit or fit_attitude(stars, together)
+    fitted = members if count else np.ones_like(members)
+    found = choice.attitude_fit or fit_attitude(stars, fitted)
     if found is None:
         return invalid_solution(
-            members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together))))
+            members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(fitted))))
         )
     if not count:
         text = f"{len(stars)} stars, no set of them is more consistent than another"
@@ -179,9 +179,9 @@ def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[S
 
 
 def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
-    """Return an attitude near enough to the truth to linearise stars there, where the prior's own may be far off.
+    """Return an attitude at which stars can be linearised; that of a wide prior may be too far from the truth.
 
-    It is that of the stars alone if they verify one another; else the most likely one by the prior and all stars.
+    It is that of the stars alone if they verify one another; else the most likely one given the prior and all stars.
 
     Args:
         stars: all measured stars that have a sky direction.

@@ -11,7 +11,7 @@ contains all but 0.1 % of its variance. Its mean over the detector is an error o
 map is constant, so that stars which cross the field make its coefficients observable.
 
 Each pixel has a pixel-spatial error of its own. Its correlation over a distance of d pixels is modelled as exp(-2 d).
-In truth the common fraction of two positions decreases linearly; over a long distance both add up to the same.
+Strictly, the fraction of pixels that two images share decreases linearly with d; both have the same integral over d.
 """
 
 from dataclasses import dataclass, replace
@@ -41,10 +41,13 @@ _DECORRELATION_PER_PIXEL = 2.0
 """Decorrelation rate of a pixel's error along a path on the detector, per pixel."""
 
 _DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
-"""Distances that end a dwell: mean movement of the stars, and distance of most stars from all starting positions."""
+"""Distances that end a dwell.
+
+The first is the mean movement of the stars since its start, the second the distance of most stars from every star then.
+"""
 
 _MIN_INFORMATION_RATIO = 1e-3
-"""Least information of an exposure after another on the same pixels, ratio to that of the first one."""
+"""Minimum information of a further exposure on the same pixels, relative to that of the first one."""
 
 
 @dataclass(frozen=True)

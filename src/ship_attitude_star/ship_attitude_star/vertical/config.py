@@ -25,13 +25,13 @@ def _column(doc: str, unit: str, most: float) -> tuple[float, ...]:
 class GravityConfig:
     """Parameters of the deflection of the vertical, which is part of the tilt of an INS levelled by gravity.
 
-    The components are those of the gravity zenith: xi northward, eta eastward.
+    Its components are those of the astronomical zenith relative to the geodetic one: xi northward, eta eastward.
     """
 
     deflection: str = parameter(
         NONE,
-        doc="source of the deflection; unknown: only estimated; none: part of the correlated INS error, or with "
-        "ins.model schuler as unknown, but not published",
+        doc="source of the deflection; unknown: estimated by the filter; none: part of the correlated INS error; with "
+        "ins.model schuler, none is as unknown, but not published",
         choices=(NONE, UNKNOWN, CONSTANT, TABLE, TOPIC),
     )
     xi_arcsec: float = _component_arcsec("the constant deflection, northward")
@@ -42,14 +42,14 @@ class GravityConfig:
     table_eta_arcsec: tuple[float, ...] = _column("deflections of the table's rows, eastward", "arcsec", 300.0)
     table_reach_m: float = parameter(
         10_000.0,
-        doc="largest distance from the table's track, and between its rows, at which the table is used",
+        doc="the table is used up to this distance from its track; rows further apart are not interpolated",
         unit="m",
         minimum=1.0,
         maximum=1e6,
     )
     sigma_arcsec: float = arcsec(2.0, doc="error of a known deflection (constant, table, topic), each component")
     unknown_sigma_arcsec: float = arcsec(
-        20.0, doc="deflection where it is not known, each component, for the sea area (vertical.md); 0: none"
+        20.0, doc="standard deviation of an unknown deflection in the sea area, each component (vertical.md); 0: none"
     )
     correlation_length_m: float = parameter(
         30_000.0,

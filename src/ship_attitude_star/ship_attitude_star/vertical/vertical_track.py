@@ -28,7 +28,7 @@ _MIN_MOVE_M = 100.0
 """Minimum distance that counts as motion, m: at anchor the noise of fixes would add up."""
 
 _MAX_STEPS = 50_000
-"""Maximum number of steps evaluated after a gap, a day; after a longer one the distance restarts at zero."""
+"""Maximum number of steps evaluated after a gap: more than a day. After a longer gap the distance restarts at zero."""
 
 _MAX_MESSAGES = 10_000
 """Maximum number of stored messages."""
@@ -55,8 +55,8 @@ class LocalVertical(NamedTuple):
     def deflection_jacobian(self) -> FloatArray:
         """Derivative of the rotation vector of the geodetic horizon relative to the gravity horizon, shape (3, 2).
 
-        R_geodetic = exp(deflection_jacobian @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass has the
-        error eta tan L.
+        R_geodetic = exp(deflection_jacobian @ (xi, eta)) R_gravity. The rotation vector has the components (North, Up,
+        East). Its Up component eta tan L, with the latitude L, is the error of a gyrocompass (Laplace's equation).
         """
         return np.array([[0.0, 1.0], [0.0, 0.0 if math.isnan(self.latitude) else math.tan(self.latitude)], [-1.0, 0.0]])
 
@@ -193,14 +193,14 @@ class VerticalTrack:
         if step < newest:
             # Before the first computed point, or discarded.
             return self._first_point(step)
-        knot = self._grid[newest]
+        point = self._grid[newest]
         for later in range(newest + 1, step + 1):
-            knot = self._store_point(later, self._next_point(knot, later))
-        return knot
+            point = self._store_point(later, self._next_point(point, later))
+        return point
 
-    def _store_point(self, step: int, knot: _GridPoint) -> _GridPoint:
-        self._grid[step], self._newest_step = knot, step
-        return knot
+    def _store_point(self, step: int, point: _GridPoint) -> _GridPoint:
+        self._grid[step], self._newest_step = point, step
+        return point
 
     def _first_point(self, step: int) -> _GridPoint:
         """Return the first point of the track."""
@@ -209,22 +209,22 @@ class VerticalTrack:
 
     def _next_point(self, before: _GridPoint, step: int) -> _GridPoint:
         """Return the point one step later."""
-        place, along_m = self._place_at(step), before.vertical.distance_run_m
+        place, run_m = self._place_at(step), before.vertical.distance_run_m
         if place is None:
             # Without a position the distance is extrapolated with the last velocity.
-            along_m += math.hypot(*before.vertical.velocity_m_per_s) * STEP_NS / SECOND_NS
-            return _GridPoint(self._local_vertical(step, along_m, None, before.vertical), before.anchor, None)
+            run_m += math.hypot(*before.vertical.velocity_m_per_s) * STEP_NS / SECOND_NS
+            return _GridPoint(self._local_vertical(step, run_m, None, before.vertical), before.anchor, None)
         if before.anchor is None:
-            return _GridPoint(self._local_vertical(step, along_m, place, before.vertical), place, place)
+            return _GridPoint(self._local_vertical(step, run_m, place, before.vertical), place, place)
         distance_m = _distance_m(before.anchor, place)
         has_moved = distance_m >= _MIN_MOVE_M
         if has_moved and before.place is not None:
-            along_m += distance_m
+            run_m += distance_m
         anchor = place if has_moved or before.place is None else before.anchor
-        return _GridPoint(self._local_vertical(step, along_m, place, before.vertical), anchor, place)
+        return _GridPoint(self._local_vertical(step, run_m, place, before.vertical), anchor, place)
 
     def _local_vertical(
-        self, step: int, along_m: float, place: ShipPosition | None, before: LocalVertical
+        self, step: int, run_m: float, place: ShipPosition | None, before: LocalVertical
     ) -> LocalVertical:
         """Return the vertical at a step; without a position, latitude and velocity are those of the step before."""
         latitude, velocity = before.latitude, before.velocity_m_per_s
@@ -233,7 +233,7 @@ class VerticalTrack:
             north, _, east = place.observer.velocity_n_m_per_s.tolist()
             velocity = north, east
         given, covariance = self._given_deflection(step, place) or (None, self._unknown_covariance)
-        return LocalVertical(along_m, latitude, velocity, given, covariance)
+        return LocalVertical(run_m, latitude, velocity, given, covariance)
 
     def _given_deflection(self, step: int, place: ShipPosition | None) -> tuple[FloatArray, FloatArray] | None:
         """Return the known deflection and the covariance of its error; None if it is unknown."""

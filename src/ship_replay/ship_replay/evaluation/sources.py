@@ -20,7 +20,7 @@ from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_in import MessageRejected
 from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import AxesConfig, OpticalAxisConfig
 from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
 

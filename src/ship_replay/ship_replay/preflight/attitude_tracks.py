@@ -11,7 +11,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.measured.samples import EncoderSample
 

@@ -36,7 +36,7 @@ from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
 from ship_simulation.theodolite.run import TheodoliteRun
 from ship_simulation.theodolite.scene import axis_errors_of
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import (
     BaselineSample,

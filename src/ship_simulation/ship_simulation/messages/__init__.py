@@ -1,4 +1,4 @@
 """Simulated arrays as messages in the order of their arrival.
 
-The folder imports all other folders but ``suite/``, and the names of the axis errors (``theodolite_calib.chain``).
+The room imports all other rooms but ``suite/``, and the names of the axis errors (``theodolite_calib.axis_geometry``).
 """

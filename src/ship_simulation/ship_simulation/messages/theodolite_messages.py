@@ -38,7 +38,7 @@ from ship_simulation.ship.rtk import BaselineSamples
 from ship_simulation.theodolite.devices import DroneSamples, EncoderSamples, ImageSamples
 from ship_simulation.theodolite.run import TheodoliteRun
 from ship_simulation.theodolite.targets import TargetSamples
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 
 _UNKNOWN = float("nan")
 _EXACT_RATE = np.zeros(9)

@@ -64,11 +64,13 @@ class Axes:
     g_arcsec: float = parameter(0.0, doc="known zero point of the azimuth encoder", **_AXIS_ERROR)
     g_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     h_arcsec: float = parameter(0.0, doc="known zero point of the elevation encoder", **_AXIS_ERROR)
-    h_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
-    c_arcsec: float = parameter(0.0, doc="known collimation, to the left", **_AXIS_ERROR)
-    c_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
-    I_arcsec: float = parameter(0.0, doc="known tilt of the horizontal axis, right end up", **_AXIS_ERROR)
-    I_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
+    h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    c_arcsec: float = parameter(0.0, doc="known collimation of the optical axis, to the left", **_AXIS_ERROR)
+    c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    I_arcsec: float = parameter(
+        0.0, doc="known non-perpendicularity: tilt of the horizontal axis, right end up", **_AXIS_ERROR
+    )
+    I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     beta_x_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to the bow", **_AXIS_ERROR)
     beta_x_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     beta_y_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to starboard", **_AXIS_ERROR)

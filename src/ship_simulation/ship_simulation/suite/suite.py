@@ -29,7 +29,7 @@ from ship_simulation.scenario.names import (
 from ship_simulation.scenario.scenario import Detector, Scenario, StarSensor
 from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Telescope
 from ship_simulation.ship.deflection import deflection_table
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 
 _INS = (
     "tilt_sigma_arcsec",

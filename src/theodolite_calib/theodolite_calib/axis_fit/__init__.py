@@ -1,5 +1,5 @@
 """Fit of axis errors to sightings of known directions, and its executable.
 
-Contains tables of sightings, the robust fit of the exact axis geometry, the diagnostics of a fit, and its figures and
-tables. No other folder of the package imports it.
+The folder holds tables of sightings, the robust fit of the exact axis geometry, the diagnostics of a fit, and its
+figures and tables. It may import every other folder of the package; no other folder imports it.
 """

@@ -5,7 +5,7 @@ import numpy as np
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.axis_fit.sightings import right_and_up
-from theodolite_calib.chain.axes import direction_change
+from theodolite_calib.axis_geometry.axes import direction_change
 from theodolite_calib.filter.prediction import Prediction
 from theodolite_calib.lights.line_of_sight import covariance_by_source
 from theodolite_calib.lights.telescope_attitude import linearise, total_covariance

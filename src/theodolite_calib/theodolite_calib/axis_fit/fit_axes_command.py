@@ -17,7 +17,7 @@ from theodolite_calib.axis_fit.report import MEANINGS, summary, write_tables
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
 from theodolite_calib.axis_fit.sightings import MAX_SIGHTINGS, Sightings
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 

@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
 from theodolite_calib.axis_fit.sightings import Sightings, azimuth_and_elevation, coverage
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 
 MEANINGS = {
     "g": "zero point of the azimuth encoder",

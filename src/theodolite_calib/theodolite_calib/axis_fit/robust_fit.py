@@ -1,16 +1,19 @@
 """Robust fit of the axis errors of sightings, with the exact axis geometry.
 
-Huber's loss of the angle on the sky, r = |residual|, against the scale s (sigma of one component):
+The sum of Huber's loss ρ over the sightings is minimised. r is the angle on the sky of a residual, and s the scale, the
+standard deviation of one component of a residual:
 
-    rho(r) = r² / 2  for r <= k s,   k s (r - k s / 2)  beyond,   k = 1.345
+    ρ(r) = r² / 2  for r <= k s,   k s (r - k s / 2)  beyond,   k = 1.345
 
-A sighting within 1.3 s has full weight, and one far out the weight k s / r. The loss is convex: with errors as small as
-these there is one minimum, whatever the start. s is the median of r over 1.177, as for a normal error in two
-components. The loss is minimised by iteratively reweighted Gauss-Newton steps.
+A sighting with r <= k s has the weight 1, one beyond it the weight k s / r. The loss is convex in the residuals, which
+are nearly linear in such small errors, so there is one minimum for any initial values. s is the median of r divided by
+1.177, the median for two normal components of sigma 1. The loss is minimised by iteratively reweighted Gauss-Newton
+steps.
 
 Errors common to several sightings (:mod:`theodolite_calib.axis_fit.sightings`) are further unknowns, each with its
 sigma as prior; the rest of a residual is the sighting's own error. If a table states no common errors, the sightings
-count as independent. If the residuals of neighbours are correlated, they are not, and the fit gives no covariance.
+are assumed to be independent. A correlation between the residuals of neighbours contradicts this assumption; the fit
+then gives no covariance.
 
 Huber, "Robust Statistics" (1981), ch. 7.
 """
@@ -23,13 +26,13 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.sightings import Sightings
-from theodolite_calib.chain.axes import NAMES, AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, main_axis_rotation
 
 HUBER_K = 1.345
 """Residual at which the loss changes from quadratic to linear, in scales."""
 
 OUTLIER_AT = 3.5
-"""Residual above which a sighting is an outlier, in scales: two in a thousand of clean ones are."""
+"""Residual above which a sighting is an outlier, in scales; 0.2 % of normal residuals exceed it."""
 
 PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
 """Prior standard deviation of each error, rad: zero points may have any value, the others are about a degree.
@@ -37,11 +40,12 @@ PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
 An unobservable error therefore stays at zero, with this sigma. Observable errors are not affected."""
 
 CORRELATION_LIMIT = 0.3
-"""Correlation between the residuals of neighbouring sightings from which on no sigma is given: a sigma for independent
-sightings would be a third too small."""
+"""Maximum correlation between the residuals of neighbouring sightings for which sigmas are given.
+
+At this correlation the sigmas, which assume independence, are a third too small."""
 
 _CHANCE_SIGMAS = 3.0
-"""Correlation that may be chance with independent residuals, in its own standard deviations."""
+"""Correlation that independent residuals may have by chance, in standard deviations of the correlation."""
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
 """Median length of a vector of two normal components of sigma 1."""
 _LEAST_SCALE = 1e-4 * ARCSEC
@@ -60,8 +64,8 @@ class AxisFit:
     Attributes:
         errors: axis errors, rad, fixed ones included.
         fitted: names of the fitted errors, in the order of the covariance.
-        covariance: covariance of the fitted errors, rad², shape (k, k), without common errors that the table does not
-            state.
+        covariance: covariance of the fitted errors, rad², shape (k, k); it includes only those common errors that the
+            table states.
         neighbour_correlation: correlation between the residuals of neighbouring sightings.
         sigmas_known: False if that correlation shows common errors that the table does not state.
         scale: robust sigma of one component of a sighting's own error, rad, without common errors.
@@ -70,7 +74,7 @@ class AxisFit:
         residuals: residuals with the fitted model and without the common errors, rad, shape (n, 2).
         leave_one_out: residual of each sighting against the fit of the others, rad, shape (n, 2).
         weights: weight of each sighting, at most 1, shape (n,).
-        design: change of direction per fitted error, shape (n, 2, k).
+        design: derivative of the direction by the fitted errors, shape (n, 2, k).
     """
 
     errors: AxisErrors
@@ -238,8 +242,8 @@ def _covariance(
 ) -> FloatArray:
     """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
-    Beyond k s the loss does not resist a change along the residual; it resists a change across the residual with the
-    weight of the sighting. On the average over both it resists with half the weight.
+    The stiffness is the second derivative of the loss. Beyond k s it is zero along the residual, and equal to the
+    sighting's weight across it; the mean of both, half the weight, is used.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - used_degrees
@@ -251,7 +255,7 @@ def _covariance(
 
 
 def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> FloatArray:
-    """Return a root W of (seen + information)⁻¹ = W Wᵀ; the prior information is diagonal."""
+    """Return W with W Wᵀ = (data_information + information)⁻¹; the prior ``information`` is diagonal."""
     known = 1.0 / np.sqrt(np.diagonal(information))
     values, vectors = np.linalg.eigh(known[:, None] * data_information * known + np.eye(len(known)))
     # In units of the prior every eigenvalue is at least 1, except for rounding.
@@ -262,7 +266,7 @@ def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> F
 def _leave_one_out_residuals(
     residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray
 ) -> FloatArray:
-    """Return the residual of each sighting against the fit of the others, by one Newton step of the loss without it."""
+    """Return the residual of each sighting against a fit without it, by one Newton step from the fit of all."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
     stiffness = weights[:, None, None] * np.eye(2) - flat

@@ -20,7 +20,7 @@ from ship_bags.errors import BadInput
 from ship_bags.yaml_text import plain_data
 from ship_geometry.rotations import ARCSEC
 from theodolite_calib.axis_fit.sightings import SharedError, Sightings, directions, right_and_up
-from theodolite_calib.chain.axes import direction_change
+from theodolite_calib.axis_geometry.axes import direction_change
 
 COLUMNS = {
     "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",

@@ -15,7 +15,13 @@ from itertools import groupby
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
-from theodolite_calib.chain.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import (
+    AxisErrors,
+    direction_change,
+    encoder_angles,
+    main_axis,
+    main_axis_rotation,
+)
 
 MAX_SIGHTINGS = 1000
 """Maximum number of sightings with errors correlated in time, whose joint covariance is decomposed as a whole."""

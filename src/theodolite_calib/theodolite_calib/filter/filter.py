@@ -16,7 +16,7 @@ from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, propagate_covariance, update
 from ship_estimation.subfilters import subfilter_innovations
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import FaultState, initial_fault_state
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model

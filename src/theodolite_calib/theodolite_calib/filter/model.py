@@ -6,7 +6,7 @@ state                      frame      meaning; errors are true minus used
 ship.attitude (3)          horizon    correlated error a of the ship's attitude: R_true = exp(a) R
 ship.time_offset (1)                  a sample of the INS is valid at its stamp + this; only with the INS as source
 deformation (3)            deck       e: the theodolite's base is rotated by exp(e) relative to the deck
-axes (7)                              axis errors in the order of theodolite_calib.chain.axes.NAMES
+axes (7)                              axis errors in the order of theodolite_calib.axis_geometry.axes.NAMES
 focal_length (1)                      m; of the calibration telescope, for beacons and for stars seen through it
 parallelism (3)                       azimuth, elevation, rotation of the main axis in the telescope
 ship_antenna (3)           horizon    error of all baselines, m; this and the following only if they have a sigma
@@ -37,7 +37,7 @@ from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
 from ship_estimation.kalman import StateBlock, StateModel, block, exceeds_model, propagate_correlated_error
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.chain.axes import AXIS_STATES
+from theodolite_calib.axis_geometry.axes import AXIS_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 
 SOURCE_SHIP = "ship_attitude"

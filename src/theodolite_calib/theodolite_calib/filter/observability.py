@@ -20,7 +20,7 @@ from ship_estimation.compiled_integrity import square_root
 from ship_estimation.kalman import StateModel, block
 from ship_estimation.unobservable_combinations import unobservable_combinations
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep
 
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")

@@ -1,7 +1,8 @@
 """Prediction of a sighting of beacons by a state of the calibration filter, with the Jacobian by all states.
 
-The beacons' points on the detector follow from the attitude of the telescope (:mod:`theodolite_calib.chain.axes`) and
-from the lines of sight (:mod:`theodolite_calib.lights.line_of_sight`). Both are corrected by the estimated errors.
+The beacons' points on the detector follow from the attitude of the telescope
+(:mod:`theodolite_calib.axis_geometry.axes`) and from the lines of sight (:mod:`theodolite_calib.lights.line_of_sight`).
+Both are corrected by the estimated errors.
 """
 
 from dataclasses import dataclass
@@ -11,8 +12,8 @@ from numpy.typing import NDArray
 
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
-from theodolite_calib.chain.parallelism import telescope_from_main
+from theodolite_calib.axis_geometry.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
+from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter import compiled_points
 from theodolite_calib.filter.model import (
@@ -126,7 +127,7 @@ class SightingModel:
         geometry = axis_geometry(
             self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation
         )
-        rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), geometry.rotation_nm)
+        rotation_nt, by_parallelism = telescope_rotation(self.parallelism(mean), geometry.rotation_nm)
         setup = self._beacon_setup(sighting.names)
         lines = self._lines(mean, sighting, geometry, setup)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)

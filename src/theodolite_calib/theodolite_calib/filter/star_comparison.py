@@ -1,7 +1,7 @@
 """Comparison of stars in a camera on the theodolite with the camera's attitude predicted by the filter's state.
 
 The camera s is fixed to the main axis, whose attitude follows from encoders, deformation and ship
-(:mod:`theodolite_calib.chain`):
+(:mod:`theodolite_calib.axis_geometry`):
 
     rotation_ns = exp(a) R_ship · exp(e) · R_axes · R(ΔA, ΔE, Δω)ᵀ
 
@@ -25,8 +25,8 @@ from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.rejections import Rejection
 from ship_estimation.subfilters import FilterInnovations, subfilter_innovations
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.chain.axes import axis_geometry
-from theodolite_calib.chain.parallelism import telescope_from_main
+from theodolite_calib.axis_geometry.axes import axis_geometry
+from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
 from theodolite_calib.filter.prediction import SightingModel
@@ -43,9 +43,8 @@ class CameraAttitude:
 
     Attributes:
         rotation_ns: horizon from camera, shape (3, 3).
-        by_state_n: its rotation vector in n per state, shape (3, n).
-        noise_n: covariance of that rotation vector that is white from exposure to exposure, by source, rad², shape (3,
-            3).
+        by_state_n: derivatives of its rotation vector in n by the states, shape (3, n).
+        noise_n: covariance of its errors that are independent between exposures, by source, rad², shape (3, 3).
     """
 
     rotation_ns: FloatArray
@@ -66,7 +65,7 @@ class StarComparison:
         camera: attitude at the point of linearisation.
         stars: accepted stars, with residuals at that point.
         measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
-        innovations: innovation against the propagated state, as the only filter.
+        innovations: innovation of the propagated state, in the form for several filters.
     """
 
     camera: CameraAttitude
@@ -107,7 +106,7 @@ class StarModel:
         errors = self._sightings.geometry_errors(mean)
         geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         configured, block = self._cameras[sighting.camera_id]
-        rotation_ns, by_angles = telescope_from_main(configured + mean[self._model.slices[block]], geometry.rotation_nm)
+        rotation_ns, by_angles = telescope_rotation(configured + mean[self._model.slices[block]], geometry.rotation_nm)
         noise_n = {
             SOURCE_ENCODER: encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T),
             SOURCE_SHIP_NOISE: ship.noise * np.eye(3),
@@ -144,7 +143,7 @@ class StarModel:
         """Return the rejection of an exposure that moves the focal length far from the configured one, or None.
 
         Args:
-            mean: mean of the state after it, shape (n,).
+            mean: mean of the state updated by the exposure, shape (n,).
             covariance: covariance of that state, shape (n, n).
             sighting: the exposure.
         """
@@ -160,8 +159,8 @@ class StarModel:
     ) -> StarComparison | Rejection:
         """Compare an exposure with a state propagated to its time, or return the reason why no star of it is usable.
 
-        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the least
-        sum of squares that any state can reach against prediction and stars together.
+        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the
+        minimum over all states of a sum of squares in standard deviations: state minus prediction, and star residuals.
 
         Args:
             mean: mean of the propagated state, shape (n,).

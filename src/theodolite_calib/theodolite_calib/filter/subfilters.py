@@ -21,7 +21,7 @@ from ship_estimation.gates import chi_square_gate
 from ship_estimation.kalman import LinearMeasurement, StateModel, propagate_covariance
 from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter import compiled_subfilters
 from theodolite_calib.filter.model import ShipErrorProcess

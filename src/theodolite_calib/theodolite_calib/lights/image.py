@@ -152,7 +152,7 @@ def flatten_exposures(values: FloatArray | float, leading: tuple[int, ...], item
     """Flatten the leading axes of all exposures to one axis; values common to all are repeated.
 
     Args:
-        values: shape (..., *own), of which the leading axes broadcast.
+        values: shape (..., *item_shape), whose leading axes broadcast to ``leading``.
         leading: shape of the exposures; empty for one.
         item_shape: shape of the values of one exposure.
     """
@@ -165,20 +165,20 @@ def flatten_exposures(values: FloatArray | float, leading: tuple[int, ...], item
 class BeaconStreaks:
     """N detected beacons, and the motion of telescope and beacons over the exposure.
 
-    A detected point is the mean of the beacon's path over the detector. Encoders, ship and baselines give that path,
-    and so the offset of its mean from the point at the middle of the exposure. A streak of length L spreads the light
-    by L²/12 more than the image s² of a light at rest. The variance of the point along it increases in proportion:
-    σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
+    A detected point is the mean of the beacon's path over the detector. The path is computed from encoders, ship and
+    baselines, and with it the difference between its mean and the point at the middle of the exposure. The variance of
+    the light along a streak of length L is s² + L²/12, with s² that of a light at rest. The variance of the point along
+    the streak grows by the same factor, to σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
 
     Attributes:
         image: as detected.
         camera: geometry of the telescope.
         psf_sigma_m: spread of the image of a light at rest, each axis.
-        nodes: m times of the exposure.
-        rotation_nt: horizon from telescope at these, shape (m, 3, 3).
-        middle_nt: the same at the middle, shape (3, 3).
-        path_n: from the telescope to the beacons at the middle, m, shape (N, 3).
-        displacement_n: these paths at the nodes minus those at the middle, m, shape (m, N, 3).
+        nodes: the m nodes of the exposure.
+        rotation_nt: horizon from telescope at the nodes, shape (m, 3, 3).
+        middle_nt: horizon from telescope at the middle, shape (3, 3).
+        path_n: vectors from the telescope to the beacons at the middle, m, shape (N, 3).
+        displacement_n: vectors to the beacons at the nodes minus those at the middle, m, shape (m, N, 3).
     """
 
     image: Image
@@ -193,7 +193,7 @@ class BeaconStreaks:
     def image_at_middle(self) -> Image:
         """Return the points at the middle of the exposure, with the errors added by their streaks."""
         image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
-        # Position of the beacon from the detector, its motion from the path.
+        # The direction at the middle is that of the detected point; the motion is that of the vectors to the beacons.
         seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
         path_m = self.camera.points((seen_n + self.displacement_n) @ self.rotation_nt)
         offset_m = self.nodes.mean(path_m) - image.point_m
@@ -201,7 +201,7 @@ class BeaconStreaks:
         return Image(image.point_m - offset_m, image.sigma_m, smear_m2)
 
     def select(self, rows: list[int], image_rows: list[int]) -> "BeaconStreaks":
-        """Return some beacons, or exchanged names: beacon ``rows[i]`` has the point ``seen_rows[i]``."""
+        """Return some beacons, possibly with exchanged points: beacon ``rows[i]`` gets the point ``image_rows[i]``."""
         return replace(
             self,
             image=self.image.select(image_rows),

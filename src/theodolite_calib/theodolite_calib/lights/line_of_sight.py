@@ -4,9 +4,9 @@
 
     W = baseline + rotation_nb · light lever - rotation_nd · (theodolite lever + rotation_dm · N')
 
-with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). The light appears
-along W raised by k d²/(2 R), d its distance. The angle is k/(2 R) times the *horizontal* distance. It vanishes at the
-zenith, since air layered by height bends no vertical ray.
+with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). Terrestrial
+refraction raises the light by the angle k/(2 R) times the *horizontal* distance: for a level path of length d by
+k d²/(2 R) in height. It vanishes at the zenith, since layers of air do not bend a vertical ray.
 
 Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filter can keep it as a state.
 """
@@ -44,10 +44,10 @@ class BeaconPoses:
 
     Attributes:
         baseline_n: from the ship's antenna to the drone's, m, shape (..., N, 3).
-        baseline_covariance_n: covariance of its error that is white in time and independent between beacons, m², shape
+        baseline_covariance_n: covariance of the white error of the baseline, independent between beacons, m², shape
             (..., N, 3, 3).
         rotation_nb: horizon from drone, shape (..., N, 3, 3).
-        attitude_covariance_n: covariance of its rotation vector in n, rad², shape (..., N, 3, 3).
+        attitude_covariance_n: covariance of the drone's attitude, rotation vector in n, rad², shape (..., N, 3, 3).
     """
 
     baseline_n: FloatArray
@@ -58,11 +58,11 @@ class BeaconPoses:
 
 @dataclass(frozen=True)
 class Ship:
-    """Ship at that time.
+    """Attitude of ship and theodolite at the middle of an exposure.
 
     Attributes:
         rotation_nd: horizon from deck, shape (..., 3, 3).
-        attitude_covariance_n: covariance of its rotation vector in n, rad², shape (..., 3, 3).
+        attitude_covariance_n: covariance of the ship's attitude, rotation vector in n, rad², shape (..., 3, 3).
         rotation_dm: deck from main frame, shape (..., 3, 3); an accuracy of one degree suffices.
     """
 
@@ -76,15 +76,15 @@ class Survey:
     """Surveyed quantities and their errors, which are constant or correlated in time.
 
     Attributes:
-        theodolite_lever: from the ship's antenna to the crossing of the theodolite's axes, in d.
-        principal_point: N' of the telescope's lens from there, in m. Its error shifts all beacons equally, so that no
-            residual shows it.
-        beacon_lever: from the drone's antenna to its light, in b.
+        theodolite_lever: from the ship's antenna to the intersection of the theodolite's axes, in the deck frame.
+        principal_point: from that intersection to the principal point N' of the telescope's lens, in the main frame.
+            Its error shifts all beacons equally, so that no residual shows it.
+        beacon_lever: from the drone's antenna to its light, in the drone's frame.
         rtk_base_sigma_m: error of the baselines (N, U, E) common to all: the ship's antenna, shape (3,).
         rtk_bias_sigma_m: correlated error of each single baseline (N, U, E), shape (3,).
         refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each beacon, shape (..., N).
         refraction_sigma: error of k common to all beacons.
-        refraction_beacon_sigma: further error of k on the path to each beacon, in the same shapes.
+        refraction_beacon_sigma: further error of k on the path to each beacon; one, or shape (..., N).
     """
 
     theodolite_lever: LeverArm
@@ -161,7 +161,7 @@ class LinesOfSight:
         jacobian_n: derivative of the unit directions by the errors of :data:`TERM_COLUMNS`, rad per unit, shape (...,
             N, 3, 19).
         beacons: poses of the beacons.
-        ship: ship at that time.
+        ship: attitude of ship and theodolite.
         survey: surveyed quantities.
     """
 

@@ -9,7 +9,7 @@ from ship_geometry.exposure_mean import Nodes
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import BeaconStreaks, Camera, Image
 from theodolite_calib.lights.line_of_sight import BeaconPoses
@@ -29,7 +29,8 @@ class Sighting:
         beacons: baselines and drone attitudes; the covariance of the drones' attitudes is not used.
         ship: ship's attitude.
         encoder: encoder angles.
-        streaks: beacons as detected, if ``image`` has them at the middle of an exposure of known duration; else None.
+        streaks: beacons as detected and their motion, from which ``image`` was computed; None if the length of the
+            exposure is not known: ``image`` is as detected then.
     """
 
     time_ns: int
@@ -46,7 +47,7 @@ class Sighting:
         return rotation_dt
 
     def select(self, rows: list[int], image_rows: list[int] | None = None) -> "Sighting":
-        """Return the sighting with some beacons, or exchanged names: beacon ``rows[i]`` gets point ``seen_rows[i]``."""
+        """Return the sighting with some beacons; beacon ``rows[i]`` gets the point ``image_rows[i]``, if given."""
         beacons = BeaconPoses(
             self.beacons.baseline_n[rows],
             self.beacons.baseline_covariance_n[rows],
@@ -94,7 +95,7 @@ class SightingAssembler:
         self._axes = AxisErrors.from_vector(config.axes.values)
 
     def assemble(self, exposure: Exposure) -> AssembledSighting:
-        """Return the samples at the middle of an exposure."""
+        """Return the sighting of an exposure, or its rejection."""
         ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
         if encoder is None:
             gap = Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
@@ -137,7 +138,8 @@ class SightingAssembler:
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
         """Return a sighting with its points at the middle of the exposure; None if samples are missing.
 
-        The points are compared with the mean over the exposure, so the noise of encoders and ship is that of the mean.
+        The detected points are means over the exposure. Ship and encoders of the sighting are those of the middle, with
+        the noise of the means over the exposure.
         """
         tracks, lever_m, telescope = self._tracks, self._lever_m, self._telescope
         times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
@@ -147,7 +149,7 @@ class SightingAssembler:
         if min(len(attitudes), len(angles)) < len(times_ns):
             return None
         ship, encoder = tracks.ship_at(sighting.time_ns, nodes), tracks.encoder_at(sighting.time_ns, nodes)
-        assert ship is not None  # as at the nodes
+        assert ship is not None  # the nodes include the middle
         assert encoder is not None
         velocity_n = np.array([tracks.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
         since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS

@@ -7,7 +7,7 @@ import numpy as np
 from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
-from theodolite_calib.chain.axes import AxisErrors
+from theodolite_calib.axis_geometry.axes import AxisErrors
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.tracks import EncoderAt, MeasuredTracks, ShipAt
 

@@ -18,7 +18,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
 from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposure, ShipSample

@@ -12,8 +12,8 @@ import numpy as np
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import axis_geometry
-from theodolite_calib.chain.parallelism import telescope_from_main
+from theodolite_calib.axis_geometry.axes import axis_geometry
+from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.measured.encoder_check import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
@@ -128,7 +128,7 @@ def largest_difference_sigmas(
     sightings = filter_.sightings
     errors = sightings.geometry_errors(memory.mean)
     geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
-    _, by_parallelism = telescope_from_main(sightings.parallelism(memory.mean), geometry.rotation_nm)
+    _, by_parallelism = telescope_rotation(sightings.parallelism(memory.mean), geometry.rotation_nm)
     decay, _ = filter_.model.transition(1.0)
     compared = np.vstack([
         sightings.by_state_n(geometry, by_parallelism, "parallelism"),

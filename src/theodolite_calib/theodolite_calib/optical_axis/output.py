@@ -17,7 +17,7 @@ from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import DEFORMATION, SHIP
+from theodolite_calib.axis_geometry.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
@@ -67,7 +67,7 @@ class CorrectedAxis:
     """Main axis corrected by one filter state; computed once per state, used at the encoder's rate.
 
     Only the states that turn the main axis are propagated: the columns are those of
-    :data:`theodolite_calib.chain.axes.AXIS_STATES`.
+    :data:`theodolite_calib.axis_geometry.axes.AXIS_STATES`.
 
     Args:
         filter_: filter with its model.

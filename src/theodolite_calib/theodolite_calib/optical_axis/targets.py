@@ -13,7 +13,7 @@ from ship_estimation.outcome import MeasurementDecision, Status
 from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_geometry
+from theodolite_calib.axis_geometry.axes import AXES, SHIP, AxisErrors, axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices

@@ -1,7 +1,7 @@
 """Interface of the cores to ROS messages: adapters of the nodes, conversion in both directions, saved calibration.
 
-Nothing here imports rclpy; the node runtime (:mod:`ship_node.live`) does. Of the package, ``axis_fit`` (which writes
-the saved calibration) and ``triangulation`` (which reads directions) import this folder.
+The folder may import all others; only ``ship_replay``, ``axis_fit`` (which writes the saved calibration) and the
+executable import it.
 
 A new kind of sensor needs a struct in ``measured/`` and a reader here that converts a message to that struct or rejects
 it. A :class:`~ship_node.edge.reporting_adapter.Feed` in ``OpticalAxisAdapter.table`` connects the topic with the reader

@@ -13,7 +13,7 @@ import numpy as np
 from ship_estimation.rts_smoother import Anchor
 from ship_estimation.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.chain.axes import SHIP
+from theodolite_calib.axis_geometry.axes import SHIP
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.model import ShipErrorStep, axis_state_indices, ship_error_steps
 from theodolite_calib.measured.samples import StampArray

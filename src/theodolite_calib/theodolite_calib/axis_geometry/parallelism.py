@@ -1,4 +1,4 @@
-"""Parallelism of calibration telescope and main axis: attitude of the telescope from that of the main axis.
+"""Parallelism of calibration telescope and main axis: attitude of the telescope from the attitude of the main frame.
 
     rotation_nm = rotation_nt · R(ΔA, ΔE, Δω)
 
@@ -10,15 +10,16 @@ from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angl
 from ship_geometry.rotations import FloatArray
 
 
-def telescope_from_main(parallelism: FloatArray, rotation_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the telescope's attitude from that of the main axis.
+def telescope_rotation(parallelism: FloatArray, rotation_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the attitude of the telescope from the attitude of the main frame.
 
     Args:
         parallelism: azimuth, elevation and rotation of the main axis in the telescope, rad, shape (3,).
         rotation_nm: horizon from main frame, shape (3, 3).
 
     Returns:
-        Horizon from telescope, shape (3, 3), and its rotation vector in n per angle of the parallelism, shape (3, 3).
+        Horizon from telescope, shape (3, 3), and the derivative of its rotation vector in n by the angles of the
+        parallelism, shape (3, 3).
     """
     azimuth, elevation, rotation = parallelism
     rotation_nt = rotation_nm @ rotation_from_angles(azimuth, elevation, rotation).T

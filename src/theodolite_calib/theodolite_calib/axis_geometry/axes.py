@@ -1,12 +1,13 @@
-"""Axis geometry of a theodolite: encoder angles to the main axis in the deck and in the horizon, exact, and inverse.
+"""Mount model of a theodolite: direction of the main axis from encoder angles and axis errors, exact, and its inverse.
 
-In the deck it is the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up,
-starboard):
+In the deck frame it is the exact form of [W18] (1)(2). The main frame m is (optical axis, up, right), the deck d is
+(bow, up, starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
-T rotates about the horizontal rotation vector (βy, 0, -βx) with βx = βm cos Am, βy = βm sin Am: regular at βm = 0. In
-the horizon, with a the ship's error and e the deformation:
+T is the tilt of the vertical axis by βm towards the azimuth Am. It has the rotation vector (βy, 0, -βx), with
+βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. In the horizon, with a the
+error of the ship's attitude and e the deformation, both rotation vectors:
 
     rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
@@ -25,7 +26,7 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, ske
 
 Angle = float | FloatArray
 
-# Each step squares the error of the elevation, which begins at the flexure: 0.1 rad become 1e-17 rad.
+# The initial error of the elevation is the flexure. Each step squares it: after three, 0.1 rad has become 1e-17 rad.
 _FLEXURE_STEPS = 3
 
 
@@ -37,7 +38,7 @@ class AxisErrors:
         g: zero point of the azimuth encoder; the axis points at A - g.
         h: zero point of the elevation encoder; the axis points at E - h.
         c: collimation: angle of the optical axis to the left of the normal to the horizontal axis.
-        I: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
+        I: non-perpendicularity: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
         beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers the axis when pointing over the bow.
         beta_y: tilt of the vertical axis towards starboard, βm sin Am.
         flexure: bending of the tube; it raises the axis by flexure · cos E.
@@ -68,7 +69,7 @@ class AxisErrors:
 
     @cached_property
     def by_tilt(self) -> FloatArray:
-        """Rotation vector of the main frame in d per rotation vector of the tilt, shape (..., 3, 3)."""
+        """Derivative of the main frame's rotation vector in d by the rotation vector of the tilt, shape (..., 3, 3)."""
         return left_jacobian(_tilt_vector(self))
 
 
@@ -81,12 +82,12 @@ _AZIMUTH, _ELEVATION = range(2)
 
 @dataclass(frozen=True)
 class MainAxis:
-    """Main frame in the deck, and its first-order derivatives: rotation vector in the deck, rad per rad.
+    """Main frame in the deck, and the derivatives of its rotation vector in d, rad per rad.
 
     Attributes:
-        rotation_dm: shape (..., 3, 3); its first column is the optical axis.
-        by_error: per axis error in the order of :data:`NAMES`, shape (..., 3, 7).
-        by_encoder: per encoder angle (azimuth, elevation), shape (..., 3, 2).
+        rotation_dm: deck from main frame, shape (..., 3, 3); its first column is the optical axis.
+        by_error: derivatives by the axis errors in the order of :data:`NAMES`, shape (..., 3, 7).
+        by_encoder: derivatives by the encoder angles (azimuth, elevation), shape (..., 3, 2).
     """
 
     rotation_dm: FloatArray
@@ -128,16 +129,16 @@ def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArr
 
 
 SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
-"""Slices of the vector of all errors of the axis geometry.
+"""Slices of the vector of all errors.
 
-- SHIP: rotation vector a of the ship's error in n, rad.
+- SHIP: rotation vector a of the error of the ship's attitude in n, rad.
 - DEFORMATION: rotation vector e of the deformation in d, rad.
-- AXES: the axis errors in the order of :data:`NAMES`.
-- SHIP_TIME: time by which the sample of the ship's attitude is valid later than assumed, s.
+- AXES: the axis errors in the order of :data:`NAMES`, rad.
+- SHIP_TIME: time by which the samples of the ship's attitude are valid later than assumed, s.
 """
 
 AXIS_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
-"""States of a filter that turn the main axis, each with its columns and in their order."""
+"""Filter states that rotate the main axis, with their slices of that vector, in order."""
 
 
 @dataclass(frozen=True)
@@ -148,9 +149,9 @@ class AxisGeometry:
         rotation_nd: horizon from deck, corrected, shape (3, 3).
         rotation_dm: deck from main frame, deformation included, shape (3, 3).
         rotation_nm: horizon from main frame, shape (3, 3).
-        by_error: rotation vector of the main frame in n per error, shape (3, 14); the columns are :data:`SHIP`,
-            :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
-        by_encoder: the same per encoder angle (azimuth, elevation), shape (3, 2).
+        by_error: derivatives of the main frame's rotation vector in n by the errors, shape (3, 14); the columns are
+            :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
+        by_encoder: derivatives by the encoder angles (azimuth, elevation), shape (3, 2).
     """
 
     rotation_nd: FloatArray
@@ -183,8 +184,8 @@ def encoder_angles(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the encoder angles at which the optical axis has a given direction.
 
-    Two pairs exist: the ordinary one, and the plunged one with the telescope beyond the zenith and the azimuth about
-    half a turn away. Directions closer to the vertical axis than about c + I cannot be reached: no pair exists there.
+    There are two pairs (faces): the ordinary one, and the plunged one with the telescope beyond the zenith and the
+    azimuth about 180° away. For directions closer to the vertical axis than about c + I there is none.
 
     Args:
         errors: axis errors.
@@ -196,10 +197,10 @@ def encoder_angles(
         the elevation is in [-pi/2, pi/2], and plunged in [pi/2, 3 pi/2].
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
-    # Seen from the vertical axis: x, y (up), z.
+    # Direction in the frame of the tilted vertical axis: x, y (up), z.
     x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.tilt_rotation)[..., 0, :], -1, 0)
     sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
-    # The turn by the azimuth changed the components `forward` and `left`, and kept the one up.
+    # Components in the frame that turns in azimuth; the component up is y there too.
     left = (y * sin_i + sin_c) / cos_i
     horizontal = np.hypot(x, z)
     square = (horizontal - left) * (horizontal + left)
@@ -246,7 +247,7 @@ def _about_elevation_and_collimation(errors: AxisErrors, elevation: Angle) -> Fl
 
 
 def _cos_sin(angle: Angle) -> tuple[Angle, Angle]:
-    """Return cosine and sine; single angles of a live node avoid the several times slower arrays."""
+    """Return cosine and sine; for a single angle, as in a live node, plain numbers are several times faster."""
     if isinstance(angle, float):
         return math.cos(angle), math.sin(angle)
     return np.cos(angle), np.sin(angle)
