@@ -83,4 +83,4 @@ def test_an_exclusion_and_an_unresolved_fault_count_once_each_time():
     assert watched.exclusions == [(1.0, "star.fore"), (4.0, "ins"), (4.0, "star.fore")]
     for since_s, status in ((5.0, 2), (605.0, 0), (606.0, 2), (607.0, 2), (608.0, 0), (609.0, 2)):
         watched.record_status(since_s, Status(status), "why")
-    assert watched.doubts == [(606.0, "why"), (609.0, "why")]
+    assert watched.degradations == [(606.0, "why"), (609.0, "why")]
