@@ -38,7 +38,7 @@ TIMEOUT_S = 2.0
 Three periods of the star sensor are 0.6 s, of the encoder 0.06 s.
 """
 
-# When each fault could be known: at the first wrong measurement; of a silence so long after the last message came.
+# Earliest detection of each fault: its first wrong measurement, or the timeout after the last message.
 DETECTABLE_S = {
     "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 37.933 + TIMEOUT_S},
     "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 30.982 + TIMEOUT_S},

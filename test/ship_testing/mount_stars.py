@@ -65,7 +65,7 @@ def anchored_readings(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[Po
 
 @dataclass(frozen=True)
 class MountErrors:
-    """Constant errors of one night: true minus configured.
+    """Constant errors of one session: true minus configured.
 
     Attributes:
         axes: rad, shape (7,).
@@ -154,7 +154,7 @@ def observe_stars(
 
 
 class MountSession:
-    """One night of a theodolite on a ship that does not move.
+    """One session of a theodolite on a ship that does not move.
 
     Args:
         settings: configuration, with the sigmas of the noise.

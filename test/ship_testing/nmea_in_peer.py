@@ -137,7 +137,7 @@ class NmeaInPeer:
         return str(self._diagnostics[f"{NAME}: callbacks"].message)
 
     def spin(self) -> None:
-        """Process messages for a moment."""
+        """Process waiting messages."""
         self._executor.spin_once(timeout_sec=0.01)
 
     def wait_until(self, condition: Callable[[], Any]) -> Any:
