@@ -62,8 +62,8 @@ def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
     refusal = values.rejection(ns(7), Reading(102.0))
     assert refusal.reason is Reason.JUMP
     assert refusal.text == (
-        "102 m from the last accepted value, 3.0 s before it, limit 16 m; "
-        "accepted once it has lasted for 60 s"
+        "jump by 102 m from the last accepted value, 3.0 s earlier, limit 16 m; "
+        "accepted once the jump has lasted for 60 s"
     )
 
 
