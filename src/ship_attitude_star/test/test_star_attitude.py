@@ -452,5 +452,5 @@ def test_an_old_solution_is_reported_as_timed_out() -> None:
         assert reports[0] == (0, "VALID")
         level, text = reports[-1]
         assert level == 1
-        assert text.startswith("none for 1")
-        assert text.endswith(" s, VALID before")
+        assert text.startswith("no solution for 1")
+        assert text.endswith(" s, the last VALID")

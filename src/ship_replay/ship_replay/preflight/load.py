@@ -100,7 +100,7 @@ def load_warnings(found: Sequence[NodeLoad], cores: int) -> Iterator[str]:
         if load.is_too_much:
             yield (
                 f"{load.node} takes about {100.0 * load.share:.0f} % of one core, limit {100.0 * MOST_SHARE:.0f} %: "
-                f"it may fall behind. Most of the load is {load.busiest}"
+                f"it may fall behind, mostly by {load.busiest}"
             )
     total = sum(load.share for load in found)
     if len(found) > 1 and total > MOST_SHARE * cores:
