@@ -453,4 +453,4 @@ def test_an_old_solution_is_reported_as_timed_out() -> None:
         level, text = reports[-1]
         assert level == 1
         assert text.startswith("none for 1")
-        assert text.endswith(" s, VALID before")
+        assert text.endswith(" s, last status VALID")

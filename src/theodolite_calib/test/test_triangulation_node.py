@@ -375,7 +375,7 @@ def test_diagnostics_report_the_last_position() -> None:
     sigma_m = np.sqrt(np.sum(published_positions(published)[-1].position_covariance[::4]))
     assert float(status.values["sigma in space (m)"]) == pytest.approx(sigma_m, rel=0.01)
     (status,) = adapter.own_statuses(START_NS + 20 * SECOND_NS)
-    assert status.message == "none for 20 s, VALID before"
+    assert status.message == "none for 20 s, last status VALID"
 
 
 @pytest.mark.parametrize(

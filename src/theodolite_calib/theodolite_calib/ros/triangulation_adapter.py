@@ -1,4 +1,4 @@
-"""Adapter of the node ``triangulation``: topics of the theodolites, messages of a position, diagnostics."""
+"""Adapter of the node ``triangulation``: input topics of the theodolites, position messages and diagnostics."""
 
 import functools
 import math
@@ -61,7 +61,7 @@ class TriangulationAdapter(ReportingAdapter):
         super().__init__(config, TriangulationCore(config), factory, functools.partial(position_messages, factory))
 
     def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that take them."""
+        """Yield each input topic with the method of the core that receives its samples."""
         for name in sorted(config.stations):
             topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, is_occasional=True)
             read = functools.partial(direction, station=name, horizon=config.frames.horizon)
@@ -87,8 +87,8 @@ class TriangulationAdapter(ReportingAdapter):
         if last is None or self._published_ns is None:
             return DiagnosticStatus("position", Level.OK, "none yet", values)
         if waiting_ns - self._published_ns > _STALE_NS:
-            # No theodolite may have a target in view.
-            text = f"none for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, {last.status.name} before"
+            # OK: possibly no target is in view of any theodolite.
+            text = f"none for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, last status {last.status.name}"
             return DiagnosticStatus("position", Level.OK, text, values)
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
         if last.status is not Status.INVALID:
@@ -100,7 +100,7 @@ class TriangulationAdapter(ReportingAdapter):
 
 
 def position_messages(factory: MessageFactory, estimate: PositionEstimate) -> list[OutputMessage]:
-    """Return the messages of a position: ship_msgs/TargetDirection without a direction; if INVALID also the reason."""
+    """Return the messages of a position: a ship_msgs/TargetDirection with an unknown direction, and any rejection."""
     unknown = np.full(3, np.nan)
     target = TargetEstimate(
         time_ns=estimate.time_ns,
