@@ -163,7 +163,7 @@ def test_missing_file_is_named(keystore):
 @pytest.mark.parametrize(
     ("later", "told", "is_error"),
     [(YEAR - 30 * DAY - DAY, None, None), (YEAR - 29 * DAY, "is in 29.0 days, before the voyage ends", False),
-     (YEAR, "is over", True), (YEAR + DAY, "is over", True), (-2 * DAY, "is still to come", True)],
+     (YEAR, "has passed", True), (YEAR + DAY, "has passed", True), (-2 * DAY, "is in the future", True)],
 )  # fmt: skip
 def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
     faults = keystore_faults(keystore.path, use(now=NOW + later))

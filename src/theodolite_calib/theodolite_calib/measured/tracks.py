@@ -254,7 +254,10 @@ class MeasuredTracks:
         )
 
     def has_ship_drifted(self, time_ns: int) -> bool | None:
-        """True if the ship's attitude departed from its rates since its last jump (at most one minute); None if unknown."""
+        """True if the ship's attitude departed from its rates; None if unknown.
+
+        The compared time is the last minute, or the time since the last jump of the attitude if that is shorter.
+        """
         until_ns = time_ns - self.ship_shift_ns
         first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)
         ship = self.ship.between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
