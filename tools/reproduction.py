@@ -24,8 +24,8 @@ PICTURES = "figures/reproduction"
 HEAD = """# Results of the papers and of the suite
 
 This page compares every figure, table and number in our copies of the three papers ([sources](sources.md)) with the
-results of the suite, and gives the reason of each difference. Misprints are in the [errata](explanation/errata.md). The
-papers' own methods are in `tools/papers` and `test/ship_testing`, for comparison only; the suite does not use them.
+suite's results, and explains the differences. Misprints are in the [errata](explanation/errata.md). The papers' own
+methods are in `tools/papers` and `test/ship_testing`, for comparison only.
 
 This page is written by `make reproduction`; a test compares it with the computed values.
 """

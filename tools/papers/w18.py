@@ -129,8 +129,8 @@ def section(figure: str) -> str:
     elevations = ", ".join(f"{each:.0f}" for each in ELEVATIONS_DEG)
     return f"""## [W18]: calibration of a theodolite by two airborne lights
 
-N′ is the principal point of the lens, here 60 mm from the centre of the theodolite. *Surveyed* means that the method
-knows its position; *unsurveyed*, that the method assumes it at the centre.
+N′ is the principal point of the lens, here 60 mm from the centre of the theodolite. The method knows its position if
+*surveyed*, and assumes it at the centre if *unsurveyed*.
 
 {rows_table(printed_values())}
 ### The figure of its simulation in two readings
@@ -150,20 +150,19 @@ and {_over_elevations(UNSURVEYED)} with N′ unsurveyed.
 
 **The printed total is mostly a constant.** Its mean is {PRINTED_MEAN_ARCSEC / PRINTED_SIGMA_ARCSEC:.2f} times its σ.
 For normal errors with zero mean in a plane this ratio is at most √(π / (4 − π)) = {RAYLEIGH_RATIO:.2f}, reached if they
-are isotropic (Rayleigh distribution). With a focal length that is wrong by the listed 0.1 mm at all epochs it is 2.0 to 2.2. An error of
-0.2 to 0.3 mm would give about the printed values, but the paper lists no such error:
+are isotropic (Rayleigh distribution). With a focal length that is wrong by the listed 0.1 mm at all epochs it is 2.0 to
+2.2. An error of 0.2 to 0.3 mm would give about the printed values, but the paper lists no such error:
 
 {of_focal_length}
 The paper lists one constant error of this size: N′, 60 mm. Unsurveyed, with equal components forward, up and right, it
-moves both lights equally, by {_constant_arcsec():.2f}″. A test compares fourteen directions of N′, along the axes and
-midway between them: this one or its opposite fits the printed values best. That is a strong hypothesis, not a proof.
+moves both lights equally, by {_constant_arcsec():.2f}″. Of fourteen directions of N′, along the axes and midway between
+them, this one or its opposite fits best (a test). That is a strong hypothesis, not a proof.
 
-Hence the results of the suite are given for both cases. With N′ surveyed, one epoch has an error of 3.47″, the
-theoretical bound, and the error decreases with more epochs. With N′ unsurveyed, the error of any method that uses only
-lights is at least the constant, for any number of epochs. The scenarios
-[`lens_surveyed`](../bags/scenarios/lens_surveyed.yaml) and [`lens_unsurveyed`](../bags/scenarios/lens_unsurveyed.yaml)
-are voyages for these two cases. Root mean square errors of the core of `optical_axis` after sixty sightings, with
-{_VOYAGES} voyages for each case:
+The suite's results are therefore given for both cases. With N′ surveyed, one epoch has an error of 3.47″, the
+theoretical bound, and more epochs reduce it. With N′ unsurveyed, the error of any method that uses only lights is at
+least the constant, for any number of epochs. The scenarios [`lens_surveyed`](../bags/scenarios/lens_surveyed.yaml) and
+[`lens_unsurveyed`](../bags/scenarios/lens_unsurveyed.yaml) are voyages of the two cases. Root mean square errors of the
+core of `optical_axis` after sixty sightings, {_VOYAGES} voyages each:
 
 {voyages}
 No residual shows the error of the second row: all its sightings are consistent. The uncertainty of an unsurveyed N′
@@ -187,13 +186,13 @@ def printed_values() -> Iterator[Row]:
     """Yield the values that the paper prints."""
     mean, sigma, total = summary(axis_errors(UNSURVEYED).triads)
     _, _, surveyed = summary(axis_errors(SURVEYED).triads)
-    constant = "N′ unsurveyed: see below"
+    constant = "N′ unsurveyed"
     yield Row("mean error of the axis", f"{PRINTED_MEAN_ARCSEC:.2f}″", f"{mean:.2f}″", constant)
     yield Row("standard deviation of this error", f"{PRINTED_SIGMA_ARCSEC:.2f}″", f"{sigma:.2f}″", constant)
     squares = np.hypot(PRINTED_MEAN_ARCSEC, PRINTED_SIGMA_ARCSEC)
     yield Row(
         "total error (root mean square)", f"{PRINTED_TOTAL_ARCSEC:.2f}″", f"{total:.2f}″; N′ surveyed {surveyed:.2f}″",
-        f"{constant}; the printed mean and σ give {squares:.2f}″",
+        f"{constant}; printed mean and σ give {squares:.2f}″",
     )  # fmt: skip
     yield Row("stated limit of the total error", "10″", f"{total:.2f}″")
     yield Row(

@@ -38,9 +38,9 @@ def section(folder: str) -> str:
     )
     return f"""## [Z14]: error model of a star sensor's installation
 
-There are two readings of R(A0, E0, γ0) ([errata](explanation/errata.md)). In *the paper's reading*, that of its factors
-and figures, this matrix rotates from the deck to the sensor. In *the physical reading*, that of its equation (4) and of
-the suite, it rotates from the sensor to the deck. Angles that are not varied: As 235°, Es 45°, γs 90°, E0 35°, γ0 0.
+R(A0, E0, γ0) has two readings ([errata](explanation/errata.md)). In *the paper's reading*, that of its factors and
+figures, it rotates from deck to sensor. In *the physical reading*, that of its equation (4) and of the suite, it
+rotates from sensor to deck. Angles that are not varied: As 235°, Es 45°, γs 90°, E0 35°, γ0 0.
 
 {rows_table(_printed_section())}
 ### Its fifteen conclusions

@@ -233,8 +233,7 @@ CONCLUSIONS = (
     Conclusion("3.2 (1)", "all errors oscillate over A0", oscillates_over_installation_azimuth),
     Conclusion(
         "3.2 (2)", "nothing depends on γ0", flat_over_installation_roll,
-        "by (4) the deck rotates with γ0 under a fixed sensor: with a sensor ahead the heading error changes from 273″ "
-        "to −45″",
+        "by (4) the deck rotates with γ0 under a fixed sensor: ahead, the heading error changes from 273″ to −45″",
     ),
     Conclusion(
         "3.2 (3)", "pitch grows with E0", pitch_grows_with_elevation,
@@ -248,7 +247,7 @@ CONCLUSIONS = (
     Conclusion(
         "3.2 (6)", "astern heading grows with E0, roll falls and then grows",
         astern_heading_grows_roll_falls_then_grows,
-        "by (4) roll falls to zero at 86° and then grows by only 3″, less than the sum of the small errors",
+        "by (4) roll falls to zero at 86° and then grows by only 3″, less than the small errors",
     ),
     Conclusion(
         "3.2 (7)", "to port heading falls with E0, roll falls and then grows",
@@ -262,8 +261,7 @@ CONCLUSIONS = (
     Conclusion(
         "3.3 (3)", "Δγs causes mainly a roll error along the keel, mainly a heading error abeam",
         along_the_keel_roll_abeam_heading,
-        "holds in this example, where the ship is far from level; on a level ship a sensor abeam causes errors of "
-        "heading (times sin E0) and of *pitch* (times cos E0)",
+        "on a level ship: a sensor abeam then causes errors of heading (sin E0) and *pitch* (cos E0)",
     ),
     Conclusion(
         "3.3 (4)", "pitch grows with E0, heading and roll depend on the layout",
