@@ -96,7 +96,7 @@ class CorrectionSums(NamedTuple):
 
         Args:
             innovations: innovations of the measurement; the main filter was updated with it.
-            jacobian: of the measurement, shape (m, n).
+            jacobian: jacobian of the measurement, shape (m, n).
             first: index of the first of the three states.
 
         Example:
@@ -189,10 +189,10 @@ def with_common_error(
         found: separations and levels of all other hypotheses.
         k: their sigma multipliers.
         missed_detection: K_md of this hypothesis.
-        threshold: of the sum of corrections, by :func:`common_threshold`, sigmas.
+        threshold: threshold of the sum of corrections, by :func:`common_threshold`, sigmas.
         corrections: recent corrections by all stars.
         by_states: derivative of the components by the errors about North, Up and East, shape (3, 3).
-        covariance: of the components in the main filter, rad², shape (3, 3).
+        covariance: covariance of the components in the main filter, rad², shape (3, 3).
 
     Example:
         The corrections determine a common error to 2″, the output has 1″ in each component:

@@ -267,7 +267,7 @@ class PartStatistics:
 
     @property
     def is_optimistic(self) -> bool:
-        """True if the parts that are no outliers are larger than predicted."""
+        """True if the parts that are not outliers are larger than predicted."""
         return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._has_many_outliers)
 
     @property

@@ -248,7 +248,7 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
     """Return the standard deviation of each solution separation, rad, shape (h, 3).
 
     Args:
-        variance: of the components in each subfilter, rad², shape (h, 3).
+        variance: variance of the components in each subfilter, rad², shape (h, 3).
         variance_0: of the components in the main filter, rad², shape (3,).
 
     Example:
@@ -306,11 +306,11 @@ class IntegrityReport(NamedTuple):
 
     Attributes:
         time_ns: stamp of the output.
-        state: of the levels against their limits.
+        state: state of the levels against their limits.
         level: protection level of each component, rad, shape (3,); NaN if there is none.
         hypotheses: the source that each subfilter excludes.
         statistic: largest solution separation of each, sigmas, shape (h,).
-        threshold: of the separations, sigmas.
+        threshold: threshold of the separations, sigmas.
         excluded: the excluded sources, and the stamp since which each is excluded.
         dominant: the hypothesis with the largest level; empty for the fault-free case.
         largest_sigma: largest sigma, in any subfilter, of a state that determines the components, rad: it enters the
@@ -343,7 +343,7 @@ def integrity_report(
         time_ns: stamp of the output.
         config: with the alert limits.
         k: sigma multipliers.
-        names: of the tested hypotheses; sources that are excluded already are not tested.
+        names: names of the tested hypotheses; sources that are excluded already are not tested.
         found: solution separations and levels of these hypotheses.
         excluded: the excluded sources, and the stamp since which each is excluded.
         is_checked: True if the sources in use can check one another. Otherwise there is no level, nor is there one if a

@@ -36,7 +36,7 @@ class PublishedLevels:
     rotation of the directions in which the errors are measured.
 
     Attributes:
-        report: published last; None before the first.
+        report: published last; None if there was none yet.
         state: filter state of the last output that was evaluated.
         redundancy_key: further conditions on which the existence of a level depends.
         directions: direction cosines in which the errors of that output are measured, shape (k, l).
@@ -73,7 +73,7 @@ class PublishedLevels:
 
         Args:
             times_ns: stamps, shape (N,).
-            covariances_n: of their errors, rad², shape (N, 3, 3).
+            covariances_n: covariances of their errors, rad², shape (N, 3, 3).
             directions: direction cosines of each, shape (N, k, l).
         """
         until, published = (self.until_ns, self.max_variance), (self.directions, self.max_direction_change)

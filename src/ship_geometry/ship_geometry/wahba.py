@@ -82,7 +82,7 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
     left, singular, right = np.linalg.svd(weighted @ measured_d)
     rotation_nd = left @ right
-    # If the best fit is a reflection (-1), which is no attitude, the best rotation has its weakest axis reversed.
+    # If the best fit is a reflection (-1), which is not an attitude, the best rotation has its weakest axis reversed.
     handedness = np.copysign(1.0, np.linalg.det(rotation_nd))
     if np.any(handedness < 0.0):
         left[..., :, 2] *= handedness[..., None]

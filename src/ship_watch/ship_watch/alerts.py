@@ -114,7 +114,7 @@ class AlertList:
         return tuple(changes)
 
     def acknowledge(self, id_: str, instance: int, utc_ns: int) -> tuple[AlertChange | None, str]:
-        """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
+        """Acknowledge one instance of an alert; return the change, None if there is none, and the result in words."""
         tracked = self._tracked.get(id_)
         if tracked is None or tracked.alert.state == AlertState.NORMAL:
             active_ids = ", ".join(alert.id for alert in self.alerts) or "none"

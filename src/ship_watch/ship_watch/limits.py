@@ -82,7 +82,7 @@ class AlertTimes:
 class MachineLimits:
     """Limits of the computer on which the suite runs."""
 
-    disk_path: str = parameter("", doc="a folder on the disk for recordings; empty for none")
+    disk_path: str = parameter("", doc="a folder on the disk for recordings; empty if there is none")
     disk_free_gb: float = parameter(
         10.0, doc="minimum free space of that disk", unit="GB", minimum=0.0, maximum=1e6
     )

@@ -250,7 +250,7 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None
 
 
 def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
-    """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
+    """The encoders slipped by a degree: stars without names are not identified, which is not a contradiction."""
     mount = Mount(SETTINGS, watch)
     night, _ = mount.run(3)
     encoder = np.array([2.0, 0.8])

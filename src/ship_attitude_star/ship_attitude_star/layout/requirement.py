@@ -39,8 +39,8 @@ class Candidate:
     Attributes:
         name: as in :data:`AS_GIVEN`.
         layout: the layout.
-        sigmas_arcsec: of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
-        requirement_use: sigma over requirement of the worst angle; NaN with the sigmas.
+        sigmas_arcsec: sigmas of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
+        requirement_use: sigma over requirement of the worst angle; NaN if the sigmas are NaN.
         obstacles: descriptions of the obstructions in the fields of view; empty if there are none.
     """
 
@@ -82,7 +82,7 @@ class ElevationTrade:
     """All sensors at one elevation, at the azimuths with the least requirement use.
 
     Attributes:
-        elevation_deg: of all of them.
+        elevation_deg: elevation of all sensors.
         candidate: the layout.
         refraction_arcsec: errors of heading, pitch, roll by refraction, shape (3,).
     """

@@ -46,7 +46,7 @@ class CorrectedIns:
         time_offset_s: estimated time offset tau of the INS, in addition to the configured one, s.
         since_ns: time of the state, from which the error is propagated; later than all samples before the first
             measurement.
-        newest_star_ns: stamp of the last accepted star measurement; None for none.
+        newest_star_ns: stamp of the last accepted star measurement; None if there is none.
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components that do not decay, because they exceed the error model, shape (3,),
             uint8.
@@ -290,7 +290,7 @@ def _horizons(
 
 
 def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
-    """Return the time since the last accepted star measurement for each time, s; NaN for none."""
+    """Return the time since the last accepted star measurement for each time, s; NaN if there is none."""
     newest_ns = np.array([one.newest_star_ns or 0 for one in corrected])
     none_yet = np.array([one.newest_star_ns is None for one in corrected])
     ages_s: FloatArray = np.where(none_yet[state_index], np.nan, (time_ns - newest_ns[state_index]) / SECOND_NS)
@@ -298,6 +298,6 @@ def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
-    """Return the stamp of the last accepted star measurement; None for none."""
+    """Return the stamp of the last accepted star measurement; None if there is none."""
     stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

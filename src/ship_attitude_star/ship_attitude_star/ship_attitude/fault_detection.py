@@ -235,7 +235,7 @@ class FaultDetector:
             time_ns: stamp of the measurement.
 
         Returns:
-            The state after exclusions and reinstatements, and a text about the source, empty for none.
+            The state after exclusions and reinstatements, and a text about the source, empty if there is none.
         """
         if self._is_all_consistent(state):
             return state, ""
@@ -392,7 +392,7 @@ class FaultDetector:
     # -- exclusion and reinstatement ------------------------------------------------------------------------
 
     def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
-        """Return the isolated sources, empty for none.
+        """Return the isolated sources, empty if there is none.
 
         If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
         """

@@ -393,7 +393,7 @@ class ShipFilter:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
 
         Returns:
-            The state, and a text about the inflation, empty for none.
+            The state, and a text about the inflation, empty if there is none.
         """
         if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""

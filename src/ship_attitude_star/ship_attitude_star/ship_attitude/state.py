@@ -144,9 +144,9 @@ class FilterState:
         innovation_means: windowed innovation means of each source in each filter.
         excluded: excluded sources by name.
         exclusion_counts: number of exclusions by source.
-        unresolved_fault: fault that is detected and not isolated; None for none.
+        unresolved_fault: fault that is detected and not isolated; None if there is none.
         separation_covariance_n: covariance that an output adds for large solution separations, rad², horizon frame,
-            shape (3, 3); not part of ``stack``; None for none.
+            shape (3, 3); not part of ``stack``; None if there is none.
         last_innovations: innovation of the last measurement by source, against the main filter.
         recent_innovations: windowed innovation means of the accepted measurements by source, since the last restart of
             the filters.
@@ -156,12 +156,12 @@ class FilterState:
         last_used_ns: stamp of the last accepted measurement by source, ns.
         pixel_dwells: pixel dwell of the stars by source; empty after the covariance was inflated.
         unconfirmed_step: INS jump, possible INS jump or first star measurement that other stars have not confirmed;
-            None for none.
+            None if there is none.
         rejected_residuals: residual of the last rejected measurement by source.
-        ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None for none.
-        ins_fault_ns: time of the last jump or contradiction of an INS that reported a jump; None for none.
+        ins_jump_ns: stamp of the INS just before the last jump that inflated the covariance; None if there is none.
+        ins_fault_ns: time of the last jump or contradiction of an INS that reported a jump; None if there is none.
         vertical: vertical at the time of the state; None if the deflection is not modelled.
-        utc_step: step of the time base after which UTC is not verified yet; None for none.
+        utc_step: step of the time base after which UTC is not verified yet; None if there is none.
         correction_sums: sums of the recent corrections by all stars, and the error that all stars may share.
     """
 

@@ -50,8 +50,8 @@ class StarCatalogue:
     Attributes:
         hip: HIP numbers, increasing.
         at_epoch: positions and proper motions at 1991.25, ICRS.
-        at_j2000: the same at J2000.0, the epoch that :mod:`ship_geometry.star_directions` takes.
-        magnitude: in the Hipparcos band Hp.
+        at_j2000: positions and proper motions at J2000.0, the epoch required by :mod:`ship_geometry.star_directions`.
+        magnitude: magnitudes in the Hipparcos band Hp.
         position_sigma: standard deviation of a position at 1991.25, the larger of its two components, rad.
         pm_sigma: standard deviation of the proper motion, the larger of its two components, rad/year.
     """

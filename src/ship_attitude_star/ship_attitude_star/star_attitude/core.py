@@ -211,7 +211,7 @@ class StarCore:
                 batch.pending_outcomes.append((end - 1, outcome))
 
     def finish_batch(self, batch: MotionBatch) -> StarOutcome | None:
-        """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None if there is none."""
         refusal = self._ins.finish_batch(batch)
         if batch.checked.last is None:
             return None

@@ -37,9 +37,9 @@ class StarResiduals:
 
     Attributes:
         residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
-        jacobian: derivative of the residual by the n states, shape (2 k, n).
-        rotation_jacobian: its derivative by a rotation of the predicted sensor, rotation vector in its own frame, shape
-            (2 k, 3).
+        jacobian: derivative of the residual with respect to the n states, shape (2 k, n).
+        rotation_jacobian: derivative of the residual with respect to a rotation of the predicted sensor, rotation
+            vector in the sensor frame, shape (2 k, 3).
         noise: covariance by error source, rad², shape (2 k, 2 k) each.
         components: name of each residual.
         rejected: the other stars by name, each with its rejection.
@@ -76,7 +76,7 @@ def star_residuals(
         prior: attitude of the sensor with the covariance of its error, used to select the stars.
         sky_model: the sky model.
         sky_slice: slice of the states of the shared errors.
-        mean: of the state, shape (n,).
+        mean: mean of the state, shape (n,).
         initial_ns: an attitude near the truth, where that of the prior may be far from it, shape (3, 3).
         camera_indices: state indices of the correlated errors of the sensor's camera; None if it has none.
 
@@ -148,10 +148,10 @@ def _select_consistent(
     """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
 
     Args:
-        stars: with their directions by the sky model.
-        at_estimate: the same, corrected by the estimate of the shared errors.
+        stars: stars with their directions by the sky model.
+        at_estimate: the same stars, with directions corrected by the estimate of the shared errors.
         prior: the prediction.
-        initial_ns: an attitude near the truth, where that of the prediction may be far from it, shape (3, 3).
+        initial_ns: an attitude near the truth, shape (3, 3), if the predicted attitude may be far from it.
 
     Returns:
         True for each selected star, shape (k,), none if the stars contradict the prediction and one another; and the

@@ -179,13 +179,14 @@ def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[S
 
 
 def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
-    """Return an attitude near enough to the truth to linearise stars there, where the prior's own may be far off.
+    """Return an attitude near enough to the truth for a linearisation of the stars.
 
-    It is that of the stars alone if they verify one another; else the most likely one by the prior and all stars.
+    The attitude of the prior may be too far away. The result is the attitude from the stars alone if they verify one
+    another, otherwise the most likely attitude by the prior and all stars.
 
     Args:
         stars: all measured stars that have a sky direction.
-        prior: of any width.
+        prior: predicted attitude with a standard deviation of any size.
 
     Returns:
         Horizon from b, shape (3, 3).

@@ -180,7 +180,7 @@ class Recorder:
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
         if self._has_only_status and type_name not in STATUS_TYPES:
-            # Reports are no activity from now on, nor were those received before.
+            # Reports are not activity from now on, nor were those received before.
             self._has_only_status, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)

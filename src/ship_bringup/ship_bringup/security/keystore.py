@@ -79,7 +79,7 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
     if not enclaves.is_dir():
         expected = f"expected the folders {_PUBLIC} and {ENCLAVES}, as 'ros2 security create_keystore' makes them"
         advice = "set ROS_SECURITY_KEYSTORE to the ship's keystore"
-        return [KeystoreFault(f"{keystore}: is no keystore: {expected}", advice)]
+        return [KeystoreFault(f"{keystore}: is not a keystore: {expected}", advice)]
     existing = sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in enclaves.glob("**/cert.pem"))
     nodes = [rights.enclave for rights in use.rights if rights.is_needed]
     if existing and not set(existing) & {rights.enclave for rights in use.rights}:
@@ -224,7 +224,7 @@ class _Enclave:
         try:
             key = load_pem_private_key(path.read_bytes(), password=None)
         except (ValueError, TypeError, UnsupportedAlgorithm) as problem:
-            raise BadInput("is no private key without a password (PEM)", file=path) from problem
+            raise BadInput("is not a private key without a password (PEM)", file=path) from problem
         if public_bytes(key.public_key()) != certificate_key(self._certificate):
             text = f"{path}: is not the key of {self._folder / _CERTIFICATE}"
             yield KeystoreFault(text, f"make both again: ros2 security create_enclave KEYSTORE {self._rights.enclave}")

@@ -111,7 +111,7 @@ class SecondEstimator:
     Attributes:
         valid_since_ns: waiting time since which it has been VALID each second; None if it is not. A single rejected
             measurement may make it DEGRADED for less than a second.
-        failure: rejection with the exception of the software; None without one. Another one starts then.
+        failure: rejection with the exception of the software; None if there is none. Another one starts then.
     """
 
     def __init__(self, core: Any, is_from_memory: bool) -> None:
@@ -131,7 +131,7 @@ class SecondEstimator:
             self._status = estimate.status
 
     def update_status(self, waiting_ns: int) -> None:
-        """Record its status, once a second."""
+        """Record the time since which the status is VALID; called once a second."""
         if self._status is not Status.VALID:
             self.valid_since_ns = None
         elif self.valid_since_ns is None:

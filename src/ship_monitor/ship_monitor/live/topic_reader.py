@@ -93,7 +93,7 @@ class TopicReader:
 
     Args:
         name: name of the node.
-        namespace: namespace of the suite, with or without slashes; empty for none.
+        namespace: namespace of the suite, with or without slashes; empty if there is none.
         queue_depth: returns the queue depth for relative name and type of a topic: 1 if the newest message is enough,
             :data:`MAX_QUEUE_DEPTH` if each is needed, 0 if the topic is not needed.
 
@@ -233,7 +233,7 @@ class TopicReader:
     def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
         """Return the clock of the suite: one in its namespace, as for a bag played into it; else /clock.
 
-        A change of the clock topic is no step back in time.
+        A change of the clock topic is not a step back in time.
         """
         own = self.namespace.rstrip("/") + CLOCK_TOPIC
         is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0

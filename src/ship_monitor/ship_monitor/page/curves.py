@@ -59,7 +59,7 @@ def gap_rows(time_ns: TimesNs, previous_ns: int | None, period_ns: float) -> NDA
 
     Args:
         time_ns: rising times, shape (n,).
-        previous_ns: time of the row before the first; None without one.
+        previous_ns: time of the row before the first; None if there is none.
         period_ns: usual time between two points, ns.
     """
     first = time_ns[0] if previous_ns is None else previous_ns

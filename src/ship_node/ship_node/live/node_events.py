@@ -54,7 +54,7 @@ class NodeEvents:
     used, and each service request is answered.
 
     Args:
-        context: of the node.
+        context: context of the node.
         guard: catches exceptions of callbacks.
         steady_ns: a steady clock, ns.
     """
@@ -245,9 +245,9 @@ class Inbox:
         """Cut all waiting messages at one time, because the node is behind.
 
         Args:
-            now_ns: the node's time now, which the remaining messages get as their receive time.
-            waiting_ns: the same by the timeout clock.
-            since_ns: the same by the clock of waiting times.
+            now_ns: current time of the node, which becomes the receive time of the remaining messages.
+            waiting_ns: current time of the timeout clock.
+            since_ns: current time of the clock of waiting times.
         """
         removed = [arrival for arrival in self._waiting.values() if arrival.topic not in self._valid_until_next]
         kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._valid_until_next]

@@ -59,10 +59,10 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
     """Return the first number or name in which two messages differ, or else the first text; None if they are equal.
 
     Args:
-        topic: topic of both.
-        recorded: decoded from the bag.
-        replayed: of the same type.
-        time_ns: when they were published, for messages without a stamp.
+        topic: topic of both messages.
+        recorded: message decoded from the bag.
+        replayed: message of the replay, of the same type.
+        time_ns: time at which they were published, for messages without a stamp.
     """
     # Both are serialised again: the bytes between the fields are not part of a message.
     one, other = serialize(recorded), serialize(replayed)
@@ -161,7 +161,7 @@ def verify_bag(
 
     Args:
         bag: inputs and outputs of one run.
-        adapter_classes: of the nodes that may take part, the main one first.
+        adapter_classes: adapter classes of the nodes that may take part, the main one first.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
         progress: wraps the iteration over the bag, for a progress bar.

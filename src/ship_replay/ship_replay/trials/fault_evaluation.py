@@ -55,7 +55,7 @@ class FaultOutcome:
         detected: True if a status left VALID, the faulty source was named, or any source was excluded; a status caused
             by an earlier fault does not count.
         attributed: True if the named source is the faulty one.
-        alert_s: time from the first changed message to the first indication or non-VALID output; NaN without one.
+        alert_s: time from the first changed message to the first indication or non-VALID output; NaN if there is none.
         named: source → number of indications.
         worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
         worst_over_level: largest ratio of this error to its protection level; NaN if there was no level.

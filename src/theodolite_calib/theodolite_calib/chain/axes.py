@@ -146,7 +146,7 @@ class AxisGeometry:
         rotation_nm: horizon from main frame, shape (3, 3).
         by_error: rotation vector of the main frame in n per error, shape (3, 14); the columns are :data:`SHIP`,
             :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
-        by_encoder: the same per encoder angle (azimuth, elevation), shape (3, 2).
+        by_encoder: rotation vector of the main frame in n per encoder angle (azimuth, elevation), shape (3, 2).
     """
 
     rotation_nd: FloatArray

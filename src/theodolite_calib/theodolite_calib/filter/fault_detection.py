@@ -194,7 +194,7 @@ class FaultDetector:
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
-        """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
+        """Restart the timers of sources that had no data before a sighting: a gap is not consistency.
 
         Args:
             fault_state: state after the previous sighting.

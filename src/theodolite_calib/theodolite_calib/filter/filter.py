@@ -53,9 +53,9 @@ class CalibrationState:
         consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected against
             encoders and ship.
         rejection_text: text of the last of these rejections.
-        last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
+        last_beacons_ns: time of the last accepted sighting of beacons; None if there was none yet.
         light_count: number of beacons in it.
-        last_stars_ns: time of the last accepted exposure of stars; None before the first.
+        last_stars_ns: time of the last accepted exposure of stars; None if there was none yet.
         pixel_dwells: pixel dwell of the stars by camera, if it matters; reset when the covariance is inflated.
         sighting_count: number of accepted sightings, of beacons and of stars.
         point_count: number of beacons and stars in them.
@@ -88,14 +88,14 @@ class CalibrationState:
 
     @property
     def last_update_ns(self) -> int | None:
-        """Time of the last accepted sighting, of beacons or of stars; None before the first."""
+        """Time of the last accepted sighting, of beacons or of stars; None if there was none yet."""
         return max(
             (time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None
         )
 
     @property
     def residual_rms(self) -> float:
-        """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first."""
+        """RMS of the residuals of beacons and stars on the sky, rad; NaN if there was none yet."""
         return float(np.sqrt(self.residual_square_sum / self.point_count)) if self.point_count else float("nan")
 
 
