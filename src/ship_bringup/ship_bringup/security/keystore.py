@@ -163,7 +163,7 @@ def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) ->
         if not expected:
             expected, by = digest, str(path)
         if digest != expected:
-            text = f"{path}: an authority of another ship: its SHA-256 is {digest}, expected {expected} from {by}"
+            text = f"{path}: an authority of another ship: its SHA-256 is {digest}, expected {expected}, as in {by}"
             yield KeystoreFault(text, "take the enclave from this ship's own keystore")
 
 
