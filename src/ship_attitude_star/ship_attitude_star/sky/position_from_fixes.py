@@ -1,12 +1,12 @@
 """The ship's position at any time, from position fixes.
 
 The position is extrapolated along the line through two fixes stamped ``gnss_delay_s`` or more before the requested
-time. A fix that arrives within this delay changes no result, so no comparison has to be repeated. In 1.5 s a ship
-leaves the line by half a metre, 0.016″ (0.1 m/s²). The line is straight in Earth-fixed coordinates, so the date line
-and the poles need no special treatment. At the start, and after a time without fixes, no such line is known yet. The
-position then lies on the line through the two fixes nearest in time, including later ones. The first fixes are
-provisional until ten are consistent (:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict them,
-no position is known. The results do not depend on the order of arrival.
+time. A fix that arrives within this delay changes no result, so no comparison has to be repeated. In 1.5 s a ship that
+accelerates by 0.1 m/s² leaves the line by half a metre, which is 0.016″. The line is straight in Earth-fixed
+coordinates, so the date line and the poles need no special treatment. At the start, and after a time without fixes, no
+such line is known yet. The position then lies on the line through the two fixes nearest in time, including later ones.
+The first fixes are provisional until ten are consistent (:mod:`ship_attitude_star.sky.stamped_values`). While other
+fixes contradict them, no position is known. The results do not depend on the order of arrival.
 """
 
 import bisect
@@ -38,8 +38,8 @@ A ship that turns at 0.6°/s and 10 m/s has this acceleration.
 LINE_LENGTH_NS = 5 * SECOND_NS
 """Time between the two fixes that define the extrapolation line, ns.
 
-One second after the later fix, the line errs by 0.3 m because the ship accelerates. It multiplies the independent error
-of each fix by 1.2; with fixes one second apart the factor would be 2.2, with 0.1 s it would be 15.
+One second after the later fix, acceleration of the ship causes an error of 0.3 m. The extrapolation multiplies the
+independent error of each fix by 1.2; with fixes one second apart the factor would be 2.2, with 0.1 s it would be 15.
 """
 
 SPEED_SIGMA_M_PER_S = 10.0
@@ -48,11 +48,13 @@ SPEED_SIGMA_M_PER_S = 10.0
 JUMP_CONFIRMATION_S = 25.0
 """Time after which a position that has jumped is accepted, s.
 
-A node cannot know which of two positions is right, and the wrong one may have come first.
+The data do not show which of two positions is right, and the wrong one may have been the first.
 """
 
 MIN_CONSISTENT_FIXES = 10
-"""Number of different consistent fixes that establish a position; until then, as many other fixes replace it."""
+"""Number of different consistent fixes after which a position is no longer provisional.
+
+Until then, the same number of consistent other fixes replaces it."""
 
 MAX_POSITION_STEP_M = 50.0
 """Largest step of a position that is not a jump: change of antenna or of the receiver's solution type, m.
@@ -119,11 +121,11 @@ class PositionFromFixes:
         self._fixes: StampedValues[_Fix] = StampedValues(limits)
 
     def rejection(self, fix: PositionFix) -> Rejection | None:
-        """Return why a fix is rejected or only partly used; call it before :meth:`insert`."""
+        """Return the rejection of a fix, None if it is accepted; to be called before :meth:`insert`."""
         return self._fixes.rejection(fix.time_ns, _to_earth_fixed(fix))
 
     def insert(self, fix: PositionFix) -> int | None:
-        """Insert a fix; return the time (ns) after which results may have changed, None if none has."""
+        """Insert a fix; return the time (ns) after which results may have changed; None if no result has changed."""
         changed_ns = self._fixes.insert(fix.time_ns, _to_earth_fixed(fix))
         conflict_ns = self._fixes.conflict_changed_ns
         unchanged_until_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
@@ -141,7 +143,7 @@ class PositionFromFixes:
         return self._extrapolated_until_ns(nearest_after_ns, changed_ns + self._delay_ns - 1)
 
     def _extrapolated_until_ns(self, after_ns: int, until_ns: int) -> int:
-        """Return the last time up to which all positions after ``after_ns`` are extrapolated; at most ``until_ns``."""
+        """Return the time up to which all positions after ``after_ns`` are extrapolated, at most ``until_ns``."""
         told_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
         while told_ns < until_ns:
             line = self._line_fixes(told_ns + 1)
@@ -154,7 +156,7 @@ class PositionFromFixes:
         return told_ns
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the fixes that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
+        """Drop the fixes not needed for positions from ``time_ns`` on; earlier positions are lost."""
         self._oldest_ns = time_ns
         last = self._fixes.last_before(time_ns - self._delay_ns)
         self._fixes.drop_before(
@@ -203,7 +205,7 @@ class PositionFromFixes:
         times, last = self._fixes.times, self._fixes.last_before(time_ns)
         if not times:
             return Rejection(Reason.NO_FIX, "no position fix received yet: check that gnss/fix is published")
-        # Of two fixes equally near, the earlier one is used.
+        # If two fixes are equally near in time, the earlier one is used.
         later = last < 0 or (last + 1 < len(times) and times[last + 1] - time_ns < time_ns - times[last])
         nearest = last + 1 if later else last
         away_s = (time_ns - times[nearest]) / SECOND_NS
