@@ -225,7 +225,7 @@ def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
 
 
 def test_excluded_encoders_change_no_smoothed_pointing() -> None:
-    # Half a degree is no step that no mount could make: the lights find it.
+    # A mount can make a step of half a degree: the lights find it.
     scenario = session()
     run, core = simulate(scenario, 0), axis_core(scenario)
     readings = run.theodolite.encoder

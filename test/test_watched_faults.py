@@ -91,7 +91,7 @@ class FirstReports:
         for (output, source), known_s in detectable.items():
             first_s = self.first_s.get((output, source), math.inf)
             assert known_s - early_s <= first_s <= known_s + soon_s(source), (output, source, self.first_s)
-        # Only faulty sources are named; the attitude in the alerts is no source.
+        # Only faulty sources are named; the attitude in the alerts is not a source.
         assert {source for _, source in self.first_s} <= {*DETECTABLE_S[self._bag], "", "attitude"}, self.first_s
 
 

@@ -23,9 +23,9 @@ PICTURES = "figures/reproduction"
 
 HEAD = """# Results of the papers and of the suite
 
-Every figure, table and number of the three papers ([sources](sources.md)) that our copies of the papers contain: as
-printed, ours, and why they differ. Misprints are in the [errata](explanation/errata.md). The papers' own methods are
-peers: they are in `tools/papers` and `test/ship_testing`, and the suite does not use them.
+This page compares every figure, table and number in our copies of the three papers ([sources](sources.md)) with the
+suite's results, and explains the differences. Misprints are in the [errata](explanation/errata.md). The papers' own
+methods are in `tools/papers` and `test/ship_testing`, for comparison only.
 
 This page is written by `make reproduction`; a test compares it with the computed values.
 """

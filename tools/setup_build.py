@@ -215,7 +215,7 @@ def stamp_of(folder: Path) -> Path:
 
 def first_error(output: str) -> str:
     """Return the first line of a build's output that reports an error, and the file with the rest."""
-    # rosidl, Cython, a compiler, CMake, anything else. The message of an empty build folder is no error.
+    # rosidl, Cython, a compiler, CMake, anything else. The message of an empty build folder is not an error.
     signs = (r"^\s*Error processing", r"^\S+\.(py|pxd):\d+:\d+: ", r": error:", r"CMake Error", r"[Ee]rror|Failed")
     lines = [line.strip() for line in output.splitlines() if "loading 'build.ninja'" not in line]
     found = (line for sign in signs for line in lines if re.search(sign, line))

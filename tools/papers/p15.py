@@ -24,38 +24,40 @@ PRINTED_V = np.array([0.229426, 0.671988, 0.704128])
 PRINTED_AZIMUTH_DEG, PRINTED_ELEVATION_DEG = 71.9528, 42.2207
 PRINTED_REFRACTION_ARCSEC, PRINTED_RAISED_DEG = 59.34, 42.2372
 
-_HIDDEN = "see the steps below"
+_HIDDEN = "table below"
 
 
 def section() -> str:
     """Return the section of the page about this paper."""
-    added = table(("chain", "azimuth", "elevation", "difference: azimuth · cos E", "difference: elevation"), steps())
+    columns = ("corrections", "azimuth", "elevation", "difference: azimuth · cos E", "difference: elevation")
+    added = table(columns, steps())
     return f"""## [P15]: attitude from two star sensors
 
 ### The worked example
 
 2014-07-09 11:50:07.8 UTC, 31.945213° N, 120.293086° E, 28.2 °C, 1008.3 hPa. The paper does not name its star: the
-direction is that of β Lyrae, HIP 92420. North, Up, East are the components of V.
+direction V is that of β Lyrae, HIP 92420.
 
 {rows_table(example())}
-Ours is without aberration and with UT1 = UTC, presumably as in the paper; *in full* has both corrections. In the steps,
-each row adds a correction to the one above. *Difference* is our place minus the printed one, which is rounded to 0.2″.
+Our values have no aberration and UT1 = UTC, presumably as in the paper. Values *in full* include both corrections. In
+the following table each row adds one correction. *Difference* is our direction minus the printed one, which is rounded
+to 0.2″.
 
 {added}
-The printed place lacks both corrections, which are {_missing_arcsec():.0f}″. The suite applies them; tests check both.
-The remaining 2.8″ of elevation in the first row are not explained.
+The printed direction lacks both corrections, together {_missing_arcsec():.0f}″. The suite applies them; tests check
+both. The remaining 2.8″ of elevation in the first row are not explained.
 
 ### The trial alongside
 
-The paper compares the attitudes by two sensors with those of a strapdown INS with laser gyros, the ship moored. One
+The paper compares the attitudes from two sensors with those of a strapdown INS with laser gyros on a moored ship. One
 sensor identified five stars, the other three. No printed values can be compared, because our text lacks:
 
-- tables 1 and 2: the sensors, and the stars that they identified;
+- tables 1 and 2: the sensors and their identified stars;
 - the vectors and matrices of the example;
-- the curves of figure 4, and the numbers under it.
+- figure 4 and its numbers.
 
-[Availability](explanation/availability.md) has such a trial with the scenario `mooring`, and the availability of an
-attitude compared with the methods that the paper replaces.
+[Availability](explanation/availability.md) has such a trial (scenario `mooring`), and a comparison with the methods
+that the paper replaces.
 """
 
 
@@ -84,9 +86,10 @@ def example() -> Iterator[Row]:
         "refraction at that elevation, (8)–(12)",
         f"{PRINTED_REFRACTION_ARCSEC:.2f}″",
         f"{almanac:.3f}″; by `erfa` {erfa:.2f}″",
-        "α below 45° is missing in our text; with α = 1 it agrees",
+        "our text lacks α below 45°; with α = 1 the values agree",
     )
-    yield Row("elevation, raised", f"{PRINTED_RAISED_DEG:.4f}°", f"{PRINTED_ELEVATION_DEG + almanac / 3600.0:.4f}°")
+    raised_deg = PRINTED_ELEVATION_DEG + almanac / 3600.0
+    yield Row("elevation, after refraction", f"{PRINTED_RAISED_DEG:.4f}°", f"{raised_deg:.4f}°")
 
 
 _PRINTED_DEG = (PRINTED_AZIMUTH_DEG, PRINTED_ELEVATION_DEG)

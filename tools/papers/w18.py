@@ -125,9 +125,12 @@ def section(figure: str) -> str:
     """Return the section of the page about this paper; ``figure`` is the path of its figure."""
     readings = table(("", *_COLUMNS), _readings())
     of_focal_length = table(("2.7 cm", "f wrong at all epochs by", *_COLUMNS), _constant_focal_lengths())
-    voyages = table(("N′", "error on the sky", "claimed σ", "sightings refused"), _voyages())
+    voyages = table(("N′", "error on the sky", "stated σ", "rejected sightings"), _voyages())
     elevations = ", ".join(f"{each:.0f}" for each in ELEVATIONS_DEG)
     return f"""## [W18]: calibration of a theodolite by two airborne lights
+
+N′ is the principal point of the lens, here 60 mm from the centre of the theodolite. The method knows its position if
+*surveyed*, and assumes it at the centre if *unsurveyed*.
 
 {rows_table(printed_values())}
 ### The figure of its simulation in two readings
@@ -135,34 +138,35 @@ def section(figure: str) -> str:
 Two lights are 2 km away, at (3°, 2°) and (−2°, −3°) from the axis. The errors are drawn independently at each of
 {_EPOCHS} epochs: f 100 mm ± 0.1 mm, a tenth of a pixel of 6.5 µm, 2″ of refraction at each light.
 
-The paper's method is the mean of two TRIADs, its (22) corrected ([errata](explanation/errata.md)). Ours is the suite's
-maximum likelihood, with f from the angle between the lights. Mean, standard deviation and root mean square (total) of
-the axis' error on the sky:
+The paper's method is the mean of two TRIADs, with (22) corrected ([errata](explanation/errata.md)). Ours is the suite's
+maximum likelihood estimate, with f from the angle between the lights. Mean, standard deviation and root mean square
+(total) of the error of the axis on the sky:
 
 {readings}
 ![Errors of the telescope's axis in both readings]({figure})
 
-The paper's method has {_over_elevations(SURVEYED)} surveyed and {_over_elevations(UNSURVEYED)} unsurveyed at elevations
-of {elevations}°.
+At elevations of {elevations}° the total error of the paper's method is {_over_elevations(SURVEYED)} with N′ surveyed,
+and {_over_elevations(UNSURVEYED)} with N′ unsurveyed.
 
 **The printed total is mostly a constant.** Its mean is {PRINTED_MEAN_ARCSEC / PRINTED_SIGMA_ARCSEC:.2f} times its σ.
-Zero-mean normal errors in a plane have at most √(π / (4 − π)) = {RAYLEIGH_RATIO:.2f}, if they are isotropic (Rayleigh
-distribution). A focal length that is wrong by the listed 0.1 mm at all epochs has 2.0 to 2.2. About twice as much comes
-near, but the paper lists no such error:
+For normal errors with zero mean in a plane this ratio is at most √(π / (4 − π)) = {RAYLEIGH_RATIO:.2f}, reached if they
+are isotropic (Rayleigh distribution). With a focal length that is wrong by the listed 0.1 mm at all epochs it is 2.0 to
+2.2. An error of 0.2 to 0.3 mm would give about the printed values, but the paper lists no such error:
 
 {of_focal_length}
-The paper lists one constant of the size needed: N′, 60 mm. Unsurveyed, with equal parts forward, up and right, it moves
-both lights equally, by {_constant_arcsec():.2f}″. Of fourteen directions, along the axes and midway between them, this
-one or its opposite fits best (a test). That is a strong hypothesis, not a proof.
+The paper lists one constant error of this size: N′, 60 mm. Unsurveyed, with equal components forward, up and right, it
+moves both lights equally, by {_constant_arcsec():.2f}″. Of fourteen directions of N′, along the axes and midway between
+them, this one or its opposite fits best (a test). That is a strong hypothesis, not a proof.
 
-Hence there are two rows for the suite. With N′ surveyed an epoch has 3.47″, which is the bound, and many epochs less.
-With N′ unsurveyed no method with lights alone has less than the constant, for any number of epochs. The scenarios
-[`lens_surveyed`](../bags/scenarios/lens_surveyed.yaml) and [`lens_unsurveyed`](../bags/scenarios/lens_unsurveyed.yaml)
-are these two as voyages. The core of `optical_axis` after sixty sightings, {_VOYAGES} voyages each, root mean square:
+The suite's results are therefore given for both cases. With N′ surveyed, one epoch has an error of 3.47″, the
+theoretical bound, and more epochs reduce it. With N′ unsurveyed, the error of any method that uses only lights is at
+least the constant, for any number of epochs. The scenarios [`lens_surveyed`](../bags/scenarios/lens_surveyed.yaml) and
+[`lens_unsurveyed`](../bags/scenarios/lens_unsurveyed.yaml) are voyages of the two cases. Root mean square errors of the
+core of `optical_axis` after sixty sightings, {_VOYAGES} voyages each:
 
 {voyages}
-No residual shows the error of the second row: all its sightings are consistent. An unsurveyed N′ must be declared by
-`telescope.lens.sigma_m`; then the claimed σ covers the error (a test).
+No residual shows the error of the second row: all its sightings are consistent. The uncertainty of an unsurveyed N′
+must be configured in `telescope.lens.sigma_m`; the stated σ then covers the error (a test).
 """
 
 
@@ -182,21 +186,22 @@ def printed_values() -> Iterator[Row]:
     """Yield the values that the paper prints."""
     mean, sigma, total = summary(axis_errors(UNSURVEYED).triads)
     _, _, surveyed = summary(axis_errors(SURVEYED).triads)
-    constant = "N′ unsurveyed: see below"
-    yield Row("mean of the axis' error", f"{PRINTED_MEAN_ARCSEC:.2f}″", f"{mean:.2f}″", constant)
-    yield Row("its standard deviation", f"{PRINTED_SIGMA_ARCSEC:.2f}″", f"{sigma:.2f}″", constant)
+    constant = "N′ unsurveyed"
+    yield Row("mean error of the axis", f"{PRINTED_MEAN_ARCSEC:.2f}″", f"{mean:.2f}″", constant)
+    yield Row("standard deviation of this error", f"{PRINTED_SIGMA_ARCSEC:.2f}″", f"{sigma:.2f}″", constant)
     squares = np.hypot(PRINTED_MEAN_ARCSEC, PRINTED_SIGMA_ARCSEC)
     yield Row(
-        "its total", f"{PRINTED_TOTAL_ARCSEC:.2f}″", f"{total:.2f}″; N′ surveyed {surveyed:.2f}″",
-        f"{constant}; its own mean and σ make {squares:.2f}″",
+        "total error (root mean square)", f"{PRINTED_TOTAL_ARCSEC:.2f}″", f"{total:.2f}″; N′ surveyed {surveyed:.2f}″",
+        f"{constant}; printed mean and σ give {squares:.2f}″",
     )  # fmt: skip
-    yield Row("better than", "10″", f"{total:.2f}″")
+    yield Row("stated limit of the total error", "10″", f"{total:.2f}″")
     yield Row(
-        "end of a baseline", "2.7 cm", f"at most {100.0 * baseline_end_m():.1f} cm as a norm",
-        "RTK 1 cm per axis, levers 30 cm × (1°, 1°, 2°) and 5 m × (10″, 10″, 72″), each turn taken at right angles to "
-        "its lever",
+        "error of a baseline to a light", "2.7 cm", f"at most {100.0 * baseline_end_m():.1f} cm as a norm",
+        "RTK 1 cm per axis, levers 30 cm × (1°, 1°, 2°) and 5 m × (10″, 10″, 72″), each rotation at a right angle to "
+        "its lever (the worst case)",
     )  # fmt: skip
-    yield Row("azimuth by INS alone, 20″ of tilt, 60° up", "up to 35″", f"{azimuth_of_tilt_arcsec():.2f}″")
+    azimuth = f"{azimuth_of_tilt_arcsec():.2f}″"
+    yield Row("azimuth error with the INS alone, 20″ of tilt, elevation 60°", "up to 35″", azimuth)
 
 
 def baseline_end_m() -> float:

@@ -38,15 +38,15 @@ def section(folder: str) -> str:
     )
     return f"""## [Z14]: error model of a star sensor's installation
 
-There are two readings ([errata](explanation/errata.md)). *The paper's* takes R(A0, E0, γ0) as sensor from deck in its
-factors and figures. *The physical one* is its own (4), which the suite uses. Angles that are not swept: As 235°,
-Es 45°, γs 90°, E0 35°, γ0 0.
+R(A0, E0, γ0) has two readings ([errata](explanation/errata.md)). In *the paper's reading*, that of its factors and
+figures, it rotates from deck to sensor. In *the physical reading*, that of its equation (4) and of the suite, it
+rotates from sensor to deck. Angles that are not varied: As 235°, Es 45°, γs 90°, E0 35°, γ0 0.
 
 {rows_table(_printed_section())}
 ### Its fifteen conclusions
 
-Each is tested with the exact model in both readings, by a test of its name
-([`z14_conclusions.py`](../tools/papers/z14_conclusions.py)). Sizes of errors count, without their signs.
+Each conclusion is tested with the exact model in both readings by a function in
+[`z14_conclusions.py`](../tools/papers/z14_conclusions.py). The tests compare absolute values of the errors.
 
 {conclusions}
 All hold in the paper's reading: its text agrees with its figures. {_count_holding(PHYSICAL)} of {len(CONCLUSIONS)} hold
@@ -54,8 +54,8 @@ physically.
 
 ### Its six figures
 
-In each the physical reading above, the paper's below. [`layout_study`](how-to/mount_a_sensor.md) draws them for any
-operating point.
+Each figure shows the physical reading above and the paper's reading below. [`layout_study`](how-to/mount_a_sensor.md)
+draws the figures for any operating point.
 
 {pictures}### Its factors (8)–(38)
 
@@ -66,7 +66,7 @@ heading (K) and of the roll (θ). S is the sine of the pitch.
 {factors}
 {_factors_in_words()}
 
-Joined by (5)–(7), the printed factors are the suite's Jacobian {_largest_joint_difference(PAPER)} in the paper's
+The Jacobian from the printed factors by (5)–(7) equals the suite's {_largest_joint_difference(PAPER)} in the paper's
 reading. In the physical reading a derivative differs by up to {_largest_joint_difference(PHYSICAL)}.
 """
 
@@ -80,18 +80,18 @@ def _printed_section() -> Iterator[Row]:
         "112″",
         f"{paper[:, HEADING].max():.2f}″ of heading at A0 = {azimuth_deg:.0f}°; "
         f"physically {physical[:, HEADING].max():.2f}″",
-        "the paper's figures take the installation untransposed",
+        "the paper's figures do not transpose the installation matrix",
     )
     abeam = curve_arcsec(3, ABEAM[0], PAPER)
     yield Row(
-        "the same over E0, figure 3",
+        "largest error over E0, figure 3",
         "112″ at most",
         f"{abeam[:, HEADING].max():.2f}″ of heading at E0 = {int(np.argmax(abeam[:, HEADING]))}°, A0 = 90°",
-        "the 112″ are those at E0 = 35°",
+        "112″ is the error at E0 = 35°",
     )
     ahead = curve_arcsec(3, AHEAD_ASTERN[0], PAPER)
     yield Row(
-        "heading and pitch ahead, figure 3",
+        "errors of heading and pitch for a sensor pointing ahead, figure 3",
         "grow with E0",
         f"0 to {ahead[-1, HEADING]:.2f}″, 0 to {ahead[-1, PITCH]:.2f}″",
     )
@@ -125,7 +125,7 @@ def _factors_in_words() -> str:
     return (
         f"Of {len(FACTORS)} factors {right} are exact in the paper's reading. In {completed} of them the scan lacks "
         f"subscripts, which are restored by the\npattern of the others. {', '.join(wrong)} is misprinted. {lost} are "
-        "missing in the scan, completely or except their first terms."
+        "missing in the scan, at least from their second terms on."
     )
 
 
@@ -133,7 +133,7 @@ def _largest_joint_difference(reading: InstallationConvention) -> str:
     """Return the largest difference of the joined printed factors from the exact Jacobian, below 85° of pitch."""
     angles = upright_attitudes(reading)
     difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))
-    return f"{difference:.0f}" if difference > EXACT else "to rounding"
+    return f"{difference:.0f}" if difference > EXACT else "except for rounding"
 
 
 def upright_attitudes(reading: InstallationConvention) -> FloatArray:

@@ -1,9 +1,9 @@
 """[Z14]'s fifteen conclusions, each tested with the exact model: does it hold, and in which reading?
 
-They are tested at the paper's operating point, over the sweeps of its six figures, and a conclusion about one layout at
-that layout. Sizes of errors count, without their signs. In the figures of one error (1 to 3) a trend must be monotonic.
-In those of all six (4 to 6) the trend is caused by two. The four small errors, 3" + 3" + 1" + 1", are added with their
-signs: the trend may reverse by at most their sum.
+They are tested at the paper's operating point, over the sweeps of its six figures; a conclusion about one layout is
+tested at that layout. Absolute values of the errors are compared. In figures 1 to 3, with one error, a trend must be
+monotonic. In figures 4 to 6, with all six errors, two of them cause the trend. The four small errors, 3" + 3" + 1" +
+1", are added with their signs: a trend may reverse by at most their sum.
 """
 
 from collections.abc import Callable
@@ -216,28 +216,28 @@ def pitch_grows_and_the_others_depend_on_the_layout(reading: InstallationConvent
 
 CONCLUSIONS = (
     Conclusion(
-        "3.1 (1)", "an error of 100″ about the boresight costs up to 112″ of heading", peak_of_heading_is_112,
-        "185.75″ by (4); and the paper's own figure 3 begins abeam with 141″",
+        "3.1 (1)", "an error of 100″ about the boresight causes up to 112″ of heading error", peak_of_heading_is_112,
+        "185.75″ by (4); the paper's own figure 3 has 141″ at E0 = 0 for a sensor abeam",
     ),
     Conclusion("3.1 (2)", "nothing depends on As", flat_over_star_azimuth),
     Conclusion(
         "3.1 (3)", "all errors oscillate over Es, γs and A0", oscillates_over_es_roll_s_a0,
-        "by (4) a sensor abeam gives no error of pitch at all at γs = 90°, whatever Es",
+        "by (4) a sensor abeam causes no error of pitch at γs = 90°, for any Es",
     ),
     Conclusion(
         "3.1 (4)",
         "ahead and astern roll is worst, heading and pitch grow with E0; abeam heading is worst, pitch grows with E0, "
         "heading and roll fall", ahead_roll_and_abeam_heading,
-        "by (4) nothing depends on E0 abeam: heading 141″, pitch 0, roll 100″",
+        "by (4) the errors of a sensor abeam do not depend on E0: heading 141″, pitch 0, roll 100″",
     ),
     Conclusion("3.2 (1)", "all errors oscillate over A0", oscillates_over_installation_azimuth),
     Conclusion(
         "3.2 (2)", "nothing depends on γ0", flat_over_installation_roll,
-        "by (4) the deck turns with γ0 under a fixed sensor: heading ahead goes from 273″ to −45″",
+        "by (4) the deck rotates with γ0 under a fixed sensor: ahead, the heading error changes from 273″ to −45″",
     ),
     Conclusion(
         "3.2 (3)", "pitch grows with E0", pitch_grows_with_elevation,
-        "by (4) so ahead and astern; abeam it stays below 4″",
+        "by (4) this holds for sensors ahead and astern; abeam the error stays below 4″",
     ),
     Conclusion("3.2 (4)", "ahead heading grows with E0, roll falls", ahead_heading_grows_roll_falls),
     Conclusion(
@@ -247,21 +247,21 @@ CONCLUSIONS = (
     Conclusion(
         "3.2 (6)", "astern heading grows with E0, roll falls and then grows",
         astern_heading_grows_roll_falls_then_grows,
-        "by (4) roll falls to nothing at 86° and grows by 3″ from there, which is within the small errors",
+        "by (4) roll falls to zero at 86° and then grows by only 3″, less than the small errors",
     ),
     Conclusion(
         "3.2 (7)", "to port heading falls with E0, roll falls and then grows",
         to_port_heading_falls_roll_falls_then_grows, "by (4) neither changes by more than 2″",
     ),
-    Conclusion("3.3 (1)", "ΔAs moves heading alone, by one; nothing depends on As", star_azimuth_moves_heading_alone),
+    Conclusion("3.3 (1)", "ΔAs changes only heading, by ΔAs; nothing depends on As", star_azimuth_moves_heading_alone),
     Conclusion(
-        "3.3 (2)", "Δγ0 moves roll alone, by one; nothing depends on γ0", installation_roll_moves_roll_alone,
-        "by (4) Δγ0 acts as −Δγs",
+        "3.3 (2)", "Δγ0 changes only roll, by Δγ0; nothing depends on γ0", installation_roll_moves_roll_alone,
+        "by (4) Δγ0 has the same effect as −Δγs",
     ),
     Conclusion(
-        "3.3 (3)", "Δγs costs roll most along the keel, heading most abeam", along_the_keel_roll_abeam_heading,
-        "of this example, whose ship lies far from level; on a level ship a sensor abeam costs sin E0 of heading and "
-        "cos E0 of *pitch*",
+        "3.3 (3)", "Δγs causes mainly a roll error along the keel, mainly a heading error abeam",
+        along_the_keel_roll_abeam_heading,
+        "on a level ship: a sensor abeam then causes errors of heading (sin E0) and *pitch* (cos E0)",
     ),
     Conclusion(
         "3.3 (4)", "pitch grows with E0, heading and roll depend on the layout",

@@ -103,7 +103,7 @@ FACTORS = (
     Factor(
         12, "ks5", 1.0, "N_K", "",
         _printed_formula("Ca*Ce*SA*CE + Se*(CA*SG - CA*SE*CG) + Sa*Ce*(CA*CG + SA*SE*SG)"),
-        "prints cos As for sin As in its second term; with that it is (11)",
+        "printed with cos As instead of sin As in the second term; corrected, it equals (11)",
     ),
     Factor(13, "ks6", 1.0, "N_K", "γs", _printed_formula("Se*(CA*CG + SA*SE*SG) - Sa*Ce*(CA*SG - SA*SE*CG)")),
     Factor(14, "ks7", -1.0, "D_K", "γs", _printed_formula("Se*(SA*CG - CA*SE*SG) - Sa*Ce*(SA*SG + CA*SE*CG)")),
@@ -132,9 +132,9 @@ FACTORS = (
     Factor(
         29, "kb6", -1.0, "D_K", "E0",
         _printed_formula("Ca*Se*CA*CE + Ce*(SA*SG + CA*SE*CG) - Sa*Se*(SA*CG - CA*SE*SG)"),
-        "has an unclosed bracket in our text; without it exact",
+        "exact without an unclosed bracket in our text",
     ),
-    Factor(30, "fb1", -1.0, "S", "A0", _printed_formula("Ca*Ce*CE*SG + Sa*Ce*SE"), "(6) has to subtract it"),
+    Factor(30, "fb1", -1.0, "S", "A0", _printed_formula("Ca*Ce*CE*SG + Sa*Ce*SE"), "must be subtracted in (6)"),
     Factor(31, "fb2", 1.0, "S", "", _printed_formula("Ca*Ce*SE + Se*CE*CG - Sa*Ce*CE*SG")),
     Factor(32, "fb3", 1.0, "S", "E0", _printed_formula("-Ca*Se*SE + Ce*CE*CG + Sa*Se*CE*SG")),
     Factor(33, "tb1", 1.0, "N_θ", "A0", _printed_formula("SE*(Ca*Cg + Sa*Se*Sg) - CE*SG*(Sa*Cg - Ca*Se*Sg)")),
@@ -191,6 +191,6 @@ def jacobian_of_factors(angles: FloatArray) -> FloatArray:
 
 
 def exact_jacobian(angles: FloatArray, reading: InstallationConvention) -> FloatArray:
-    """Return the same by the layout study's model, shape (..., 3, 6); NaN at a pitch of the ship of 90°."""
+    """Return the Jacobian by the layout study's model, shape (..., 3, 6); NaN at a pitch of the ship of 90°."""
     model = linearise(angles[..., :3], angles[..., 3:], reading)
     return np.concatenate([model.star, model.installation], axis=-1)

@@ -224,10 +224,10 @@ class _LayoutBuilder:
 
     Attributes:
         end: offset of the end of the fields so far, bytes.
-        names, formats, offsets: of the numbers, for numpy.
-        codes: of all parts, for struct.
+        names, formats, offsets: names, formats and offsets of the numbers, for numpy.
+        codes: codes of all parts, for struct.
         constants: offset and bytes of texts and lengths.
-        arguments: the same by their index among the arguments of struct.
+        arguments: bytes of texts and lengths, by their index among the arguments of struct.
     """
 
     def __init__(self, definitions: Definitions, variable: "_VariablePart") -> None:

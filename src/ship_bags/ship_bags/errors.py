@@ -1,4 +1,4 @@
-"""Exception of the package for bad input, and its display."""
+"""Exception of the package for bad input, and its one-line text."""
 
 from ship_geometry.input_error import InputError
 

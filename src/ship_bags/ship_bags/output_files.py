@@ -54,7 +54,7 @@ def check_file(path: Path, force: bool) -> None:
     """Check that a file can be written.
 
     Args:
-        path: of the file.
+        path: path of the file.
         force: True if it may exist.
 
     Raises:
@@ -71,7 +71,7 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
 
     Args:
         folder: the folder.
-        names: of the files.
+        names: names of the files.
         force: True if files of these names may exist.
 
     Raises:

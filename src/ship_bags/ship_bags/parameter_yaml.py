@@ -21,7 +21,7 @@ from ship_geometry.input_error import InputError
 PARAMETERS_KEY = "ros__parameters"
 
 BLACK_BOX_PARAMETER = "black_box"
-"""Parameter of every node: path of its black box, empty for none."""
+"""Parameter of every node: path of its black box, empty if there is none."""
 
 BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
 """Parameter of every estimator node: size at which its black box continues in a new file."""
@@ -112,7 +112,7 @@ def full_name(node_name: str, namespace: str = "") -> str:
 
     Args:
         node_name: name without namespace.
-        namespace: with or without its slashes; empty for none.
+        namespace: with or without its slashes; empty if there is none.
     """
     return "/".join(["", *filter(None, namespace.split("/")), node_name])
 

@@ -36,7 +36,7 @@ class TopicNames:
 
     Attributes:
         remaps: pairs of the name in the bag and the new name.
-        namespace: of the ship in the bag, for names without leading slash.
+        namespace: namespace of the ship in the bag, for names without leading slash.
         is_by_suite: True if the map ``topics`` of a suite file applies, too.
         suite_file: file with the map; None takes the suite file attached to the bag.
     """
@@ -51,8 +51,8 @@ class TopicNames:
         """Return topic in a bag → its new name, for the topics that get one.
 
         Args:
-            topics: of the bag.
-            attached_suite: text of the suite file attached to it; empty for none.
+            topics: topics of the bag.
+            attached_suite: text of the suite file attached to it; empty if there is none.
 
         Raises:
             BadInput: the suite file cannot be read, or its map is wrong.
@@ -112,7 +112,7 @@ def add_remap_option(parser: argparse.ArgumentParser, is_by_suite: bool = False)
     """Add the option ``--remap``.
 
     Args:
-        parser: of a command that reads bags.
+        parser: parser of a command that reads bags.
         is_by_suite: True if the command uses topics by their names in the suite.
     """
     parser.add_argument(
@@ -153,8 +153,8 @@ def remap_advice(
         wanted: the suite's name of the input.
         type_name: its type.
         topics: topic of the bag → type.
-        known: the suite's names of all its topics, which are no candidates.
-        namespace: of the ship in the bag.
+        known: the suite's names of all its topics, which are not candidates.
+        namespace: namespace of the ship in the bag.
     """
     of_type = {topic: relative_topic(topic, namespace) or "" for topic, kind in topics.items() if kind == type_name}
     free = sorted(topic for topic, name in of_type.items() if name not in known and not name.startswith(TRUTH_PREFIX))

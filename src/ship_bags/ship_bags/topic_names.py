@@ -11,7 +11,7 @@ def relative_topic(name: str, namespace: str = "") -> str | None:
 
     Args:
         name: as in the bag, e.g. ``/ship/ins/imu``, ``/ins/imu`` or ``ins/imu``.
-        namespace: namespace of the ship in the bag, with or without its slashes; empty for none.
+        namespace: namespace of the ship in the bag, with or without its slashes; empty if there is none.
     """
     bare, prefix = name.lstrip("/"), namespace.strip("/")
     if not prefix:
@@ -34,8 +34,8 @@ def namespace_of_outputs(names: Iterable[str], namespace: str, outputs: Iterable
     """Return the namespace of the outputs in a bag: the ship's, or none, as when a replay wrote them.
 
     Args:
-        names: of the bag's topics.
-        namespace: of the ship.
+        names: names of the bag's topics.
+        namespace: namespace of the ship.
         outputs: relative names; any of them in the namespace decides for it.
     """
     found = relative_topics(names, namespace)

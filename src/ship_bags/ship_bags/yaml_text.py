@@ -39,7 +39,7 @@ def compose(name: str, text: str) -> yaml.Node | None:
     """Return the document of a text as YAML nodes with their lines; None if it is empty.
 
     Args:
-        name: of the file, for texts.
+        name: name of the file, for texts.
         text: all of it.
 
     Raises:

@@ -115,7 +115,7 @@ class RemoteNode:
         Args:
             service: its name without that of the node.
             kind: class of its type.
-            fields: of the request.
+            fields: fields of the request.
 
         Raises:
             BadInput: it does not respond.

@@ -83,14 +83,14 @@ def test_nmea_out_file_needs_its_folder(tmp_path):
         assert text.startswith(f"{path}:1: sinks.log.path {log}: ")
 
 
-@pytest.mark.parametrize(("key", "found"), [("path", "is a folder"), ("device", "is no serial device")])
+@pytest.mark.parametrize(("key", "found"), [("path", "is a folder"), ("device", "is not a serial device")])
 def test_wrong_kinds_of_nmea_out_paths(tmp_path, key, found):
     path = tmp_path / "suite.yaml"
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{{key}: {tmp_path}}}}}}}}}\n")
     assert rows(read_path_states(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.{key} {tmp_path}: {found}")]
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{device: {path}}}}}}}}}\n")
     assert rows(read_path_states(path, None)) == [
-        (Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")
+        (Result.FAIL, f"{path}:1: sinks.log.device {path}: is not a serial device")
     ]
 
 

@@ -46,7 +46,7 @@ def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
 
 
 def test_begin_resets_the_heartbeat_age():
-    """Heartbeats sent in reserve are no evidence of its work."""
+    """Heartbeats sent in reserve are not evidence of its work."""
     heartbeats = HeartbeatSocket()
     process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
     process.heartbeat_age.reset(has_heartbeat=True)

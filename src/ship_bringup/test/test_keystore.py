@@ -60,7 +60,7 @@ def test_valid_keystore_has_no_fault(keystore):
 
 def test_folder_that_is_no_keystore(tmp_path):
     fault = single_fault(keystore_faults(tmp_path, use()))
-    assert re.search(r"is no keystore: expected the folders public and enclaves", fault.text)
+    assert re.search(r"is not a keystore: expected the folders public and enclaves", fault.text)
 
 
 def test_keystore_of_another_ship_by_enclaves(tmp_path):
@@ -163,7 +163,7 @@ def test_missing_file_is_named(keystore):
 @pytest.mark.parametrize(
     ("later", "text", "is_error"),
     [(YEAR - 30 * DAY - DAY, None, None), (YEAR - 29 * DAY, "is in 29.0 days, before the voyage ends", False),
-     (YEAR, "is over", True), (YEAR + DAY, "is over", True), (-2 * DAY, "is still to come", True)],
+     (YEAR, "has passed", True), (YEAR + DAY, "has passed", True), (-2 * DAY, "is in the future", True)],
 )  # fmt: skip
 def test_dates_of_certificates_and_permissions(keystore, later, text, is_error):
     faults = keystore_faults(keystore.path, use(now=NOW + later))
@@ -340,7 +340,7 @@ def test_several_faults_at_once(keystore):
     keystore.permit(NODE, OF_NODE, -DAY / 2)
     (keystore.folder("/demo/monitor") / "cert.pem").write_text("rubbish")
     texts = " ".join(fault.text for fault in keystore_faults(keystore.path, use(domain_id=8)))
-    for part in ("mode 644", "is not the key of", "is over", "no rule for domain 8", "is no certificate"):
+    for part in ("mode 644", "is not the key of", "has passed", "no rule for domain 8", "is not a certificate"):
         assert part in texts
 
 

@@ -132,7 +132,7 @@ def test_expired_authority(keystore, name):
     Keystore.write_certificate(keystore.folder(NODE) / name, old)
     (text,) = [text for text in texts_of(keystore) if text.startswith(f"{keystore.folder(NODE)}/{name}: ")]
     assert "not_after " in text
-    assert text.endswith("UTC is over")
+    assert text.endswith("UTC has passed")
 
 
 @pytest.mark.parametrize("place", ["private/ca.key.pem", "public/old.pem", "enclaves/demo/ship_attitude/spare"])

@@ -113,7 +113,7 @@ def noise_sums(times_ns: NDArray[np.int64], differences: FloatArray, longest_ns:
 
     Args:
         times_ns: stamps of the samples, shape (n + 1,).
-        differences: of each attitude from the one before, propagated by the rates, rad, shape (n, 3).
+        differences: differences of each attitude from the one before, propagated by the rates, rad, shape (n, 3).
         longest_ns: longer steps are excluded, because the integration error of the rates dominates there.
 
     Example:
@@ -138,7 +138,7 @@ class ExcessNoise:
         stated_rad: noise of an attitude, each axis.
 
     Attributes:
-        found: measured noise during an excess; None without one.
+        found: measured noise during an excess; None if there is none.
 
     >>> excess, noise = ExcessNoise(1e-5), np.random.default_rng(1).normal(0.0, 3e-5, (201, 3))
     >>> extra = excess.add(noise_sums(10_000_000 * np.arange(201), np.diff(noise, axis=0), longest_ns=2e7))
@@ -305,7 +305,7 @@ class _Steps(NamedTuple):
 
     Attributes:
         times_ns: stamps of the samples at their ends, shape (n,).
-        differences: of the attitudes from those before, propagated by the rates, horizon frame, rad, shape (n, 3).
+        differences: each attitude minus the one before it propagated by the rates, horizon frame, rad, shape (n, 3).
         rates: angular rates, horizon frame, rad/s, shape (n, 3).
         error_rad: root mean square change of the integration error from step to step: unequal steps hide noise.
     """

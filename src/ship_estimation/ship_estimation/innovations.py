@@ -26,7 +26,7 @@ LEAST_COUNT = 30
 """Minimum number of measurements for a diagnosis."""
 
 FALSE_DIAGNOSIS_PROBABILITY = 1e-7
-"""Probability of a false alarm of one test, for a source that is as stated."""
+"""Probability of a false alarm of one test, for a source whose errors agree with its stated sigma."""
 
 TOLERATED_FACTOR = 1.25
 """Ratio of true to stated sigma up to which no diagnosis is made."""
@@ -38,10 +38,10 @@ TOLERATED_CORRELATION = 0.2
 """Correlation of successive innovations up to which none is reported."""
 
 _OUTLIER_PROBABILITY = 1e-3
-"""Probability below which a part is an outlier; the selection of stars rejects about the same parts."""
+"""Probability below which a part is an outlier; the selection of stars rejects parts at a similar limit."""
 
 _LEAST_OWN_SHARE = 0.5
-"""Least share of the measurement noise in an innovation that is used to assess the source's sigma."""
+"""Minimum share of the measurement noise in the innovations used to assess the source's sigma."""
 
 _MANY_OUTLIERS_SHARE = 0.25
 _STEADY = 0.25
@@ -52,7 +52,7 @@ _SIGMAS = normal_value_above(0.5 * FALSE_DIAGNOSIS_PROBABILITY)
 _MEDIAN_SIGMA = math.sqrt(0.5 * math.pi)
 """Sigma of the median of n normal values of sigma 1, times √n."""
 _SIGMA_OF_SPREAD = 1.4826
-"""Sigma of normal values over the median of their distances from their median."""
+"""Ratio of the sigma of normal values to their median absolute deviation."""
 
 
 class Innovation(NamedTuple):
@@ -65,8 +65,8 @@ class Innovation(NamedTuple):
         nis: normalised innovation squared; 0 if nothing was compared.
         components: number of components of the innovation.
         own_share: share of the measurement noise in the innovation covariance.
-        is_used: True if the filter uses the source. Otherwise the error of the prediction is not corrected.
-        axes: axis → mean innovation along it over the parts, in its sigma and in rad.
+        is_used: True if the filter uses the source; False if the source is excluded and only monitored.
+        axes: axis → mean innovation of all parts along this axis, in its sigma and in rad.
     """
 
     time_ns: int
@@ -80,7 +80,7 @@ class Innovation(NamedTuple):
 
 
 def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
-    """Return the innovation of a measurement decision; None without one, as for a measurement that was not compared.
+    """Return the innovation of a measurement decision; None if the measurement was not compared with a prediction.
 
     Example:
         An innovation of 6″ with a predicted sigma of 3″:
@@ -157,7 +157,7 @@ _NO_AXIS = (math.nan, math.nan)
 
 
 class InnovationTable:
-    """Innovations of one source in order of time, one of each stamp.
+    """Innovations of one source in order of time, one for each stamp.
 
     Attributes:
         axes: names of all axes.
@@ -241,7 +241,7 @@ class InnovationTable:
 class PartStatistics:
     """Statistics of the sizes of the parts of many measurements.
 
-    Outliers may be misidentifications or the tail of a larger noise; the other parts distinguish the two.
+    Outliers may be misidentifications or the tail of a larger noise. The sizes of the other parts distinguish the two.
 
     Attributes:
         factor: true sigma of the source over the stated one; NaN with too few parts.
@@ -251,7 +251,7 @@ class PartStatistics:
     """
 
     def __init__(self, table: InnovationTable) -> None:
-        # Sorted: a quantile is an index.
+        # The squares are sorted, so that a quantile is found by its index.
         self._squares, degrees, self._own_share, nis, self.components = compiled_innovations.part_sizes(
             table.numbers, table.first_square, _LEAST_OWN_SHARE
         )
@@ -267,7 +267,7 @@ class PartStatistics:
 
     @property
     def is_optimistic(self) -> bool:
-        """True if the parts that are no outliers are larger than predicted."""
+        """True if the parts that are not outliers are larger than predicted."""
         return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._has_many_outliers)
 
     @property
@@ -282,15 +282,15 @@ class PartStatistics:
 
     @property
     def _has_many_outliers(self) -> bool:
-        """True if there are more outliers than a sigma of the tolerated factor explains."""
+        """True if the outliers are significantly more than with a sigma that is too small by the tolerated factor."""
         count, expected = self._count, _expected_outlier_share(self._degrees)
         return count * (self.outlier_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
     def _factor(self, count: int) -> float:
-        """Return true over stated sigma, by the median of the smallest squares, or by the lower quartile.
+        """Return the ratio of true to stated sigma, from the median of the ``count`` smallest squares.
 
-        The lower quartile is used with many outliers. From an exposure with large errors the selection rejects not only
-        outliers but as many of the largest parts as make the others consistent. This changes the median, but hardly the
+        If there are many outliers, the lower quartile is used instead. In an exposure with large errors the selection
+        of stars rejects the largest parts until the others are consistent. This changes the median, but hardly the
         lower quartile.
         """
         if count < LEAST_COUNT:
@@ -299,12 +299,16 @@ class PartStatistics:
         found = float(self._squares[math.ceil(share * count) - 1])
         if math.isinf(found):
             return math.nan  # too many rejected parts of unknown size
-        # The innovation variance is that of the prediction plus that of the source; only the latter is scaled.
+        # The innovation variance is the sum of the prediction's and the source's; only the source's is scaled.
         ratio = found / value_above(1.0 - share, self._degrees)
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
     def _excess(self, count: int) -> float:
-        """Return the number of the smallest squares above the predicted median minus half of them, in its sigmas."""
+        """Return by how many sigmas the number of squares above the predicted median exceeds one half of all.
+
+        Args:
+            count: number of squares that are counted, the smallest first.
+        """
         below = min(int(self._squares.searchsorted(value_above(0.5, self._degrees), side="right")), count)
         return (count - 2 * below) / math.sqrt(count)
 
@@ -322,7 +326,7 @@ class AxisStatistics:
     Attributes:
         name: name of the axis.
         count: number of innovations.
-        common_variance: variance of the prediction error that is common to all innovations, in their sigmas squared.
+        common_variance: variance of the prediction error that all innovations have in common, in their sigmas squared.
         bias_sigma: median of the innovations, in their sigmas.
         spread: sigma of the innovations about their median, in predicted sigmas; at least 1.
         correlation: correlation of successive innovations, outliers clipped; 0 if all are equal.
@@ -348,7 +352,7 @@ class AxisStatistics:
 
     def bias_text(self, residual: FloatArray) -> str:
         """Return the text of a bias and its possible cause, from the innovations along the axis, rad, shape (n,)."""
-        # In rad, because the sigma changes with the prediction; the noise from successive differences, free of drift.
+        # In rad, because the sigma depends on the prediction. Successive differences give the noise without any drift.
         half, bias = len(residual) // 2, float(np.median(residual))
         change = float(np.median(residual[half:]) - np.median(residual[:half]))
         noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(residual)))) / math.sqrt(2.0)

@@ -539,7 +539,7 @@ def _gate_rejection(match: PredictionMatch) -> Rejection:
 
 
 def _step_rejection(jumps: tuple[InsJump, ...]) -> Rejection | None:
-    """Return the rejection that reports a step or drift found by means; None without one.
+    """Return the rejection that reports a step or drift found by means; None if there is none.
 
     The samples since the step were accepted; the step is reported with the sample at which it was detected.
     """

@@ -130,7 +130,7 @@ class RateIntegrator:
 
 
 def mean_rate_error_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
-    """Return the bound of the integration error by the mean of two rates (rad/s, shape (3,)), rad.
+    """Return a bound of the error of integrating the mean of two rates (rad/s, shape (3,)), rad.
 
     >>> steady = np.array([0.0, 0.0, 0.1])
     >>> mean_rate_error_rad(steady, steady, seconds=0.0)

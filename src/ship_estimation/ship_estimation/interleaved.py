@@ -56,7 +56,7 @@ class InterleavedStreams:
 
     Attributes:
         distance: distance of the two streams in the unit of the values; 0 for one stream.
-        newest_ns: stamp of the last value; None before the first one.
+        newest_ns: stamp of the last value; None if there was none yet.
 
     >>> streams = InterleavedStreams(least=0.01)
     >>> for n in range(64):

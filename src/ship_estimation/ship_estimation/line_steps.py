@@ -21,7 +21,7 @@ class StepPlan(NamedTuple):
         counts: numbers of values after the step, one for each of k positions.
         weights: the step in terms of the values, oldest first, shape (k, length).
         white: sigma of the step per sigma of a value, shape (k,).
-        walk: the same per sigma of a random walk from value to value, shape (k,).
+        walk: sigma of the step per sigma of a random walk from value to value, shape (k,).
     """
 
     length: int

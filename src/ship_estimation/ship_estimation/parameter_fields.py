@@ -23,7 +23,7 @@ def parameter(
     Args:
         default: value used if none is given.
         doc: one sentence for the parameter's description.
-        unit: unit of the value, empty for none.
+        unit: unit of the value, empty if there is none.
         minimum: least value allowed (of each element of a tuple).
         maximum: greatest value allowed (of each element of a tuple).
         choices: the only texts allowed.

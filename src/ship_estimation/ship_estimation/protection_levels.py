@@ -251,7 +251,7 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
     """Return the standard deviation of each solution separation, rad, shape (h, 3).
 
     Args:
-        variance: of the components in each subfilter, rad², shape (h, 3).
+        variance: variance of the components in each subfilter, rad², shape (h, 3).
         variance_0: of the components in the main filter, rad², shape (3,).
 
     Example:

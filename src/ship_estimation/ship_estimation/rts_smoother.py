@@ -70,7 +70,7 @@ class TracedState(Protocol[GivenOut]):
 
     @property
     def last_update(self) -> StateUpdate | None:
-        """The last update, by an accepted measurement or a jump; None before the first."""
+        """The last update, by an accepted measurement or a jump; None if there was none yet."""
         ...
 
     @property

@@ -23,10 +23,10 @@ def unobservable_combinations(
     """Return the unobservable combinations as texts, for example ``g - deformation_up``.
 
     Args:
-        covariance: of n states, shape (n, n).
+        covariance: covariance of n states, shape (n, n).
         sigma: prior sigma of each state, above 0, shape (n,).
         leading: names of the states, in pivot order: the leading state of a combination is eliminated from all others.
-        order: the same names in the order in which a text lists them; None for the same order.
+        order: names of the states in the order in which a text lists them; None for the order of ``leading``.
 
     Example:
         Only the sum of two states was measured; the third state was determined:
@@ -48,8 +48,8 @@ def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Seque
     Args:
         run: the combination in prior sigmas, shape (n,).
         sigma: prior sigma of each state, shape (n,).
-        names: of the states.
-        order: the same names in the order of the text.
+        names: names of the states.
+        order: names of the states in the order of the text.
     """
     taking_part = np.flatnonzero(np.abs(run) > _TAKES_PART * np.max(np.abs(run)))
     part = sorted(taking_part.tolist(), key=lambda index: order.index(names[index]))

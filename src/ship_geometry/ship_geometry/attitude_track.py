@@ -464,7 +464,7 @@ def propagate_by_rates(
     """Propagate N samples by short times, with their rates and angular accelerations.
 
     Args:
-        rotation_nd: of the samples, shape (N, 3, 3).
+        rotation_nd: attitudes of the samples, shape (N, 3, 3).
         rates_d: rates of each sample and of those before it, newest first, rad/s, shape (N, k, 3), k at least 2.
         steps_s: intervals between them, s, shape (N, k - 1).
         ahead_s: time after each sample, s, negative before it, shape (N,).

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled lines of sight to beacons, and their image points, of one exposure with N beacons, and of many.
+"""Compiled lines of sight to N beacons and their image points, for one or more exposures.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The model is
 documented in :mod:`theodolite_calib.lights`.
@@ -77,9 +77,9 @@ def sight_lines(
     Returns:
         Unit vectors in n, refraction included, shape (E, N, 3).
         Distances, m, shape (E, N).
-        Derivative of the unit vectors, rad per unit, shape (E, N, 3, 19). Three columns each are of the baseline (n),
-        the lever (d), the principal point (m), the light's lever (b), and the rotation vectors (n) of ship and drone.
-        The last column is of the refraction coefficient.
+        Derivatives of the unit vectors, rad per unit, shape (E, N, 3, 19). The columns are in groups of three:
+        derivatives with respect to the baseline (n), the lever (d), the principal point (m), the light's lever (b), and
+        the rotation vectors (n) of ship and drone. The last column is with respect to the refraction coefficient.
     """
     epochs: cython.Py_ssize_t = baselines.shape[0]
     count: cython.Py_ssize_t = baselines.shape[1]
@@ -128,7 +128,7 @@ def sight_lines(
                 seen[i] = baselines[e, n, i] + light[i] - lens[i]
                 length += seen[i] * seen[i]
             distances[e, n] = sqrt(length)
-            # Apparent height of the light for a coefficient of 1, m.
+            # Apparent rise of the light for a refraction coefficient of 1, m.
             raised = length / (2.0 * earth_radius_m)
             seen[1] += refraction[e, n] * raised
             length = sqrt(seen[0] * seen[0] + seen[1] * seen[1] + seen[2] * seen[2])
@@ -154,19 +154,21 @@ def image_points(
     focal_lengths_m: cython.const[cython.double][:],
     principal_points_m: cython.const[cython.double][:, :],
 ):
-    """Return the image points of N beacons on the detector of a telescope, in each of E exposures; NaN behind it.
+    """Return the image points of N beacons on the detector of a telescope, in each of E exposures.
+
+    The point of a beacon behind the telescope is NaN.
 
     Args:
-        directions: of the beacons in n, shape (E, N, 3).
+        directions: directions of the beacons in n, shape (E, N, 3).
         telescopes: attitudes (n from t: forward, up, right), shape (E, 3, 3).
-        focal_lengths_m: shape (E,).
-        principal_points_m: of the detector (x right, z up), shape (E, 2).
+        focal_lengths_m: focal lengths, shape (E,).
+        principal_points_m: principal points of the detector (x right, z up), shape (E, 2).
 
     Returns:
         Points, m, shape (E, N, 2).
-        Their derivative by the rotation vector of the telescope in n, m/rad, shape (E, N, 2, 3).
-        Their derivative by the directions, m/rad, shape (E, N, 2, 3).
-        Their derivative by the focal length, m/m, shape (E, N, 2).
+        Their derivatives with respect to the rotation vector of the telescope in n, m/rad, shape (E, N, 2, 3).
+        Their derivatives with respect to the directions, m/rad, shape (E, N, 2, 3).
+        Their derivatives with respect to the focal length, m/m, shape (E, N, 2).
     """
     epochs: cython.Py_ssize_t = directions.shape[0]
     count: cython.Py_ssize_t = directions.shape[1]

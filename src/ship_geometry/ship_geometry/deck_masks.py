@@ -107,7 +107,7 @@ class SensorMasks:
     """The masks of the deck in the frame of a star sensor.
 
     Attributes:
-        masks: of the deck.
+        masks: masks of the deck.
         rotation_ds: deck from sensor, as mounted, shape (3, 3).
 
     Example:

@@ -38,7 +38,7 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
 
     Args:
         errors: one estimate in each row, shape (k,) each.
-        largest: bound of the sum of their squares; larger ones are scaled down to it.
+        largest: upper limit of the sum of their squares; the covariance is scaled down if the sum exceeds it.
 
     Example:
         An estimated error of 2 along the first axis:
@@ -59,10 +59,10 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
     """Return the joint covariance of the errors of several interpolated values, from estimates of them.
 
     Within one interval the error is one curve: its values are correlated, and nearly equal at two close times. In
-    different intervals they count as independent.
+    different intervals the errors are treated as independent.
 
     Args:
-        errors: signed estimates as for :func:`as_covariance`, shape (n, n_estimates, k); zero without an error.
+        errors: signed estimates as for :func:`as_covariance`, shape (n, n_estimates, k); zero for an exact value.
         interval: number of the interval of each value, shape (n,).
 
     Returns:
@@ -86,20 +86,20 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
 
 
 def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the errors of an interpolated value by the polynomial through all neighbouring samples.
+    """Estimate the error of an interpolated value from the polynomial through all neighbouring samples.
 
     Args:
-        nodes: times of the samples in units of the interval, its two ends first: 0 and 1; shape (n,).
+        nodes: times of the samples in units of the interval, shape (n,). The first two are its ends, 0 and 1.
         values: the samples, shape (n, k).
         at: time of the value, in units of the interval.
         found: the interpolated value, shape (k,).
 
     Returns:
         Estimates for :func:`as_covariance`, shape (k,) each: the difference from the polynomial, and an estimate of its
-        missing terms. For two samples alone, a single estimate, at most an eighth of the change between them.
+        missing terms. With only two samples there is one estimate, at most an eighth of the change between them.
 
     Example:
-        Half way between the values 0 and 1 of t² at 0 and 1, a straight line gives 0.5, with an error of -0.25:
+        The function t² is 0.25 at t = 0.5. Linear interpolation between t = 0 and t = 1 gives 0.5:
 
         >>> nodes = np.array([0.0, 1.0, -1.0])
         >>> error, _ = polynomial_errors(nodes, (nodes**2)[:, None], 0.5, np.array([0.5]))

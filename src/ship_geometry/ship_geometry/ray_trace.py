@@ -43,8 +43,8 @@ class Atmosphere:
     Attributes:
         lapse_k_per_m: decrease of the temperature with height up to the tropopause, above 0.
         tropopause_m: height of the tropopause above sea level.
-        latitude: of the observer, rad, for gravity.
-        height_m: of the observer above sea level, below the tropopause.
+        latitude: latitude of the observer, rad, for gravity.
+        height_m: height of the observer above sea level, below the tropopause.
     """
 
     lapse_k_per_m: float = 0.0065
@@ -76,7 +76,7 @@ def traced_refraction(
         pressure_hpa: at the observer, shape (w,).
         temperature_c: at the observer, shape (w,).
         relative_humidity: 0 to 1.
-        wavelength_um: of the light.
+        wavelength_um: wavelength of the light.
         atmosphere: the air above.
 
     Returns:

@@ -31,7 +31,7 @@ LOWEST_ELEVATION: dict[ModelName, float] = {
 }
 """Lowest elevation (rad, without air) at which each model is valid; stars below it cannot be used."""
 
-# Steps of the numerical derivatives by pressure and temperature; refraction is linear over them.
+# Steps of the numerical derivatives with respect to pressure and temperature; refraction is linear over these steps.
 _STEP_HPA, _STEP_K = 1.0, 1.0
 _TINY = 1e-300
 
@@ -95,8 +95,8 @@ class Refraction:
 
     Attributes:
         angle: the angle by which refraction raises the elevation, rad.
-        per_hpa: derivative by pressure, rad/hPa.
-        per_kelvin: derivative by temperature, rad/K.
+        per_hpa: derivative with respect to pressure, rad/hPa.
+        per_kelvin: derivative with respect to temperature, rad/K.
         model_sigma: standard deviation of the model itself in standard air, rad.
     """
 
@@ -210,7 +210,7 @@ def refraction_slopes(
     t = 1.0 / np.tan(elevation) if elevation >= LOWEST_ELEVATION[model] else np.nan
     coefficients, curvature, *_ = _model_in_air(model, weather, wavelength_um)
     stretch, steep = 1.0 + curvature * t * t, 1.0 + t * t
-    # First derivative by tan z, and half of the second over tan z, term by term from the last.
+    # First derivative with respect to tan z, and half of the second over tan z, term by term from the last.
     by_tan = bend = 0.0
     for power in range(len(coefficients) - 1, -1, -1):
         share = 1.0 + 2.0 * power / stretch
@@ -231,7 +231,8 @@ def _model_in_air(
     The last results are cached, because the weather changes far less often than the sky.
 
     Returns:
-        Coefficients of the powers of x, shape (t, 3): value (rad), derivative by hPa, derivative by K.
+        Coefficients of the powers of x, shape (t, 3): value (rad), derivatives with respect to pressure (hPa) and
+            temperature (K).
         The curvature c in x.
         The lowest elevation.
         True if the coefficients belong to the observed zenith distance.

@@ -35,7 +35,7 @@ class InterpolatedVector:
     Attributes:
         vector: shape (k,). A periodic component may differ from its principal value by whole periods.
         noise_gain: variance of the result per variance of the samples' independent noise.
-        error_covariance: of the interpolation error, estimated from the neighbouring samples, shape (k, k).
+        error_covariance: covariance of the interpolation error, estimated from neighbouring samples, shape (k, k).
     """
 
     vector: FloatArray

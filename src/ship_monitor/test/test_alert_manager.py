@@ -168,7 +168,7 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
 
 
 def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
-    """An hour of sleep is no timeout of the suite: no alert for ten seconds, in which data arrive again."""
+    """An hour of sleep is not a timeout of the suite: no alert for ten seconds, in which data arrive again."""
     voyage = Voyage(faulty)
     before = voyage.manager.alerts
     later_ns = voyage.end_ns + 3600 * NS_PER_S

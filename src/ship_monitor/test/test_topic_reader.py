@@ -174,7 +174,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.wait_for_subscribers(until, reader.fetch, "/clock")
     ship.publish("/clock", clock_at(900))
     until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
-    # Its own clock is earlier, which is no step back; then the other bag restarts.
+    # Its own clock is earlier, which is not a step back; then the other bag restarts.
     ship.publish("clock", clock_at(100))
     looks = []
 

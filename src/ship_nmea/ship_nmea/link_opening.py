@@ -72,7 +72,7 @@ def permanent_error(
 
     Args:
         problem: exception raised by the opening.
-        prefix: of the names of the place's parameters, for example ``"sinks.bridge"``.
+        prefix: prefix of the names of the place's parameters, for example ``"sinks.bridge"``.
         config: parameters of the place, with its ``kind``.
         parameter_names: kind → the parameter that names the place, and the parameter of its own address or its rate.
     """

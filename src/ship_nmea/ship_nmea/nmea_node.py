@@ -49,7 +49,7 @@ def run_nmea_node(
     """Run a node of this package until SIGINT or SIGTERM.
 
     Args:
-        name: of the node and of its executable.
+        name: name of the node and of its executable.
         description: text of ``--help`` before the parameters.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
         make_work: makes the work.
@@ -77,7 +77,7 @@ class Work(Protocol):
     """Function of a node, created from its :class:`NmeaNode`; it raises InputError if its parameters are unusable."""
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
-        """Return its diagnostics, once a second."""
+        """Return the diagnostics of the function; called once a second."""
         ...
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ class NmeaNode:
         guard: calls functions that may raise.
 
     Args:
-        name: of the node.
+        name: name of the node.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
         make_work: makes the work.
         context: an initialised rclpy context.

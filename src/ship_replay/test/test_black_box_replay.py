@@ -521,7 +521,7 @@ class TestRefused:
             black_box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"'))
         )
         line = error_text(capsys, copy)
-        assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
+        assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is not a topic of" in line
 
 
 def without_attachment(name):

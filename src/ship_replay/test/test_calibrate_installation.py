@@ -283,7 +283,7 @@ def test_a_prior_that_is_none_is_refused(capsys, text):
         main(["session.mcap", "--out", "a.yaml", f"--prior-sigma={text}"])
     assert caught.value.code == 2
     captured = capsys.readouterr()
-    assert f"'{text}' is no sigma: expected 0.001 to 3600 arcsec" in captured.err
+    assert f"'{text}' is not a sigma: expected 0.001 to 3600 arcsec" in captured.err
     assert captured.err.count("\n") == 1
 
 

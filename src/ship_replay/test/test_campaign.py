@@ -141,7 +141,7 @@ def test_seeds(text, seeds):
 
 @pytest.mark.parametrize("text", ["", "1-", "-1", "3-1", "1.5", "a", "1,,2"])
 def test_what_are_no_seeds(text):
-    with pytest.raises(ValueError, match=r"no seeds|before it begins"):
+    with pytest.raises(ValueError, match=r"not seeds|before it begins"):
         parse_seeds(text)
 
 
@@ -194,7 +194,7 @@ class TestResults:
         path = min((tmp_path / "out" / "results").iterdir())
         path.write_text("{")
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 2
-        assert capsys.readouterr().err == f"campaign: {path}: is no result of a campaign: remove it\n"
+        assert capsys.readouterr().err == f"campaign: {path}: is not a result of a campaign: remove it\n"
 
     def test_an_item_that_fails_is_a_row_and_is_made_again(self, scenario, tmp_path, capsys):
         bad = tmp_path / "bad.mcap"

@@ -151,7 +151,7 @@ def test_names_are_checked_as_by_a_node(check, tmp_path):
     everywhere = "/**:\n  ros__parameters: {lag_s: 1.0}\n"
     in_palmer = everywhere + GOOD.replace("ship_attitude:", "/palmer/ship_attitude:")
     assert check(in_palmer, bag, "--namespace", "/palmer/")[:2] == (0, ["suite.yaml: good for a.mcap"])
-    # As reported by a node: the first section fits, so this is no error.
+    # As reported by a node: the first section fits, so this is not an error.
     code, lines, _ = check(in_palmer)
     assert code == 0
     assert lines[0].startswith("warning: suite.yaml: section '/palmer/ship_attitude' fits no node of this suite")

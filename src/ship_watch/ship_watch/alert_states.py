@@ -21,8 +21,8 @@ class Condition:
         priority: its priority.
         source: the source that causes it; empty if none is known.
         text: the situation in a few words, without changing figures: a new text is a change of the alert.
-        value: measured value; NaN without one.
-        limit: limit of ``value``; NaN without one.
+        value: measured value; NaN if there is none.
+        limit: limit of ``value``; NaN if there is none.
         unit: unit of both.
         becomes_alarm: True if an unacknowledged warning becomes an alarm; otherwise it is repeated.
         may_be_startup: True if the situation is normal during the start of the suite; it is then raised later.

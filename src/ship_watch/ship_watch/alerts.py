@@ -1,8 +1,8 @@
 """Alerts of a suite: one for each situation; raised, acknowledged, silenced, repeated, over.
 
-:class:`AlertList` is updated again and again with the present situations. Each has one alert, however often it flaps.
-An alert is kept until its situation is over and, if necessary, a person has acknowledged it. The caller passes a steady
-time for durations, and UTC for the stamps.
+:class:`AlertList` is updated periodically with the present situations. A situation has one alert, also if it comes and
+goes repeatedly. An alert is kept until its situation is over and, if necessary, a person has acknowledged it. The
+caller passes a steady time for durations, and UTC for the stamps.
 """
 
 import dataclasses
@@ -49,7 +49,7 @@ class _TrackedAlert:
     last_present_ns: int
     """Last time at which the situation was present."""
     deviates_since_ns: int | None = None
-    """Time since which the situation has a lower priority or another text than its alert; None if it has not."""
+    """Time since which the priority of the situation is lower, or its text other, than its alert's; None if equal."""
     lost_functions: frozenset[str] = frozenset()
     becomes_alarm: bool = False
     unacknowledged_from_ns: int = 0
@@ -114,7 +114,7 @@ class AlertList:
         return tuple(changes)
 
     def acknowledge(self, id_: str, instance: int, utc_ns: int) -> tuple[AlertChange | None, str]:
-        """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
+        """Acknowledge one instance of an alert; return the change, None if there is none, and the result in words."""
         tracked = self._tracked.get(id_)
         if tracked is None or tracked.alert.state == AlertState.NORMAL:
             active_ids = ", ".join(alert.id for alert in self.alerts) or "none"
@@ -205,7 +205,7 @@ class AlertList:
             instance, state = tracked.alert.instance + 1, AlertState(tracked.alert.state)
             if state is AlertState.RECTIFIED_UNACKNOWLEDGED:
                 priority = max(priority, tracked.alert.priority)
-            # It came back: the hold is doubled, so that it is not raised again and again.
+            # A situation that comes back soon has its hold doubled, so that its alert is not raised repeatedly.
             flaps = now_ns - tracked.last_present_ns < _ns(FLAPPING_MEMORY_S)
             hold_ns = min(2 * tracked.hold_ns, max(_ns(MAX_HOLD_S), hold_ns)) if flaps else hold_ns
         alert = AlertEntry(

@@ -64,7 +64,7 @@ class DecisionHistory:
         is_out: True after enough rejections in a row, until enough acceptances in a row.
         rejected_in_a_row: current number of rejections in a row.
         out_since_ns: stamp of the first rejection of the run that put it OUT; 0 if IN.
-        last_rejection_ns: arrival of the last rejection; None before the first.
+        last_rejection_ns: arrival of the last rejection; None if there was none yet.
         reason: reason of the last rejection.
         has_acceptances: True if accepted measurements are reported too.
     """

@@ -41,7 +41,7 @@ class InnovationPoint:
         nis: normalised innovation squared.
         gate: limit of ``nis``.
         is_accepted: True if it was accepted.
-        reason: reason of the rejection; empty without one.
+        reason: reason of the rejection; empty if there is none.
         object_names: names of the stars or lights ("HIP 85355", "a"); empty for an attitude or an encoder.
     """
 
@@ -119,7 +119,7 @@ class ExposurePoint:
         elevation: elevation of the boresight, rad; NaN without a solution.
         residual_right: measured minus predicted position of each star along the sensor's right axis, rad, in the order
             of ``u``. NaN for a star that was not used; empty if the innovation contains no stars.
-        residual_up: the same along the sensor's up axis.
+        residual_up: the residuals along the sensor's up axis, in the same form.
     """
 
     utc_ns: int
@@ -139,7 +139,7 @@ class ParameterEstimate:
     """An estimated alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m, px, 1).
 
     States that are errors are nominally zero. The nominal values of installation angles and of a focal length are in
-    the configuration, which is not published: the first received value is used, NaN without one.
+    the configuration, which is not published: the first received value is used, NaN if there is none.
     """
 
     name: str
@@ -163,7 +163,7 @@ class History:
         star_exposures: by source, as ``star.bow``.
         alignment: the states of the last ``ship/alignment``.
         calibration: the parameters of the last ``theodolite/calibration``.
-        position: geodetic latitude and longitude of the last fix, rad; None before the first.
+        position: geodetic latitude and longitude of the last fix, rad; None if there was none yet.
     """
 
     innovations: dict[str, deque[InnovationPoint]] = field(default_factory=dict)

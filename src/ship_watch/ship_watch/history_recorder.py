@@ -38,7 +38,7 @@ _MAX_PENDING = 20
 """Number of outputs that wait for the truth at their stamps."""
 
 _INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
-"""Prefixes of parameters that are no errors."""
+"""Prefixes of parameters that are not errors."""
 
 _ERRORS = ".time_offset", ".focal_length", ".principal_u", ".principal_v", ".distortion_k1"
 """Endings of a device's states that are errors in spite of their prefix."""

@@ -36,7 +36,7 @@ class InputLimits:
     )
     age_s: float = parameter(
         0.0,
-        doc="maximum time without a message; 0 for three periods of its rate, at least 2 s",
+        doc="maximum time without a message; 0 for three message periods, at least 2 s",
         unit="s", minimum=0.0, maximum=1e6,
     )
     refusals: int = parameter(
@@ -56,8 +56,8 @@ class AlertTimes:
     )
     over_after_s: float = parameter(
         5.0,
-        doc="duration of an accuracy over its limit, without a source that explains it, after which an alert is "
-        "raised: in a seaway it is briefly over",
+        doc="time for which an accuracy must exceed its limit before an alert is raised, unless the alert of a source "
+        "explains it: in a seaway an accuracy exceeds its limit briefly",
         unit="s", minimum=0.0, maximum=600.0,
     )
     start_s: float = parameter(
@@ -82,7 +82,7 @@ class AlertTimes:
 class MachineLimits:
     """Limits of the computer on which the suite runs."""
 
-    disk_path: str = parameter("", doc="a folder on the disk for recordings; empty for none")
+    disk_path: str = parameter("", doc="a folder on the disk for recordings; empty if there is none")
     disk_free_gb: float = parameter(
         10.0, doc="minimum free space of that disk", unit="GB", minimum=0.0, maximum=1e6
     )
@@ -90,7 +90,7 @@ class MachineLimits:
         0, doc="entries that a black box may lose without an alert", minimum=0, maximum=1_000_000_000
     )
     clock_offset_s: float = parameter(
-        0.05, doc="maximum offset of stamps into the future of the computer's clock", unit="s",
+        0.05, doc="maximum time by which stamps may be ahead of the computer's clock", unit="s",
         minimum=0.001, maximum=1e6,
     )
     require_security: bool = parameter(
@@ -107,8 +107,8 @@ class MachineLimits:
 class Limits:
     """All limits of a ship. Limits of angles apply to 1.96 sigma (95 %).
 
-    Set the limits of angles for your task. The defaults are of no task: the suites and bags of this software are within
-    them for 95 % of the time.
+    Set the limits of angles for your task. The defaults are not derived from a task: the example suites and bags are
+    within them for 95 % of the time.
     """
 
     heading_arcsec: float = parameter(
@@ -127,8 +127,8 @@ class Limits:
     )
     better_after_s: float = parameter(
         5.0,
-        doc="hold time before the safety of an angle gets better; an accuracy that was over its limit must be 10 % "
-        "below it for this time, or below it for six times as long",
+        doc="hold time before the safety of an angle improves; an accuracy that exceeded its limit must then be below "
+        "90 % of the limit for this time, or below the limit for six times this time",
         unit="s", minimum=0.0, maximum=600.0
     )
     attitude_age_s: float = parameter(

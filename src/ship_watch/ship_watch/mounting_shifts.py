@@ -90,7 +90,7 @@ class MountingShifts:
         return found
 
     def shift_of(self, name: str, utc_ns: int) -> float:
-        """Return the shift of a device that was reinstated within the last ten minutes, rad; NaN without one."""
+        """Return the shift of a device that was reinstated within the last ten minutes, rad; NaN if there is none."""
         shift, since_ns = self._shifts.get(name, (math.nan, 0))
         return shift if utc_ns - since_ns <= DISPLAY_TIME_NS else math.nan
 

@@ -11,7 +11,7 @@ from ship_watch.limits import Limits
 from ship_watch.safety import AngleProtection
 
 INTEGRITY_AGE_NS = 3_000_000_000
-"""Maximum age of an Integrity, ns; three of its periods if these are longer."""
+"""Minimum of the age limit of an Integrity message, ns. The limit is three message periods if these are longer."""
 
 _INVALID_PERIOD_NS = 1_000_000_000
 """Period at which an output is published while it is INVALID, ns."""
@@ -24,7 +24,7 @@ _STARS, _STARS_AND_LIGHTS = 3, 4
 
 
 class OutputRecord:
-    """Last message of an output, with its last Integrity.
+    """Last message of an output, with its last Integrity message.
 
     Args:
         max_age_s: age above which the output is old, s.
@@ -32,8 +32,8 @@ class OutputRecord:
     Attributes:
         values: angle → value, rad.
         accuracies_95: angle → 1.96 sigma, rad.
-        status: status of the last message; None before the first, and if its number is unknown.
-        stamp_ns: UTC of the last message; 0 before the first.
+        status: status of the last message; None before the first message, and for an unknown status number.
+        stamp_ns: UTC of the last message; 0 before the first message.
     """
 
     topic: ClassVar[str]
@@ -57,11 +57,12 @@ class OutputRecord:
         return self._arrived_ns is not None
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message, s; infinite before the first."""
+        """Return the time since the last message, s; infinite before the first message."""
         return math.inf if self._arrived_ns is None else max(0, now_ns - self._arrived_ns) * 1e-9
 
     def is_old(self, now_ns: int) -> bool:
-        """True if the last message is older than its limit; one second is added while INVALID, sent once a second."""
+        """True if the last message is older than its limit."""
+        # An INVALID output is published once a second only.
         longest_ns = self._max_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
 
@@ -70,7 +71,7 @@ class OutputRecord:
         return self.status not in (None, Status.INVALID) and not self.is_old(now_ns)
 
     def protection(self, angle: str, now_ns: int) -> AngleProtection:
-        """Return the protection level of an angle from the last Integrity; empty if that is too old."""
+        """Return the protection level of an angle from the last Integrity message; empty if the message is too old."""
         if self._integrity_ns is None or now_ns - self._integrity_ns > self._integrity_age_ns:
             return AngleProtection(None)
         return self._protection.get(angle, AngleProtection(None))
@@ -94,16 +95,16 @@ class OutputRecord:
         raise NotImplementedError
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
-        """Return the cause of a reduced quality that the output itself states; empty without one."""
+        """Return the cause of a reduced accuracy, from the output's own fields; empty if there is none."""
         raise NotImplementedError
 
     def has_reduced_input(self, beacon_count: int) -> bool:
-        """True if the output is VALID but uses fewer lights than there are."""
+        """True if the output is VALID but uses fewer lights than are configured."""
         return False
 
     def _record_common(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
         """Record the fields common to both outputs; return the changes as :meth:`record` does."""
-        # A repeated message is no newer: the arrival counts only with a new stamp or status.
+        # A message with the stamp and status of the last one is a repetition: it does not renew the arrival time.
         status = _STATUSES.get(int(message.status))
         if stamp_ns != self.stamp_ns or status is not self.status:
             self._arrived_ns = now_ns
@@ -142,11 +143,18 @@ class AttitudeRecord(OutputRecord):
         return changes
 
     def star_age_s(self, now_ns: int) -> float:
-        """Return the time since the last used star attitude, s; infinite before the first."""
+        """Return the time since the last used star attitude, s; infinite if none was used yet."""
         return self._star_age_s + (self.age_s(now_ns) if self.is_received else 0.0)
 
     def ins_age_s(self, reported_s: float, now_ns: int) -> float:
-        """Return the time since the last INS sample, s: an attitude from the INS is published at each sample."""
+        """Return the time since the last INS sample, s.
+
+        While the INS is used, each of its samples causes an attitude: the age of the attitude is then an upper bound.
+
+        Args:
+            reported_s: time since the last INS sample by the reports of the node, s.
+            now_ns: current time.
+        """
         return min(reported_s, self.age_s(now_ns)) if self._uses_ins else reported_s
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
@@ -169,7 +177,7 @@ class PointingRecord(OutputRecord):
 
     @property
     def pointing_method(self) -> str:
-        """Method of the pointing, for people: "2 lights", "encoder"; empty before the first."""
+        """Method of the pointing, for people: "2 lights", "encoder"; empty before the first message."""
         if not self.is_received:
             return ""
         if self.status is Status.INVALID:

@@ -51,7 +51,7 @@ class OverloadedNodes:
         self._nodes[node] = _Overload(str(message.reason_text), since_ns, now_ns)
 
     def overload_text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:
-        """Return the overload text of the first overloaded node on which an output depends; empty without one.
+        """Return the overload text of the first overloaded node on which an output depends; empty if there is none.
 
         Args:
             now_ns: caller's time, ns.

@@ -67,8 +67,8 @@ class TopicReports:
 
     Attributes:
         topic: name of the topic.
-        arrived_ns: arrival of its last message, caller's time, ns; None before the first.
-        reported_ns: arrival of the last report, caller's time, ns; None before the first.
+        arrived_ns: arrival of its last message, caller's time, ns; None if there was none yet.
+        reported_ns: arrival of the last report, caller's time, ns; None if there was none yet.
         rate_hz: mean rate of arrival, Hz; NaN until it is known.
         period_ns: usual time between two messages, ns; NaN if unknown.
         used: number of messages used so far, by the node that has used most of them.
@@ -122,7 +122,7 @@ class TopicReports:
         return self._level > 0 and bool(self._reporters) and not any(one.received for one in self._reporters)
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message arrived, s; infinite before the first.
+        """Return the time since the last message arrived, s; infinite if there was none yet.
 
         Between two reports it stays constant if messages arrived until the last one: single arrivals are not reported.
         """
@@ -136,7 +136,7 @@ class TopicReports:
         """True if no message arrived within the timeout.
 
         After a report with new messages, only the next report can show that they have stopped. A late report, as on a
-        busy computer, is no timeout of the topic; an overdue one is (:meth:`is_report_overdue`).
+        busy computer, is not a timeout of the topic; an overdue one is (:meth:`is_report_overdue`).
         """
         if self.arrived_ns is None or (self._has_new_messages and not self.is_report_overdue(now_ns)):
             return False
@@ -200,7 +200,7 @@ class TopicReports:
         """Replace the report that this one follows; if it may follow several, the oldest.
 
         Returns:
-            True if it comes from a new node, and the report before it, None without one.
+            True if it comes from a new node, and the report before it, None if there is none.
         """
         before = min(
             (known for known in self._reporters if known.may_precede(report)),

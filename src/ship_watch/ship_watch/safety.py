@@ -66,7 +66,7 @@ class AngleInputs:
         has_reduced_input: True if the hint alone makes the angle a CAUTION: one of two lights.
         protection: protection level of the angle.
         faulty_source: the source that is OUT by a fault of its own; None if there is none.
-        overload: text of a node in the chain of this angle that cannot keep up with its inputs; empty without one.
+        overload: text of a node in the chain of this angle that cannot keep up with its inputs; empty if there is none.
     """
 
     topic: str

@@ -54,14 +54,14 @@ class SourceRecord:
         used: number of its messages used so far, by the node that has used most of them.
         topics: topic → reports on it, in the order of their names.
         decisions: (innovation topic, name in it) → measurement decisions.
-        used_at_rejection: the same keys → value of ``used`` at the last rejection.
+        used_at_rejection: (innovation topic, name in it) → value of ``used`` at the last rejection.
         nis_window: accepted innovations of the last minute.
         excluded_since: integrity topic → time of the exclusion, UTC, ns.
-        evaluated_ns: arrival of the last innovation with components; None before the first.
-        used_ns: arrival of the last accepted innovation; None before the first.
-        corrected_ns: arrival of the last accepted measurement that had to be corrected; None before the first.
+        evaluated_ns: arrival of the last innovation with components; None if there was none yet.
+        used_ns: arrival of the last accepted innovation; None if there was none yet.
+        corrected_ns: arrival of the last accepted measurement that had to be corrected; None if there was none yet.
         correction: text of that correction.
-        last_cause: source that was the cause of the last fault; empty without one.
+        last_cause: source that was the cause of the last fault; empty if there is none.
     """
 
     def __init__(self, name: str) -> None:
@@ -91,7 +91,7 @@ class SourceRecord:
         self.used = max(topic.used for topic in self.topics.values())
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message of the source, s; infinite before the first."""
+        """Return the time since the last message of the source, s; infinite if there was none yet."""
         return min((topic.age_s(now_ns) for topic in self.topics.values()), default=math.inf)
 
     def record_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:

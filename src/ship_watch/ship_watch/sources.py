@@ -54,12 +54,12 @@ class SourceRecords:
         return topic in self._reports
 
     def used_age_s(self, name: str, now_ns: int) -> float:
-        """Return the time since an innovation of a source was accepted, s; infinite before the first."""
+        """Return the time since an innovation of a source was accepted, s; infinite if there was none yet."""
         source = self._sources.get(name)
         return math.inf if source is None or source.used_ns is None else max(0, now_ns - source.used_ns) * _NS
 
     def age_s(self, name: str, now_ns: int) -> float:
-        """Return the time since the last message of a source, s; infinite before the first."""
+        """Return the time since the last message of a source, s; infinite if there was none yet."""
         source = self._sources.get(name)
         return math.inf if source is None else source.age_s(now_ns)
 

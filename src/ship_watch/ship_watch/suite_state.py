@@ -54,14 +54,14 @@ class AngleState:
         value: the angle, rad: heading and azimuth from north to the right, pitch bow up, roll port up, elevation up.
         accuracy_95: 1.96 sigma, rad; of the azimuth times the cosine of the elevation.
         limit: the ship's limit of ``accuracy_95``, rad.
-        protection_level: bound of the error under any single fault, rad; NaN without one.
+        protection_level: bound of the error under any single fault, rad; NaN if there is none.
         safety: the displayed safety.
         reason: why it is not SAFE, in a few words; during a hold with the time until the safety gets better, as in
             "within 3″ again; SAFE in 4 s". Empty if SAFE.
         age_s: time since the last value arrived, s.
         is_old: True if the age is over its limit; the value is then greyed, with its age.
-        stamp_ns: time of the value, UTC as POSIX time; 0 before the first.
-        since_ns: UTC of the last change of ``safety``; 0 before the first.
+        stamp_ns: time of the value, UTC as POSIX time; 0 if there was none yet.
+        since_ns: UTC of the last change of ``safety``; 0 if there was none yet.
         because_of: the source that causes a safety other than SAFE; empty if none is known.
         over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is not.
         unheld_safety: current safety and reason without hold; None if they are the displayed ones. The displayed ones
@@ -128,7 +128,7 @@ class SourceState:
         reason: why it is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
         disagreement: the largest offset, "reads 49″ high". Of a source that is IN: what is corrected in its
             data, "names exchanged" of lights. Empty if unknown.
-        residual: mean of its last rejected residuals over their sigma; NaN without one.
+        residual: mean of its last rejected residuals over their sigma; NaN if there is none.
         out_since_ns: UTC of the first rejection or of the last message; 0 if IN.
         because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
             :data:`CAUSE_NODE`. Empty if the fault is its own.
@@ -251,7 +251,8 @@ class SuiteState:
     """State of a suite at one time.
 
     Attributes:
-        utc_ns: time of the suite, UTC as POSIX time: newest stamp plus the time since its arrival; 0 before the first.
+        utc_ns: time of the suite, UTC as POSIX time: newest stamp plus the time since its arrival; 0 if there
+            was none yet.
         angles: angles in the order of :data:`ANGLES`; those of a theodolite only if one was received.
         ages_s: age of stars, lights and INS, keys "stars", "lights", "ins": of the newest source of the kind that is
             IN; if all are OUT, the time since one was used.

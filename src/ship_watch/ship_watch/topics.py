@@ -80,7 +80,7 @@ def source_of_name(name: str) -> str:
     """Return the source of a name in an innovation or a list of excluded sources; empty if it is none."""
     first, _, rest = name.partition(".")
     if first in ("star", "reference") and rest:
-        return "" if rest == "joint" else name  # the joint solution of all sensors is no source
+        return "" if rest == "joint" else name  # the joint solution of all sensors is not a source
     if "/" in name:
         return source_of_topic(name) if name != "ship/attitude" else ""  # a failed output is named by its topic
     whole = {

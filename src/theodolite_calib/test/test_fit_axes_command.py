@@ -222,9 +222,9 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["--fix", "K"], "'K' is no term: expected one of g, h, c, I, beta_x, beta_y, flexure"),
-        (["--fix", "c=wide"], "'wide' is no value of 'c'"),
-        (["--fix", "c="], "'' is no value of 'c'"),
+        (["--fix", "K"], "'K' is not a term: expected one of g, h, c, I, beta_x, beta_y, flexure"),
+        (["--fix", "c=wide"], "'wide' is not a value of 'c'"),
+        (["--fix", "c="], "'' is not a value of 'c'"),
         (["--fix", "c=nan"], "expected a finite number of arcsec"),
     ],
 )

@@ -65,7 +65,7 @@ class LeverConfig:
         0.0, doc="component along right (starboard)", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M
     )
     sigma_m: float = parameter(
-        0.0, doc="error of the survey, each axis; 0 for none", unit="m", minimum=0.0, maximum=10.0
+        0.0, doc="standard deviation of the survey, each axis", unit="m", minimum=0.0, maximum=10.0
     )
 
     @property

@@ -24,7 +24,7 @@ def results_file(path: Path, fresh: bool = False) -> ResultsFile:
     """Return the results of cells in a file.
 
     Raises:
-        BadInput: a line before the last is no result of a cell.
+        BadInput: a line before the last is not a result of a cell.
     """
     return ResultsFile(path, _key, fresh)
 

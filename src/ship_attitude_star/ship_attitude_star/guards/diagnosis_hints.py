@@ -38,7 +38,7 @@ class AttitudeResidual:
     Attributes:
         time_ns: stamp of the measurement.
         turn_n: rotation from predicted to measured attitude, rotation vector in the horizon frame, rad, shape (3,).
-        noise_n: its covariance by the measurement noise, rad², shape (3, 3).
+        noise_n: covariance of this rotation due to the measurement noise, rad², shape (3, 3).
     """
 
     time_ns: int

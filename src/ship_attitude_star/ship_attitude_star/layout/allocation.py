@@ -51,7 +51,7 @@ def requirement_use(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> Flo
     """Return sigma over limit of the worst angle, shape (...); NaN if a required angle is not known.
 
     Args:
-        sigmas_arcsec: of heading, pitch, roll, shape (..., 3).
+        sigmas_arcsec: standard deviations of heading, pitch, roll, shape (..., 3).
         limits_arcsec: limits of the same, shape (3,); infinite where nothing is required.
     """
     is_limited = np.isfinite(limits_arcsec)

@@ -62,7 +62,7 @@ _NUMBER_OFFSET = 0.2
 
 
 def plan_figure(given: Layout, best: Layout) -> Figure:
-    """Return the plan of the boresights from above; an arrow is shorter for a higher elevation."""
+    """Return the plan of the boresights from above; arrows of higher elevations are shorter."""
     figure, axes = plt.subplots(figsize=(6.2, 6.5 + 0.25 * len(given.names)), layout="constrained")
     _draw_hull(axes)
     circle = np.linspace(0.0, 2.0 * np.pi, 181)

@@ -107,7 +107,7 @@ class JointAttitude:
     """Errors of the best joint attitude of N sensors.
 
     Attributes:
-        covariance: of the joint rotation vector, shape (..., 3, 3), rad².
+        covariance: covariance of the joint rotation vector, shape (..., 3, 3), rad².
         gains: joint error = sum over sensors of gain @ error of the sensor, shape (..., N, 3, 3).
     """
 
@@ -120,14 +120,15 @@ def combine_attitudes(
 ) -> JointAttitude:
     """Return the best linear unbiased combination of N attitudes whose errors are ``own + effect @ common``.
 
-    Without common errors, the information of the joint attitude is the sum of those of the sensors. An error with the
-    same effect on all sensors is not reduced. One with different effects shows in their differences and is reduced in
-    part.
+    Without common errors, the information of the joint attitude is the sum of the sensors' information. A common error
+    with the same effect on all sensors is not reduced. A common error with different effects is observable in the
+    differences of the sensors and partly reduced.
 
     Args:
-        covariances: of each sensor's own error, rotation vectors in one frame, shape (..., N, 3, 3), regular, rad².
+        covariances: covariance of each sensor's own error, rotation vectors in one frame, rad², shape (..., N, 3, 3);
+            regular.
         common_effects: effects of each of k common errors on each sensor, shape (..., N, 3, k).
-        common_covariance: of the common errors, shape (k, k).
+        common_covariance: covariance of the common errors, shape (k, k).
     """
     *leading, count, _, _ = covariances.shape
     stacked = np.zeros((*leading, count, 3, count, 3))

@@ -93,7 +93,7 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
     """Return sigma about (forward, up, right) by Liebe's formulas, shape (3,), rad.
 
     Args:
-        optics: of the sensor; the pixels of Liebe's square field are the root of columns times rows.
+        optics: optics of the sensor. Liebe's field is square: its pixel count is the root of columns times rows.
         stars: number of stars in the field.
     """
     with np.errstate(divide="ignore"):

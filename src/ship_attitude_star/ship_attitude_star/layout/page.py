@@ -96,7 +96,7 @@ def _sensor_table(study: LayoutStudy) -> str:
 
 
 def _optics_text(study: LayoutStudy) -> str:
-    """Return the results of the optics over the sky with Liebe's values; empty if no optics are given."""
+    """Return text and table of the noise from the sensors' optics, with Liebe's values; empty without optics."""
     if not study.optics:
         return ""
     rows = []
@@ -156,7 +156,7 @@ def _source_table(study: LayoutStudy, reading: InstallationConvention) -> str:
 # -- texts, with every number computed from the layout ---------------------------------------------------------
 
 _WORTH_MOVING = 0.1
-"""Gain of the total error below which moving the sensors is not worthwhile, ratio."""
+"""Relative reduction of the total error below which moving the sensors is not worthwhile."""
 
 
 def _result(study: LayoutStudy) -> str:
@@ -165,13 +165,13 @@ def _result(study: LayoutStudy) -> str:
     if count == 1:
         return f"The one sensor, “{study.layout.names[0]}”, gives {_errors(study.joint_arcsec)} (1σ)."
     totals = total_arcsec(study.alone_arcsec)
-    # Of equally good sensors the first is named, whatever the last bits are.
+    # Rounded, so that the first of equally good sensors is named on every processor.
     best = int(np.argmin(np.round(totals, 6)))
     joint = float(total_arcsec(study.joint_arcsec))
     return (
         f"The {count} sensors together give {_errors(study.joint_arcsec)} (1σ). The best of them alone, "
-        f"“{study.layout.names[best]}”, gives {_errors(study.alone_arcsec[best])}: together they are "
-        f"{totals[best] / joint:.3g} times better in total."
+        f"“{study.layout.names[best]}”, gives {_errors(study.alone_arcsec[best])}: the total error of all sensors "
+        f"is {totals[best] / joint:.3g} times smaller."
     )
 
 
@@ -179,9 +179,9 @@ def _advice(study: LayoutStudy) -> str:
     """Return the recommended azimuths with their tolerances as a list."""
     if len(study.layout.names) == 1:
         return (
-            "<p>With one sensor no azimuth is best in total: rotating it only moves the error from roll to pitch. "
-            "Mount it along the keel if pitch matters, abeam if roll matters. For both, and for heading, add a second "
-            "sensor about a right angle away.</p>"
+            "<p>With one sensor the total error is the same at every azimuth: rotating the sensor only moves the error "
+            "from roll to pitch. Mount it along the keel if pitch matters, abeam if roll matters. For both, and for "
+            "heading, add a second sensor at about a right angle to it.</p>"
         )
     given, best = (float(total_arcsec(sigmas)) for sigmas in (study.joint_arcsec, study.best_arcsec))
     first_deg = np.rad2deg(study.best.angles[0, 0]) % 360.0
@@ -192,7 +192,7 @@ def _advice(study: LayoutStudy) -> str:
             f"<li>“{escape(turned.sensor)}”: <b>{best_deg:.0f}°</b> from the bow (given: {given_deg:g}°); "
             f"{_tolerance_text(turned)}</li>"
         )
-    total = f"Total error there {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}"
+    total = f"Total error at these azimuths {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}"
     return f"<ul>{''.join(items)}</ul><p>{total}</p>"
 
 

@@ -39,8 +39,8 @@ class Candidate:
     Attributes:
         name: as in :data:`AS_GIVEN`.
         layout: the layout.
-        sigmas_arcsec: of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
-        requirement_use: sigma over requirement of the worst angle; NaN with the sigmas.
+        sigmas_arcsec: sigmas of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
+        requirement_use: sigma over requirement of the worst angle; NaN if the sigmas are NaN.
         obstacles: descriptions of the obstructions in the fields of view; empty if there are none.
     """
 
@@ -58,7 +58,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class AdmissibleMap:
-    """Admissible mounting directions of one sensor with the others as given; belongs to the study's map of it.
+    """Admissible mounting directions of one sensor with the others as given, on the grid of the study's error map.
 
     Attributes:
         sensor: the sensor that is moved.
@@ -82,7 +82,7 @@ class ElevationTrade:
     """All sensors at one elevation, at the azimuths with the least requirement use.
 
     Attributes:
-        elevation_deg: of all of them.
+        elevation_deg: elevation of all sensors.
         candidate: the layout.
         refraction_arcsec: errors of heading, pitch, roll by refraction, shape (3,).
     """
@@ -128,8 +128,8 @@ def evaluate_layouts(
 
     Args:
         config: the study.
-        layout: as given.
-        best: at the recommended azimuths.
+        layout: the layout as given.
+        best: the layout at the recommended azimuths.
         maps: the errors over each sensor's mounting direction.
         obstructions: masks and horizon.
     """
@@ -146,7 +146,7 @@ def evaluate_layouts(
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
         candidates += evaluator.best_of_map(layout, number, moved, allowed)
     candidates.append(evaluator.search(candidates, layout))
-    # The sort is stable: of equal layouts the first of the list, which changes least, comes first.
+    # The sort is stable, so that of equal layouts the one nearest to the given layout comes first.
     ranking = sorted(
         candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use))
     )

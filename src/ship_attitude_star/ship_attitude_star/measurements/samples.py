@@ -44,7 +44,7 @@ class AttitudeMeasurement:
             shape (3, 3).
         covariance_known: False if the message contained none and the configured sigma is used.
         shared_n: rotation in the horizon frame by one standard deviation of each of n errors shared with other sensors,
-            rad, shape (3, n); None for none.
+            rad, shape (3, n); None if there is none.
         shared_by: kind of the shared errors: SHARED_BY_SKY, n = 4
             (:data:`ship_attitude_star.sky.sky_model.SHARED_TERMS`), SHARED_BY_MESSAGES, n = 3, or SHARED_BY_GRAVITY,
             n = 2, in rad instead of standard deviations.
@@ -118,7 +118,7 @@ class AttitudeEstimate:
         status: status of the attitude.
         horizon: horizon of the attitude.
         sources: sources of the attitude, for example ``("ins", "star.fore")``.
-        star_age_s: time since the last accepted star measurement, s; NaN for none.
+        star_age_s: time since the last accepted star measurement, s; NaN if there is none.
         state: filter state that it was computed from.
         text: reason for DEGRADED or INVALID; else empty.
     """

@@ -34,7 +34,7 @@ def _document(prior: AlignmentPrior) -> dict[str, Any]:
 
 
 def _human_sigma(prior: AlignmentPrior, sigma: np.ndarray) -> dict[str, list[float]]:
-    """Return standard deviations for the reader of the file; they are not read back."""
+    """Return standard deviations for a person who reads the file; programs do not read them."""
     human, start = {}, 0
     for name in prior.names:
         width, unit = (3, ARCSEC) if name.endswith(".installation") else (1, 1.0)
@@ -47,7 +47,7 @@ def _prior(document: dict[str, Any]) -> AlignmentPrior:
     """Return the alignment of a document.
 
     Raises:
-        ValueError: names the section that cannot be used.
+        ValueError: a section cannot be used; the text names it.
     """
     rotations_dv = section(document, "installation", _rotations)
     time_offsets_s = section(document, "time_offset_s", finite_numbers)

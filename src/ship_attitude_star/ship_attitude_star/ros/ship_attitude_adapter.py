@@ -379,7 +379,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
 
 def manoeuvre_text(turn: RecommendedTurn | None) -> str:
-    """Return a text about a recommended turn; empty for none."""
+    """Return a text about a recommended turn; empty if there is none."""
     if turn is None:
         return ""
     now, on_course, after = (

@@ -87,7 +87,7 @@ def star_exposure(
         receive_ns: arrival time.
         named_by_number: True if rejected stars are named by their catalogue number, if they have one; else they are
             named by their index in the message.
-        masks: obstructions of the field of view on deck; None for none.
+        masks: obstructions of the field of view on deck; None if there is none.
 
     Returns:
         The exposure with the usable stars; the other stars of the message are rejected.

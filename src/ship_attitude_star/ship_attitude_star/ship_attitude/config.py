@@ -213,7 +213,7 @@ class ShipBaselineConfig:
 
     @property
     def length_m(self) -> float:
-        """Length of the baseline, m; 0 for none."""
+        """Length of the baseline, m; 0 if there is none."""
         return float(np.linalg.norm(self.vector_d))
 
     @property

@@ -249,7 +249,7 @@ class ShipAttitudeCore:
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
-        """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None if there is none."""
         values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
         self._plausibility.ins.commit_block(values, batch.checked, self._plausibility.motion_references)
         if last is None:
@@ -490,7 +490,7 @@ class ShipAttitudeCore:
 
     @property
     def excess_noise(self) -> str:
-        """Text about INS attitude noise in excess of the stated noise; empty for none."""
+        """Text about INS attitude noise in excess of the stated noise; empty if there is none."""
         return self._plausibility.ins.excess_text
 
     # -- functions of the estimator model --------------------------------------------------------------------
@@ -567,7 +567,7 @@ class ShipAttitudeCore:
         return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=text)
 
     def _contradiction_text(self, time_ns: int) -> str:
-        """Return a text about the sources in use that recently contradicted themselves; empty for none."""
+        """Return a text about the sources in use that recently contradicted themselves; empty if there is none."""
         if not self._estimator.stamp_conflicts:
             return ""
         used_ns, devices = self.state.last_used_ns, self.filter.devices

@@ -290,7 +290,7 @@ def _horizons(
 
 
 def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
-    """Return the time since the last accepted star measurement for each time, s; NaN for none."""
+    """Return the time since the last accepted star measurement for each time, s; NaN if there is none."""
     newest_ns = np.array([one.newest_star_ns or 0 for one in corrected])
     none_yet = np.array([one.newest_star_ns is None for one in corrected])
     ages_s: FloatArray = np.where(none_yet[state_index], np.nan, (time_ns - newest_ns[state_index]) / SECOND_NS)
@@ -298,6 +298,6 @@ def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
-    """Return the stamp of the last accepted star measurement; None for none."""
+    """Return the stamp of the last accepted star measurement; None if there is none."""
     stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

@@ -240,7 +240,7 @@ class FaultDetector:
             time_ns: stamp of the measurement.
 
         Returns:
-            The state after exclusions and reinstatements, and a text about the source, empty for none.
+            The state after exclusions and reinstatements, and a text about the source, empty if there is none.
         """
         if self._is_all_consistent(state):
             return state, ""
@@ -400,7 +400,7 @@ class FaultDetector:
     # -- exclusion and reinstatement ------------------------------------------------------------------------
 
     def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
-        """Return the isolated sources, empty for none.
+        """Return the isolated sources, empty if there is none.
 
         If several subfilters explain the fault, and one of them alone excludes only sources that were excluded before,
         the fault is attributed to these sources.

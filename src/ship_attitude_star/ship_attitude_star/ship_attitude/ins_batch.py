@@ -54,7 +54,7 @@ class InsBatch:
         arrivals_ns: arrival times, by the timeout clock.
         checked: results of the INS check, including a last sample that needs separate handling.
         previous_rates: rates of the samples before the batch.
-        extra_noise: noise of the samples in excess of the stated noise; None for none.
+        extra_noise: noise of the samples in excess of the stated noise; None if there is none.
         committed_count: number of committed samples.
         pending_outcomes: index of a sample and its outcome besides an attitude, not yet retrieved.
     """

@@ -123,11 +123,11 @@ class PositionFromFixes:
         self._fixes: StampedValues[_Fix] = StampedValues(limits)
 
     def rejection(self, fix: PositionFix) -> Rejection | None:
-        """Return why a fix is rejected or only partly used; call it before :meth:`insert`."""
+        """Return the rejection of a fix, None if it is accepted; to be called before :meth:`insert`."""
         return self._fixes.rejection(fix.time_ns, _to_earth_fixed(fix))
 
     def insert(self, fix: PositionFix) -> int | None:
-        """Insert a fix; return the time (ns) after which results may have changed, None if none has."""
+        """Insert a fix; return the time (ns) after which results may have changed; None if no result has changed."""
         changed_ns = self._fixes.insert(fix.time_ns, _to_earth_fixed(fix))
         conflict_ns = self._fixes.conflict_changed_ns
         unchanged_until_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
@@ -159,7 +159,7 @@ class PositionFromFixes:
         return extrapolated_ns
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the fixes that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
+        """Drop the fixes not needed for positions from ``time_ns`` on; earlier positions are lost."""
         self._oldest_ns = time_ns
         last = self._fixes.last_before(time_ns - self._delay_ns)
         self._fixes.drop_before(
@@ -206,7 +206,7 @@ class PositionFromFixes:
         times, last = self._fixes.times, self._fixes.last_before(time_ns)
         if not times:
             return Rejection(Reason.NO_FIX, "no position fix received yet: check that gnss/fix is published")
-        # Of two fixes equally near, the earlier one is used.
+        # If two fixes are equally near in time, the earlier one is used.
         later = last < 0 or (last + 1 < len(times) and times[last + 1] - time_ns < time_ns - times[last])
         nearest = last + 1 if later else last
         away_s = (time_ns - times[nearest]) / SECOND_NS

@@ -123,7 +123,7 @@ class StampedValues(Generic[Value]):
         times: stamps of the accepted values, increasing.
         values: the accepted values, of the same length.
         follows_jump: True if the value had jumped, so that it is not connected to the one before; of the same length.
-        conflict_changed_ns: stamp from which on the last :meth:`insert` changed :meth:`has_conflict_at`; None for none.
+        conflict_changed_ns: stamp from which the last :meth:`insert` changed :meth:`has_conflict_at`; None if none.
     """
 
     def __init__(self, limits: JumpLimits) -> None:
@@ -171,7 +171,7 @@ class StampedValues(Generic[Value]):
         return Rejection(Reason.JUMP, f"{jumped}; accepted once {condition}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
-        """Insert a value at its stamp; return the stamp from which accepted values have changed, None for none."""
+        """Insert a value at its stamp; return the stamp from which accepted values changed, None if none did."""
         self.conflict_changed_ns = None
         if self._is_dropped(time_ns):
             return None

@@ -40,7 +40,7 @@ class _RealTimeEstimate(NamedTuple):
 
     Attributes:
         estimate: the attitude without filter state and covariance by error source, to save memory.
-        separation_covariance_n: covariance added for solution separations, rad², shape (3, 3); None for none.
+        separation_covariance_n: covariance added for solution separations, rad², shape (3, 3); None if there is none.
         has_fault: True for an unresolved fault or an excluded INS; such an attitude is not smoothed.
     """
 

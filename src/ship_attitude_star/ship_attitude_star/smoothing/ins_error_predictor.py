@@ -130,7 +130,7 @@ class InsErrorPredictor:
         return onward
 
     def _process_propagation(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Propagation | None:
-        """Return the propagation of the INS error process; None without one."""
+        """Return the propagation of the INS error process; None if there is none."""
         process = self._model.ins_process
         if process is None:
             return None

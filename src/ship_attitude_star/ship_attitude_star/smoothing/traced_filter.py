@@ -25,7 +25,7 @@ class TracedState(FilterState):
     """A filter state with its last update.
 
     Attributes:
-        last_update: update by the last accepted measurement or the last jump; None before the first.
+        last_update: update by the last accepted measurement or the last jump; None if there was none yet.
     """
 
     last_update: StateUpdate | None = None

@@ -11,7 +11,7 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section, sou
 
 @dataclass(frozen=True, kw_only=True)
 class ObservingSensorConfig(MountingConfig):
-    """Parameters of a star sensor whose ``star/<id>/observations`` are solved."""
+    """Parameters of a star sensor whose attitude is computed from ``star/<id>/observations``."""
 
     camera: RequiredCameraConfig = section(RequiredCameraConfig)
 
@@ -22,21 +22,21 @@ class JointConfig:
 
     window_s: float = parameter(
         0.1,
-        doc="largest time between joined exposures; ins/imu propagates them to one time",
+        doc="maximum time between joined exposures; ins/imu propagates them to one time",
         unit="s",
         minimum=0.0,
         maximum=10.0,
     )
     simultaneous_s: float = parameter(
         1e-4,
-        doc="the same without ins/imu, so short that the ship does not rotate",
+        doc="maximum time between joined exposures without ins/imu: the ship's rotation in it is neglected",
         unit="s",
         minimum=0.0,
         maximum=0.1,
     )
     wait_s: float = parameter(
         0.5,
-        doc="maximum time an exposure waits for those of other sensors and for ins/imu",
+        doc="maximum time for which an exposure waits for exposures of other sensors and for ins/imu",
         unit="s",
         minimum=0.0,
         maximum=60.0,
@@ -55,7 +55,7 @@ class StarAttitudeConfig(StarSensorsById):
     ins: StarInsConfig = section(StarInsConfig)
     joint: JointConfig = section(JointConfig)
     lag_s: float = parameter(
-        2.0, doc="exposures older than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
+        2.0, doc="maximum age of a used exposure relative to the newest data", unit="s", minimum=0.0, maximum=600.0
     )
     frames: DeckFrame = section(DeckFrame)
     sources_off: tuple[str, ...] = sources_off()

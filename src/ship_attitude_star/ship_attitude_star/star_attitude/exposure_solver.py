@@ -253,7 +253,7 @@ def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: Fl
 
 
 def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
-    """Return the covariance added by streaks to all stars, deck frame, rad², shape (k, 3, 3); None for none."""
+    """Return the covariance added by streaks to all stars, deck frame, rad², shape (k, 3, 3); None if there is none."""
     if all(s.smear_b is None for s in stars):
         return None
     return np.concatenate(
@@ -279,7 +279,7 @@ def _pixel_sigma(stars: Sequence[MatchedStars]) -> FloatArray | None:
 
 
 def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
-    """Return the displacement of the stars by correlated camera errors, deck frame, rad, (k, 3, f); None for none."""
+    """Return star displacements by correlated camera errors, deck frame, rad, (k, 3, f); None if there are none."""
     count = sum(len(s.field_sources) for s in stars)
     if not count:
         return None

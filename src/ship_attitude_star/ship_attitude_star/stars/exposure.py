@@ -86,7 +86,7 @@ class StarExposure:
         hip: HIP numbers; 0 if the message gives the direction in the ICRS, or the star is unidentified.
         directions_s: unit vectors in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
-        positions: of the stars, J2000.0; NaN while a star is not identified.
+        positions: positions of the stars, J2000.0; NaN while a star is not identified.
         position_sigma: error of the star's position, rad per axis, shape (k,).
         magnitude: as measured, shape (k,); NaN where unknown.
         length: length of the exposure, with its camera; None if the message does not state it.
@@ -229,7 +229,7 @@ def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExp
     """Return the stars at mid-exposure, with the errors that their streaks add.
 
     Args:
-        exposure: of a known length.
+        exposure: an exposure with a known length.
         turns: rotations "sensor at the node from sensor at mid-exposure" at the nodes of the exposure, shape (m, 3, 3).
     """
     length = exposure.length
@@ -368,7 +368,7 @@ def _identification_rejection(nearest: float, fitting: int, masks: str) -> Rejec
     Args:
         nearest: angle to the nearest catalogue star, rad; infinite if there is none.
         fitting: number of catalogue stars within the gate.
-        masks: names of the masks that cover the detection; empty for none.
+        masks: names of the masks that cover the detection; empty if there is none.
     """
     if masks:
         return Rejection(Reason.UNIDENTIFIED, f"not a star: inside the mask {masks}")

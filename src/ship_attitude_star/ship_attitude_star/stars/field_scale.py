@@ -39,7 +39,7 @@ class FieldInformation:
     Attributes:
         matrix: information without priors, shape (q, q).
         right_side: shape (q,).
-        chi_square: of the displacements at each field's own attitude, with unchanged optics.
+        chi_square: chi-square of the displacements at each field's own attitude, with unchanged optics.
         degrees: degrees of freedom of ``chi_square``.
     """
 
@@ -95,7 +95,7 @@ def field_information(
 
     Args:
         camera: camera by which the directions were measured, correct to 1 %.
-        stars: of one exposure of it, in its own frame; a star with a wrong identity must not be a member.
+        stars: stars of one exposure of this camera, in its frame; a star with a wrong identity must not be a member.
         members: True for the stars that are used, shape (k,); None for all.
 
     Returns:
@@ -129,7 +129,7 @@ def estimate_optics(
     """Return the optics that fit fields of stars best.
 
     Args:
-        information: of all fields.
+        information: information of all fields.
         prior_sigma: uncertainty of the configured (logarithm of the focal length, principal u, principal v), px for the
             last two; infinite for no prior, 0 for a fixed value.
 

@@ -118,7 +118,8 @@ class StarFit:
         """Return the fit with an attitude predicted without these stars.
 
         Args:
-            covariance_n: of the prediction's error δ, rad², shape (3, 3); singular where a rotation is known exactly.
+            covariance_n: covariance of the prediction's error δ, rad², shape (3, 3); it may be singular, if a rotation
+                is known exactly.
             expected_n: predicted δ, rad, shape (3,); None if the stars are linearised at the prediction.
         """
         # δ is then in units of standard deviations, as the other unknowns are.
@@ -173,8 +174,8 @@ class StarFitSolution:
     """Most likely unknowns of some stars, and the remaining chi².
 
     Attributes:
-        information: of all unknowns by the stars alone, shape (q, q).
-        information_with_prior: the same with the priors, shape (q, q).
+        information: information of all unknowns by the stars alone, shape (q, q).
+        information_with_prior: information of all unknowns by stars and priors, shape (q, q).
         unknowns: most likely values of the unknowns, shape (q,).
         chi_square: sum of squares of the remaining displacements and of the unknowns with a prior, in sigmas.
         degrees: degrees of freedom of ``chi_square``.
@@ -271,7 +272,7 @@ def _field_weight(information: FloatArray, fields: slice) -> FloatArray:
     """Return the weights W, shape (q, f), that eliminate the field errors: information - W @ information[fields].
 
     Args:
-        information: of all unknowns by the stars, shape (q, q). The errors have the prior sigma 1.
+        information: information of all unknowns by the stars, shape (q, q). The errors have the prior sigma 1.
         fields: columns of the field errors.
     """
     own = information[fields, fields]

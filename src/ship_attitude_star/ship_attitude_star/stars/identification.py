@@ -70,11 +70,11 @@ def find_candidates(
         directions_s: unit vectors in the sensor frame, shape (k, 3).
         sigma: error of a direction, rad per axis, shape (k,).
         magnitude: as measured, shape (k,); NaN where unknown.
-        smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None for none.
+        smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None if there is none.
         prior: attitude of the sensor.
         local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
-        masks: obstructions on deck in the sensor's view; a star behind one is no candidate, and a detection inside one
-            is no star; None if there are none.
+        masks: obstructions on deck in the sensor's view, behind which stars are not candidates and detections are not
+            stars; None if there are none.
     """
     rows, catalogue = _rows_in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
     apparent = local_sky.apparent_stars(catalogue.at_j2000[rows])

@@ -148,8 +148,8 @@ def _select_consistent(
     """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
 
     Args:
-        stars: with their directions by the sky model.
-        at_estimate: the same, corrected by the estimate of the shared errors.
+        stars: stars with their directions by the sky model.
+        at_estimate: the same stars, with directions corrected by the estimate of the shared errors.
         prior: the prediction.
         initial_ns: an attitude within a degree of the truth, shape (3, 3); None if that of the prediction is.
 

@@ -65,7 +65,7 @@ def check_estimated_focal_length(optics: OpticsErrors, error: float, variance: f
     Args:
         optics: as configured.
         error: state of the focal length's error, in its sigmas.
-        variance: of that state.
+        variance: variance of that state.
     """
     if abs(error) <= MAX_SIGMAS * np.sqrt(1.0 + variance):
         return None

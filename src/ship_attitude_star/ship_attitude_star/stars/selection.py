@@ -183,7 +183,7 @@ def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
 def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
     """True if a trial of another attitude has as many members.
 
-    Two sets with ``shared`` stars in common have the same attitude; such a trial is no rival.
+    Two sets with ``shared`` stars in common have the same attitude; such a trial is not a rival.
     """
     count = np.count_nonzero(members)
     return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)

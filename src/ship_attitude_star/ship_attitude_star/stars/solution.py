@@ -185,7 +185,7 @@ def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
 
     Args:
         stars: all measured stars that have a sky direction.
-        prior: of any width.
+        prior: predicted attitude with a standard deviation of any size.
 
     Returns:
         Horizon from b, shape (3, 3).

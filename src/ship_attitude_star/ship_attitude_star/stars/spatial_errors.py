@@ -121,7 +121,7 @@ class SpatialErrors:
         same pixels.
 
         Args:
-            directions_s: of the stars, shape (k, 3).
+            directions_s: directions of the stars, shape (k, 3).
             sigma: noise of each direction, rad, shape (k,).
             before: the dwell up to the last exposure used; None if there was none.
         """

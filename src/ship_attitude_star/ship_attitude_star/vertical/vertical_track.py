@@ -41,7 +41,7 @@ class LocalVertical(NamedTuple):
         distance_run_m: distance over ground from an arbitrary start, m.
         latitude: latitude of the ship, rad; NaN before the first fix.
         velocity_m_per_s: velocity of the ship over ground, northward and eastward; 0 before the first fix.
-        given_deflection: known deflection (xi, eta), rad, shape (2,); None for none.
+        given_deflection: known deflection (xi, eta), rad, shape (2,); None if there is none.
         covariance: covariance of the error of the known deflection, or of the unknown deflection, rad², shape (2, 2).
     """
 
@@ -273,7 +273,7 @@ class VerticalTrack:
         return message.time_ns - 1
 
     def _drop_points_after(self, time_ns: int) -> int | None:
-        """Discard the points after a time; return the time after which points were discarded, None for none."""
+        """Discard the points after a time; return the time after which points were discarded, None if there is none."""
         gone = [step for step in self._grid if step * STEP_NS > time_ns]
         for step in gone:
             del self._grid[step]

@@ -40,7 +40,7 @@ class TableFile:
     Args:
         path: file to write.
         head: its description.
-        columns: of the table.
+        columns: columns of the table.
 
     Raises:
         OSError: it cannot be made.

@@ -175,7 +175,7 @@ class TopicRows:
     """Converts the messages of a topic to rows.
 
     Args:
-        type_name: of the messages.
+        type_name: type of the messages.
         store: the definitions.
 
     Attributes:

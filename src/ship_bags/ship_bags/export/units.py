@@ -157,7 +157,7 @@ def standard_name_on(topic: str, field: str) -> str | None:
 
 
 def cf_units(unit: Unit, name: str | None) -> str:
-    """Return the attribute ``units`` of a variable with the given standard name (None for none)."""
+    """Return the attribute ``units`` of a variable with the given standard name (None if there is none)."""
     return _CF_UNITS.get(name or "", unit.symbol)
 
 
@@ -165,8 +165,8 @@ def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, 
     """Return name → value of a field whose value is one of the constants of its type; else an empty mapping.
 
     Args:
-        type_name: of the message.
-        field: of that type.
+        type_name: type of the message.
+        field: field of that type.
         constants: name, type and value of each, in the order of the definition in use.
     """
     values = {name: value for name, _, value in constants if isinstance(value, int)}

@@ -21,7 +21,7 @@ class Heartbeat:
     """Heartbeat of this process; outside a suite nothing is sent.
 
     Args:
-        descriptor: file descriptor of the socket, as text; empty for none.
+        descriptor: file descriptor of the socket, as text; empty if there is none.
     """
 
     def __init__(self, descriptor: str) -> None:

@@ -258,7 +258,7 @@ def add_ticks(
     The tick before a record is less than a period older; one more follows the last record.
 
     Args:
-        records: of the bag.
+        records: records of the bag.
         first_tick_ns: start of the grid.
         stride: returns n: between two records every n-th tick is published, and the last.
     """

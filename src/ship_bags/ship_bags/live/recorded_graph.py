@@ -54,7 +54,7 @@ def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
     """Return True if a message shows activity: a measurement, or a result that depends on one.
 
     Args:
-        type_name: of the message.
+        type_name: type of the message.
         kind: its class.
         data: its CDR bytes.
     """

@@ -125,8 +125,8 @@ class _Summary:
     """Summary of a file; of each chunk only its place, because long bags have many.
 
     Attributes:
-        places: of the chunks, in the order of the summary.
-        compressions: of the chunks.
+        places: places of the chunks, in the order of the summary.
+        compressions: compressions of the chunks.
         attachments: their offsets, bytes.
         metadata: their offsets, bytes.
     """

@@ -102,7 +102,7 @@ class Bag:
         attachments: name → content.
         metadata: name → entries.
         message_count: messages yielded so far.
-        last_time_ns: log time of the last one; None before the first.
+        last_time_ns: log time of the last one; None if there was none yet.
     """
 
     def __init__(self, path: Path, files: list[BagFile]) -> None:
@@ -394,7 +394,7 @@ def with_bag_progress(records: Iterator[BagRecord], bag: Bag, doing: str = "") -
     """Yield the records and show the progress on stderr.
 
     Args:
-        records: of the bag, in order of log time.
+        records: records of the bag, in order of log time.
         bag: its name is shown.
         doing: the task, for the line: "evaluating".
     """

@@ -239,7 +239,7 @@ def _listed_files(information: dict[str, Any], path: Path) -> list[str]:
     if not isinstance(names, list) or not names:
         raise BadInput("relative_file_paths names no file", file=path)
     for name in names:
-        # A file of another folder is no part of this bag, even if it is listed.
+        # A file of another folder is not part of this bag, even if it is listed.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
             raise BadInput(f"relative_file_paths: '{name!s:.80}' is not a file of this folder", file=path)
     return names

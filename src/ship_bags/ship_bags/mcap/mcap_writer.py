@@ -71,8 +71,8 @@ class McapWriter:
     Args:
         stream: gets the file from its first byte; stays open.
         folder: folder for a nameless file with the index while the file is written.
-        profile: of the header, e.g. ``ros2``.
-        library: of the header.
+        profile: profile of the header, e.g. ``ros2``.
+        library: library of the header.
     """
 
     def __init__(self, stream: BinaryIO, folder: Path, profile: str, library: str) -> None:
@@ -137,7 +137,7 @@ class McapWriter:
         Args:
             channel_ids: shape (N,).
             log_times_ns: shape (N,).
-            data: of each message.
+            data: data of each message.
             sequences: shape (N,).
         """
         lengths = np.fromiter(map(len, data), np.int64, len(data)) + _MESSAGE_HEAD_BYTES

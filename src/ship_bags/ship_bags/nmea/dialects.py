@@ -1,11 +1,11 @@
-"""Sentences of common makers that pynmea2 supports partly or not at all: one table, a row for each.
+"""Sentences of common makers that pynmea2 supports partly or not at all, each with its manual and conventions.
 
 ========== ========================================================================================================
-PRDID      Teledyne RD Instruments, also of POS MV: Applanix, POS MV V5 Installation and Operation Guide, table 21.
+PRDID      Teledyne RD Instruments; also sent by POS MV: Applanix, POS MV V5 Installation and Operation Guide, table 21.
            Signs: QPS driver manual, "NMEA PRDID (R-P)": roll positive to starboard, pitch positive bow up. No time.
-           The angles of POS MV are Tait-Bryan angles where it is not set to PRDID-TSS.
+           The angles of POS MV are Tait-Bryan angles unless it is set to PRDID-TSS.
 PTNTHPR    Honeywell HMR3000 User's Guide, sections 3.10 and 3.12, and compasses of True North Technologies. Letters:
-           N normal, M and O low and high warning; with L, P (alarm) and C (tuning) it gives no value. Angles without a
+           N normal, M and O low and high warning; values with L, P (alarm) or C (tuning) are not used. Angles without a
            decimal point are mils of a compass in mil mode. No time.
 PSAT,HPR   Hemisphere GNSS (CSI Wireless), DGPS MAX Programming Manual, section 2.14: N heading by GNSS, G by the gyro.
            The time is UTC in the format notes of NOAA's R/V Ronald H. Brown (CLIVAR 2010), "GPS time" in the manual.
@@ -37,7 +37,7 @@ ATTITUDES = ("PRDID", "PTNTHPR", "PSAT,HPR")
 
 
 def dialect_of(text: str) -> str | None:
-    """Return the kind of a sentence of the table; None for other sentences."""
+    """Return the key of a sentence in :data:`DIALECTS`; None for other sentences."""
     name, _, rest = text.lstrip("$").partition(",")
     kind = name if name.startswith("P") else name[2:]
     subtype = f"{name},{rest.partition(',')[0]}"
@@ -45,7 +45,7 @@ def dialect_of(text: str) -> str | None:
 
 
 def dialect_fields(kind: str, text: str) -> dict[str, str] | None:
-    """Return the fields of a sentence by name, empty if void; None if one is invalid."""
+    """Return the fields of a sentence by name, empty text for an empty field; None if a field is missing or invalid."""
     row = DIALECTS[kind]
     fields = text.partition("*")[0].split(",")[1 + kind.count(",") :]
     if len(fields) < len(row):

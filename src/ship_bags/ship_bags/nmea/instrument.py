@@ -58,7 +58,7 @@ _NOT_GIVEN = np.array([-1.0, *np.zeros(8)])
 
 _NO_FIX, _FIX, _AUGMENTED, _GROUND_AUGMENTED = -1, 0, 1, 2
 _FIX_STATUS = {1: _FIX, 2: _AUGMENTED, 3: _FIX, 4: _GROUND_AUGMENTED, 5: _GROUND_AUGMENTED}
-"""Quality in GGA → NavSatStatus: single, differential, PPS, RTK fixed, RTK float. Any other quality is no fix: 6 is
+"""Quality in GGA → NavSatStatus: single, differential, PPS, RTK fixed, RTK float. Any other quality is not a fix: 6 is
 dead reckoning, 7 manual input, 8 simulated."""
 _MAKERS_SBAS_QUALITY = 9
 """Quality that some makers use for a fix with SBAS; the standard does not define it."""
@@ -87,7 +87,7 @@ class InstrumentRole:
         by_instrument: stamp attitudes and fixes by the instrument's time, otherwise by the receive time.
         transducers: names of the XDR transducers that are used; empty if there is one of each kind.
         has_fix: True if the positions of an INS are used, too.
-        quality_9_is_fix: take a GGA of quality 9 as a fix with SBAS; otherwise it is no fix.
+        quality_9_is_fix: take a GGA of quality 9 as a fix with SBAS; otherwise it is not a fix.
     """
 
     becomes: str
@@ -112,7 +112,7 @@ class Instrument:
     Args:
         factory: makes the messages.
         role: use of the lines.
-        name: of the instrument; part of the topic of a reference or gyrocompass.
+        name: name of the instrument; part of the topic of a reference or gyrocompass.
         report: counts unusable lines.
     """
 

@@ -35,8 +35,8 @@ class InstrumentLine:
     Attributes:
         number: from 1.
         receive_ns: receive time in the ship's network, POSIX UTC.
-        kind: of the sentence, see :class:`ship_bags.nmea.sentences.Sentence`.
-        content: of the sentence.
+        kind: kind of the sentence, see :class:`ship_bags.nmea.sentences.Sentence`.
+        content: content of the sentence.
         talker: two letters of its sender; empty for a proprietary sentence.
     """
 
@@ -52,7 +52,7 @@ class LineReport:
     """Counts of the lines of one instrument.
 
     Attributes:
-        name: of the instrument or its file, for texts.
+        name: name of the instrument or its file, for texts.
         used: kind → number of lines used.
         unused: name of the sentence → number of irrelevant lines.
         rejected: reason → number; the lines are in ``examples``.

@@ -26,7 +26,8 @@ class LogRules:
 
     Attributes:
         needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
-        talkers: talkers whose sentences are used; empty for all. Proprietary sentences have none.
+        talkers: talkers whose sentences are used; empty for all. Proprietary sentences, which have no talker, are
+            always used.
     """
 
     needs_checksum: bool = True
@@ -35,7 +36,7 @@ class LogRules:
 
 @dataclass
 class LogReport(LineReport):
-    """Counts of the lines of one file; ``remarks`` are further texts about it."""
+    """Counts of the lines of one file; ``remarks`` are further texts about the file."""
 
     path: Path = Path()
     remarks: list[str] = field(default_factory=list)
@@ -65,7 +66,11 @@ def read_log(path: Path, rules: LogRules) -> tuple[list[InstrumentLine], LogRepo
     if report.lines == 0:
         raise BadInput("the file is empty: expected lines 'RECEIVE_TIME SENTENCE'", file=path)
     if not lines and report.rejected[INCOMPLETE]:
-        advice = "--checksum optional uses whole sentences without one" if rules.needs_checksum else "none is whole"
+        advice = (
+            "--checksum optional also uses complete sentences without a checksum"
+            if rules.needs_checksum
+            else "no sentence is complete"
+        )
         raise BadInput(f"no line could be read: {report.examples[0]}: {advice}", file=path)
     if not lines and not report.unused:
         raise BadInput(f"no line could be read: {report.examples[0]}: expected 'RECEIVE_TIME SENTENCE'", file=path)
@@ -84,7 +89,7 @@ def _lines(path: Path, rules: LogRules, report: LogReport) -> Iterator[Instrumen
 
 
 def _parse(number: int, content: bytes, rules: LogRules, report: LogReport) -> Iterator[InstrumentLine]:
-    """Yield the content of a line of the file: usually one sentence."""
+    """Yield the sentences in a line of the file, usually one."""
     time_text, _, sentences = content.partition(b" ")
     receive_ns = _receive_ns(time_text.decode("ascii", errors="replace"))
     if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset after a space
@@ -124,5 +129,5 @@ def _receive_ns(text: str) -> int | None:
         time_ns = datetime_ns(moment) + int((fraction or "0").ljust(9, "0"))
     except ValueError:
         return None
-    # The time of day in a sentence may be on the previous or next day: a stamp must represent both.
+    # The time in a sentence may belong to the day before or after the receive time: the stamps of both must be valid.
     return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None

@@ -30,7 +30,7 @@ class ClockState:
 
     Attributes:
         source: chrony or PTP; empty if neither is available.
-        offset_s: of the clock from its source, without sign; NaN if unknown.
+        offset_s: offset of the clock from its source, without sign; NaN if unknown.
         bound_s: maximum error if the source is right (chrony's root distance); NaN if unknown.
         is_synchronised: True if the source reports that it follows a better clock.
         detail: why nothing is known, or the status reported by the source.

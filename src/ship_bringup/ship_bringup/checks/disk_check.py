@@ -71,7 +71,7 @@ def estimate_write_rates(adapters: Sequence[Adapter], observed: Sequence[Observe
     """Return the write rates of a suite.
 
     Args:
-        adapters: of its nodes.
+        adapters: adapters of its nodes.
         observed: inputs as received; for others, typical values are used.
     """
     streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in observed if each.rate_hz > 0.0}
@@ -100,10 +100,10 @@ def check_disk(
     """Check that the free space is sufficient for a number of hours.
 
     Args:
-        state: of the disk.
+        state: state of the disk.
         needs_bytes_per_s: rate of writing to it.
         hours: duration.
-        limits: of the ship.
+        limits: limits of the ship.
         required_by: the setting that names this folder; empty for a folder that will be created.
     """
     need_gb = needs_bytes_per_s * _SECONDS_PER_HOUR * hours / _GB

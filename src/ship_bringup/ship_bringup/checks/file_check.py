@@ -78,7 +78,7 @@ def check_files(states: Sequence[PathState], missing_settings: Sequence[str]) ->
 def _problem(state: PathState, user: str) -> tuple[str, str]:
     if state.is_wrong_kind:
         if state.is_device:
-            return "is no serial device", "use for example /dev/ttyUSB0, or check its name: ls /dev/serial/by-id"
+            return "is not a serial device", "use for example /dev/ttyUSB0, or check its name: ls /dev/serial/by-id"
         return "is a folder", f"use a file in it, for example {state.path / 'attitude.nmea'}"
     if state.is_device and not state.exists:
         return "is not there", "plug the device in, or check its name: ls /dev/serial/by-id"

@@ -55,7 +55,7 @@ _POLL_S = 0.1
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """Node name of a publisher that was discovered before its node."""
 _NODE_NAME_TIMEOUT_S = 5.0
-"""Timeout for the name of a publisher's node, s; a publisher that is no ROS node never gets a name."""
+"""Timeout for the name of a publisher's node, s; a publisher that is not a ROS node never gets a name."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class ObservedTopic:
         input: the topic.
         publishers: its publishers.
         rate_hz: messages per second, by :func:`observed_rate_hz`; 0 with fewer than two.
-        message_bytes: mean length of a message; 0 without any.
+        message_bytes: mean length of a message; 0 if there is none.
         count: number of messages.
         age_s: median of receipt minus stamp, negative for stamps in the future; None if no message has a stamp.
     """
@@ -121,7 +121,7 @@ def observe_network(
     Args:
         inputs: from outside.
         outputs: relative names of topics that the suite itself publishes.
-        namespace: of the suite, without its outer slashes.
+        namespace: namespace of the suite, without its outer slashes.
         listen_s: time for which a topic is received from its first message on, s.
         ship_names: names of inputs on the ship, if they differ.
     """

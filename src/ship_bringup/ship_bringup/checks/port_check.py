@@ -52,7 +52,7 @@ def read_place_states(path: Path, namespace: str, companions: Mapping[str, Any])
 
     Args:
         path: the suite file.
-        namespace: of the suite.
+        namespace: namespace of the suite.
         companions: name → configuration of each node.
     """
     for name, config in companions.items():

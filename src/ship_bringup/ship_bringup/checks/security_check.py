@@ -17,7 +17,7 @@ def check_security(
     """Check that DDS security is available and enforced: FAIL if the ship's profile, or the environment, demands it.
 
     Args:
-        environment: of the process.
+        environment: environment of the process.
         has_security: True if DDS was built with it; None if unknown.
         is_required: True if the profile demands it.
     """

@@ -29,7 +29,7 @@ def find_requested_qos(
     Args:
         path: the suite file.
         topics: relative names of inputs.
-        namespace: of the suite.
+        namespace: namespace of the suite.
         reliable_inputs: True if ``suite`` will be started with that option.
     """
     on_ship = ship_names(path)
@@ -61,7 +61,7 @@ def check_sensors(
 
     Args:
         state: what was received.
-        limits: of the ship; ``inputs.<id>.rate_hz`` is the expected rate.
+        limits: limits of the ship; ``inputs.<id>.rate_hz`` is the expected rate.
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
         requested_qos: see :func:`find_requested_qos`.
         own: inputs that the suite's own ``nmea_in`` may publish once it is started.

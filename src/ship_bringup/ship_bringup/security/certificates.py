@@ -22,14 +22,14 @@ def read_certificate(path: Path) -> x509.Certificate:
     """Read a certificate.
 
     Raises:
-        BadInput: it cannot be read, or is no certificate.
+        BadInput: it cannot be read, or is not a certificate.
     """
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as problem:
         raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
     except ValueError as problem:
-        raise BadInput("is no certificate (PEM, X.509)", file=path) from problem
+        raise BadInput("is not a certificate (PEM, X.509)", file=path) from problem
 
 
 def weaknesses(certificate: x509.Certificate) -> Iterator[str]:

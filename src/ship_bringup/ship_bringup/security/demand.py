@@ -43,7 +43,7 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
     if not keystore:
         found.append((f"{KEYSTORE} is not set", f"export {KEYSTORE}=FOLDER: the ship's keystore"))
     elif not Path(keystore).is_dir():
-        found.append((f"{KEYSTORE}={keystore} is no folder", f"export {KEYSTORE}=FOLDER: the ship's keystore"))
+        found.append((f"{KEYSTORE}={keystore} is not a folder", f"export {KEYSTORE}=FOLDER: the ship's keystore"))
     return found
 
 
@@ -51,7 +51,7 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
     """Refuse to start if the ship's profile demands DDS security and it is not available.
 
     Args:
-        limits: of the ship.
+        limits: limits of the ship.
         limits_path: their file; None for the defaults.
         has_security: see :func:`security_problems`.
 

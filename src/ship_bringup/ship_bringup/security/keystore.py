@@ -1,7 +1,7 @@
-"""Checks of a ship's keystore, as ``ros2 security`` lays it out, for the suite that is to run with it.
+"""Checks of a keystore of ``ros2 security`` before a suite starts with it.
 
-Each fault is one line with file, line and what was expected; nothing is changed. A keystore of another ship has other
-enclaves, or another authority, or other subjects: each is reported as such.
+Each fault is one line with file, line and what was expected; nothing is changed. A keystore of another ship is detected
+by its enclaves, its authority or the subjects of its certificates.
 """
 
 import datetime
@@ -52,14 +52,14 @@ _STRONG_DIGESTS = "sha256", "sha384", "sha512"
 
 @dataclass(frozen=True)
 class KeystoreUse:
-    """Use of a keystore.
+    """Requirements of a suite on its keystore.
 
     Attributes:
-        rights: of all programs of the suite; enclaves that are not needed here may be on other computers.
+        rights: rights of all programs of the suite. Enclaves that this computer does not need may be missing.
         domain_id: ROS_DOMAIN_ID.
-        now: UTC.
-        voyage: time after `now` for which everything must be valid.
-        authority_sha256: of the ship's identity authority, in hexadecimal; empty if not configured.
+        now: current time, UTC.
+        voyage: time after `now` during which certificates and permissions must stay valid.
+        authority_sha256: SHA-256 of the ship's identity authority, in hexadecimal; empty if not configured.
     """
 
     rights: Sequence[Rights]
@@ -73,18 +73,20 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
     """Return all faults of a keystore; empty if there is none.
 
     Raises:
-        LookupError: signatures cannot be checked here, as there is no program ``openssl``.
+        LookupError: signatures cannot be checked because there is no program ``openssl``.
     """
     enclaves = keystore / ENCLAVES
     if not enclaves.is_dir():
         expected = f"expected the folders {_PUBLIC} and {ENCLAVES}, as 'ros2 security create_keystore' makes them"
-        return [KeystoreFault(f"{keystore}: is no keystore: {expected}", "set ROS_SECURITY_KEYSTORE to the ship's")]
+        advice = "set ROS_SECURITY_KEYSTORE to the ship's keystore"
+        return [KeystoreFault(f"{keystore}: is not a keystore: {expected}", advice)]
     existing = sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in enclaves.glob("**/cert.pem"))
     nodes = [rights.enclave for rights in use.rights if rights.is_needed]
     if existing and not set(existing) & {rights.enclave for rights in use.rights}:
         others = f"it has {_shortened_list(existing)}, expected {_shortened_list(nodes)}"
         text = f"{enclaves}: a keystore of another ship: {others}"
-        return [KeystoreFault(text, "set ROS_SECURITY_KEYSTORE to this ship's, or --namespace to its own")]
+        advice = "set ROS_SECURITY_KEYSTORE to this ship's keystore, or --namespace to the namespace of the keystore"
+        return [KeystoreFault(text, advice)]
     used = [rights for rights in use.rights if rights.enclave in existing or rights.is_needed]
     folders = [enclaves / rights.enclave.lstrip("/") for rights in used]
     authorities = _authorities([keystore / _PUBLIC, *folders])
@@ -100,12 +102,12 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
 
 
 def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
-    """Refuse a keystore with which the suite could not run as this ship's; return its other faults, one line each.
+    """Raise an error if the suite cannot start with a keystore; return its other faults, one line each.
 
-    A fault of policies, or only a weakness, does not prevent a restart of the suite at sea.
+    Faults of policies and weaknesses are only returned, so that they do not prevent a restart at sea.
 
     Raises:
-        BadInput: contains the file, the line and what was expected.
+        BadInput: the suite cannot start; the text contains the file, the line and what was expected.
     """
     try:
         faults = keystore_faults(keystore, use)
@@ -118,7 +120,7 @@ def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
 
 
 def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
-    """Return the authorities' certificates in some folders, each once, by the first file that holds it."""
+    """Return path → certificate of the authorities in some folders; for equal certificates only the first path."""
     found: dict[x509.Certificate, Path] = {}
     for path in (folder / name for folder in folders for name in (_IDENTITY_CA, _PERMISSIONS_CA)):
         with suppress(BadInput):  # reported with its enclave
@@ -128,7 +130,7 @@ def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
 
 def _weakness_faults(path: Path, certificate: x509.Certificate) -> Iterator[KeystoreFault]:
     for text in weaknesses(certificate):
-        advice = "create it again with 'ros2 security', and all that it signed"
+        advice = "create it again with 'ros2 security', and everything signed with it"
         yield KeystoreFault(f"{path}: too weak: {text}", advice, is_weakness=True)
 
 
@@ -137,9 +139,9 @@ def _date_faults(
 ) -> Iterator[KeystoreFault]:
     now, end = use.now, use.now + use.voyage
     if not first <= now:
-        yield KeystoreFault(f"{path}: not_before {first:%Y-%m-%d %H:%M} UTC is still to come", "set the clock")
+        yield KeystoreFault(f"{path}: not_before {first:%Y-%m-%d %H:%M} UTC is in the future", "set the clock")
     if not last > now:
-        yield KeystoreFault(f"{path}: not_after {last:%Y-%m-%d %H:%M} UTC is over", "create it again")
+        yield KeystoreFault(f"{path}: not_after {last:%Y-%m-%d %H:%M} UTC has passed", "create it again")
     elif not last > end:
         days = (last - now).total_seconds() / 86400.0
         text = f"{path}: not_after {last:%Y-%m-%d} is in {days:.1f} days, before the voyage ends"
@@ -147,7 +149,10 @@ def _date_faults(
 
 
 def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) -> Iterator[KeystoreFault]:
-    """Yield identities of another ship: all folders must hold the configured authority, else that of the first."""
+    """Yield the folders with the identity authority of another ship.
+
+    All folders must contain the configured authority; without a configured one, the same as the first folder.
+    """
     paths = [path for folder in folders if (path := folder / _IDENTITY_CA).is_file()]
     expected, by = authority_sha256.replace(":", "").lower(), "machine.authority_sha256"
     for path in paths:
@@ -219,7 +224,7 @@ class _Enclave:
         try:
             key = load_pem_private_key(path.read_bytes(), password=None)
         except (ValueError, TypeError, UnsupportedAlgorithm) as problem:
-            raise BadInput("is no private key without a password (PEM)", file=path) from problem
+            raise BadInput("is not a private key without a password (PEM)", file=path) from problem
         if public_bytes(key.public_key()) != certificate_key(self._certificate):
             text = f"{path}: is not the key of {self._folder / _CERTIFICATE}"
             yield KeystoreFault(text, f"make both again: ros2 security create_enclave KEYSTORE {self._rights.enclave}")
@@ -259,7 +264,7 @@ def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:
-    """Yield where permissions allow less or more than the code declares, or come from other declarations."""
+    """Yield the faults of permissions: they allow less or more than the code declares, or are out of date."""
     if not permissions.is_for(domain_id):
         yield f"domains: no rule for domain {domain_id}, in which the suite runs"
         return
@@ -267,18 +272,18 @@ def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> I
     for action, topics in wanted.items():
         denied = [topic for topic in sorted(topics) if not permissions.is_allowed(action, topic, domain_id)]
         if denied:
-            yield f"do not cover the code: {action} of {_shortened_list(denied)} is not allowed"
+            yield f"permissions do not cover the code: {action} of {_shortened_list(denied)} is not allowed"
         if extra := sorted(permissions.allowed_topics(action) - topics):
-            yield f"allow more than the code declares: {action} of {_shortened_list(extra)}"
+            yield f"permissions allow more than the code declares: {action} of {_shortened_list(extra)}"
     if permissions.allows_by_default:
         yield "default is ALLOW: expected DENY, otherwise nothing is forbidden"
     if permissions.fingerprint not in ("", rights.fingerprint):
         made, now = permissions.fingerprint[:12], rights.fingerprint[:12]
-        yield f"are older than the code, or of another suite file: {FINGERPRINT} {made}, expected {now}"
+        yield f"permissions are older than the code, or of another suite file: {FINGERPRINT} {made}, expected {now}"
 
 
 def _shortened_list(names: Iterable[str]) -> str:
-    """Return a few names, and the number of the others."""
+    """Return the first three names and the number of the others, as text."""
     every = list(names)
     more = f" and {len(every) - _MAX_NAMED} more" if len(every) > _MAX_NAMED else ""
     return ", ".join(every[:_MAX_NAMED]) + more

@@ -24,7 +24,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
     Args:
         keystore: its folder.
         folders: whose files are used.
-        names: of the files that are used.
+        names: names of the files that are used.
     """
     holders = {keystore, *folders}
     for folder in folders:

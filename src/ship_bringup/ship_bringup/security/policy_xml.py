@@ -75,7 +75,7 @@ def permissions_text(
     """Return the permissions of one enclave: what is not allowed is denied.
 
     Args:
-        rights: of the enclave.
+        rights: rights of the enclave.
         domain_id: ROS_DOMAIN_ID in which they apply.
         not_before: begin of their validity, UTC.
         not_after: end of it, UTC.

@@ -82,12 +82,12 @@ def suite_rights(
     """Return the rights of all programs of a suite, its estimators first.
 
     Args:
-        adapters: of its nodes.
-        namespace: of the suite, without its outer slashes; empty for none.
+        adapters: adapters of its nodes.
+        namespace: namespace of the suite, without its outer slashes; empty if there is none.
         is_locked: True if no parameter of a running node may be set.
         is_played: True if a bag may be played into it, with /clock and the topics of sensors. Not for a voyage.
         companions: result of :func:`load_companions` for its file.
-        ship_names: of inputs, see :func:`ship_bags.renamed_topics.ship_names`.
+        ship_names: names of the inputs on the ship, see :func:`ship_bags.renamed_topics.ship_names`.
     """
     return tuple(_SuiteRights(adapters, namespace, is_locked, is_played, companions, ship_names).all_rights())
 
@@ -238,7 +238,7 @@ class _SuiteRights:
         serves: Iterable[str] = (),
         own_nodes: Iterable[str] = (),
     ) -> Rights:
-        """Return the rights of a program that is no estimator, with those that its own nodes, `own_nodes`, need."""
+        """Return the rights of a program that is not an estimator, with those that its own nodes, `own_nodes`, need."""
         own = frozenset[str]().union(*(_own_services(self._full_name(node)) for node in (own_nodes or (name,))))
         return Rights(
             enclave=self._full_name(name),

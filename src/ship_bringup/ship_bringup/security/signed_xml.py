@@ -42,10 +42,10 @@ class SignedFile:
         return next((number for number, line in enumerate(whole, 1) if words in line), None)
 
     def root(self) -> ET.Element:
-        """Return its XML.
+        """Return the root element of the XML.
 
         Raises:
-            BadInput: it is no XML.
+            BadInput: the text is not XML.
         """
         try:
             return ET.fromstring(self.text.strip())
@@ -74,7 +74,7 @@ class Permissions:
         subject: name that its certificate must have, for example ``CN=/demo/ship_attitude``.
         not_before: begin of their validity, UTC.
         not_after: end of it, UTC.
-        fingerprint: of the rights from which they were made; empty if made by another program.
+        fingerprint: fingerprint of the rights from which they were made; empty if made by another program.
         rules: in order; the first that applies decides.
         allows_by_default: True if a topic without a rule is allowed.
     """
@@ -105,7 +105,7 @@ def read_signed(path: Path) -> SignedFile:
     """Return the text of a signed file; its signature is checked by :func:`signature_fault`.
 
     Raises:
-        BadInput: it cannot be read, or is no S/MIME.
+        BadInput: the file cannot be read, or is not in the format S/MIME.
     """
     try:
         if path.stat().st_size > _LARGEST_BYTES:
@@ -124,7 +124,7 @@ def signature_fault(path: Path, authority: Path) -> str | None:
     """Return the fault of the signature of a file; None if it is valid.
 
     Args:
-        path: of the file.
+        path: path of the file.
         authority: certificate that must have signed it.
 
     Raises:

@@ -21,13 +21,13 @@ def add_enclaves(
     """Return the programs, each in the enclave of its name, and warnings about the ship's keystore.
 
     Args:
-        programs: of the suite.
-        all_rights: of all that may belong to the suite.
-        namespace: of the suite.
-        limits: of the ship, which may contain its authority.
+        programs: programs of the suite.
+        all_rights: rights of all programs that may belong to the suite.
+        namespace: namespace of the suite.
+        limits: limits of the ship, which may contain its authority.
 
     Raises:
-        BadInput: there is no keystore, a program has no enclave in it, or it is that of another ship.
+        BadInput: there is no keystore, a program has no enclave in it, or the keystore is that of another ship.
     """
     keystore = os.environ.get(KEYSTORE)
     if not keystore:

@@ -19,10 +19,10 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
     """Return lines of text: expected availability for each limit, proposed limits, and how to adopt them.
 
     Args:
-        suite_file: of the suite; None for the one attached to the bag.
+        suite_file: path of the suite file; None for the one attached to the bag.
         bag: recording of the suite's inputs.
-        namespace: of the ship in the bag.
-        limits: of the ship.
+        namespace: namespace of the ship in the bag.
+        limits: limits of the ship.
 
     Raises:
         BadInput: bag or suite file cannot be used, or no output with a limit is published.

@@ -33,12 +33,12 @@ class SuiteOptions:
     """Options of bringing up a suite; see ``suite --help``.
 
     Attributes:
-        namespace: of all its nodes and topics, without slashes at its ends; empty for none.
+        namespace: namespace of all its nodes and topics, without slashes at its ends; empty if there is none.
         bag: played into the suite; None for real sensors.
         rate: seconds of the bag per second.
         loop: number of times that the bag is played; 0 without end.
         monitor: True if page and alerts are started too.
-        box: folder for a black box of each node; None for none.
+        box: folder for a black box of each node; None if there is none.
         reliable_inputs: True if lost messages to the nodes' inputs are sent again.
         use_sim_time: True if the nodes follow /clock although no bag is played here.
         limits: file of the ship's limits for page and alerts; None for the defaults.
@@ -151,7 +151,7 @@ def missing_saved_files(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[st
 
 
 def _companion_program(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
-    """Return the program of a node that is no estimator; without estimators it is a node of the suite itself."""
+    """Return the program of a node that is not an estimator; without estimators it is a node of the suite itself."""
     command = executable(companion.package, companion.node_name)
     role = Role.NODE if is_alone else Role.FEEDER if companion.feeds else Role.WATCHER
     return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)

@@ -79,13 +79,13 @@ class Process:
 
     @property
     def output(self) -> IO[bytes]:
-        """Return its output, stdout and stderr."""
+        """Return the pipe with stdout and stderr of the process."""
         assert self._process.stdout is not None
         return self._process.stdout
 
     @property
     def is_stopped(self) -> bool:
-        """True if a signal has stopped it."""
+        """True if the process is stopped by a signal."""
         with contextlib.suppress(OSError, IndexError):
             # The name, in brackets before the state, may contain any character.
             state = Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
@@ -93,7 +93,7 @@ class Process:
         return False
 
     def begin(self) -> None:
-        """Let a waiting process begin; one that has died meanwhile is ignored."""
+        """Start the work of a waiting process; without effect if the process has died."""
         self.start_s = time.monotonic()
         self.heartbeat_age.reset(has_heartbeat=False)
         if self._process.stdin is not None:
@@ -114,11 +114,11 @@ class Process:
         return [line.decode("utf-8", errors="replace").rstrip("\r") for line in whole], bool(data)
 
     def request_end(self) -> None:
-        """Request it to end in order (SIGINT)."""
+        """Request the process to end in order (SIGINT)."""
         self._process.send_signal(signal.SIGINT)
 
     def kill(self) -> None:
-        """Kill it and all processes that it has started."""
+        """Kill the process and all processes that it has started."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
 

@@ -19,7 +19,7 @@ class SuiteLog:
     """Writes lines; it neither raises nor blocks for longer than a fraction of a second.
 
     Args:
-        path: of the file for lines that stdout does not accept.
+        path: path of the file for lines that stdout does not accept.
         descriptor: file descriptor of stdout.
     """
 

@@ -36,10 +36,10 @@ class SupervisedProgram:
 
     @property
     def is_alive(self) -> bool:
-        """True if it runs or will run again."""
+        """True if the program runs or will run again."""
         return self.process is not None or self.due_s is not None
 
     @property
     def processes(self) -> list[Process]:
-        """Return its existing processes."""
+        """Return the existing processes of the program."""
         return [process for process in (self.process, self.reserve) if process is not None]

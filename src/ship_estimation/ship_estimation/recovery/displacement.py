@@ -102,7 +102,7 @@ class Displacement:
         if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
             self._start(self._by_both @ self._mean, self._residual_covariance)
             self._start_covariance = self._start_covariance + covariance
-            # Further changes by the jump are no displacement either.
+            # Further changes by the jump are not displacement either.
             self._is_clear, self._since_step = False, _STEP_LASTS
 
     def end_second(self) -> None:

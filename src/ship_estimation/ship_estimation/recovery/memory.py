@@ -13,7 +13,9 @@ LEAST_AGE_NS = 10 * SECOND_NS
 """Minimum time from the stored state to the first sign of trouble, ns: a fault may act before it is detected."""
 
 BEFORE_STEP_NS = 2 * SECOND_NS
-"""The same for the state from which a step is measured, ns: a step shows at once, and the INS drifts little."""
+"""Minimum time from the state from which a step is measured to the first sign of trouble, ns.
+
+It is shorter because a step is detected at once, and the INS drifts little in this time."""
 
 MIN_CONSISTENT_NS = ENDS_AFTER_NS
 """Minimum time of consistency before a state is stored, ns: an earlier state may contain a fault."""

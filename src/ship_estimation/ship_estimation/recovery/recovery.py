@@ -131,7 +131,7 @@ class SecondEstimator:
             self._status = estimate.status
 
     def update_status(self, waiting_ns: int) -> None:
-        """Record its status, once a second."""
+        """Record the time since which the status is VALID; called once a second."""
         if self._status is not Status.VALID:
             self.valid_since_ns = None
         elif self.valid_since_ns is None:

@@ -36,7 +36,7 @@ class AlertManager:
 
     Args:
         limits: limits of the ship.
-        state_file: file of the alerts, read at once if it exists; None for none.
+        state_file: file of the alerts, read at once if it exists; None if there is none.
         now_ns: steady time, ns.
         log_problem: called with one line about a problem with the file or the disk.
         files: reader and writer of files.
@@ -99,7 +99,7 @@ class AlertManager:
         return self._save_changes(self._alert_list.update(found, now_ns, self._utc_ns(clock_ns)))
 
     def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
-        """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
+        """Acknowledge one instance of an alert; return the change, None if there is none, and the result in words."""
         change, text = self._alert_list.acknowledge(id_, instance, self._utc_ns(clock_ns))
         if change is not None:
             self._save_changes((change,))

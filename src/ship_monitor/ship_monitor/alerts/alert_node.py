@@ -109,7 +109,7 @@ class AlertNode:
     Args:
         node: ROS node, spun by :meth:`run`.
         limits: limits of the ship.
-        state_file: file of the alerts; None for none.
+        state_file: file of the alerts; None if there is none.
     """
 
     def __init__(self, node: Node, limits: Limits, state_file: Path | None) -> None:

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 PROTOCOL = "foxglove.sdk.v1"
 
 MAX_PENDING_MESSAGES = 1024
-"""Maximum number of pending messages of one viewer: a second of a whole suite. Older ones are dropped."""
+"""Maximum number of pending messages of one viewer, about one second of all topics. Older ones are dropped."""
 
 _MAX_NOTIFICATIONS = 100_000
 """Maximum number of pending notifications of one viewer; beyond it the connection is closed."""
 
 _BATCH_SIZE = 32
-"""Number of messages that are written before the connection is awaited."""
+"""Number of messages written before waiting for the connection to send them."""
 
 _MESSAGE = struct.Struct("<BIQ")
 _MESSAGE_DATA = 1

@@ -37,9 +37,9 @@ class LiveSuite:
 
     Args:
         node_name: name of the node on the network.
-        namespace: namespace of the suite, with or without slashes; empty for none.
+        namespace: namespace of the suite, with or without slashes; empty if there is none.
         limits: limits of the ship, for the state of a suite without an alert node.
-        receiver: receiver of the suite's topics as bytes; None for none.
+        receiver: receiver of the suite's topics as bytes; None if there is none.
 
     Raises:
         BadInput: as in :class:`ship_monitor.live.topic_reader.TopicReader`.

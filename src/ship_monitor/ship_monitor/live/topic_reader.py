@@ -94,7 +94,7 @@ class TopicReader:
 
     Args:
         name: name of the node.
-        namespace: namespace of the suite, with or without slashes; empty for none.
+        namespace: namespace of the suite, with or without slashes; empty if there is none.
         queue_depth: returns the queue depth for relative name and type of a topic: 1 if the newest message is enough,
             :data:`MAX_QUEUE_DEPTH` if each is needed, 0 if the topic is not needed.
 

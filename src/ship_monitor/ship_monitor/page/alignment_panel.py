@@ -97,7 +97,7 @@ _UNITS = {
 
 
 def bars_arcsec(states: Sequence[ParameterEstimate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return lower end, value and upper end of each bar, arcsec; NaN for states that are no angle or lack a nominal."""
+    """Return lower end, value and upper end of each bar, arcsec; NaN for states without angle or nominal value."""
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
     value = scale * np.array([deviation_from_nominal(state) for state in states])
     reach = 2.0 * scale * np.array([state.sigma for state in states])

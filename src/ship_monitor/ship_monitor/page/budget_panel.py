@@ -44,7 +44,7 @@ class BudgetPanel:
     Attributes:
         box: the panel.
         angle: displayed angle, one of :data:`ship_watch.suite_state.ANGLES`; empty if there is none.
-        chosen_angle: angle chosen by the user; empty for none.
+        chosen_angle: angle chosen by the user; empty if there is none.
     """
 
     def __init__(self, theme: Theme, times: TimeAxis) -> None:
@@ -78,7 +78,7 @@ class BudgetPanel:
 
         Args:
             history: history with the budgets.
-            marked: marked source: its parts have bands of their own, which are highlighted; empty for none.
+            marked: marked source: its parts have bands of their own, which are highlighted; empty if there is none.
         """
         topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
         self._names = [angle for angle in ANGLES if angle in topics]
@@ -262,7 +262,7 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, 
         last: source → newest variance, arcsec².
         bands: sources with bands of their own, from below.
         height: height of the axis, arcsec².
-        marked: marked source; empty for none.
+        marked: marked source; empty if there is none.
     """
     others = sum(value for source, value in last.items() if source not in bands)
     parts = [(band, last[band]) for band in bands] + ([("other", others)] if len(last) > len(bands) else [])

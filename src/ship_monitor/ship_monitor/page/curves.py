@@ -19,7 +19,7 @@ MAX_ROWS = 1200
 """Maximum number of points of a line: two for each second of ten minutes."""
 
 BUCKET_NS = 1_000_000_000
-"""Interval of which a line keeps the minimum and maximum, ns."""
+"""Interval for which a line contains only the minimum and the maximum, ns."""
 
 MIN_GAP_NS = 2_000_000_000
 """Minimum length of a gap, ns."""
@@ -31,19 +31,20 @@ STEPS_ARCSEC = (15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0)
 def rows_to_draw(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
     """Return the rows of a line: minimum and maximum of each second, in the order of their times.
 
-    The second of the newest row is not complete: its rows are left for the next call.
+    Rows of the newest, incomplete interval of one second are left for the next call.
 
     Args:
         time_ns: rising times, shape (n,).
-        value: values, shape (n,); NaN is ignored, but a second of NaN only keeps one row, so that a gap stays.
+        value: values, shape (n,). NaN is ignored; of an interval with only NaN one row is returned, so that the line
+            has a gap.
     """
     ends = np.flatnonzero(np.diff(time_ns // BUCKET_NS)) + 1
-    # The last section is that of the incomplete second.
+    # The last interval is incomplete.
     return extreme_rows(value[: ends[-1], None], [0, *ends[:-1]]) if len(ends) else np.empty(0, np.intp)
 
 
 def first_pending_row(time_ns: TimesNs) -> int:
-    """Return the first row that :func:`rows_to_draw` leaves for the next call: that of the newest second."""
+    """Return the first row that :func:`rows_to_draw` leaves for the next call."""
     return int(np.searchsorted(time_ns // BUCKET_NS, time_ns[-1] // BUCKET_NS)) if len(time_ns) else 0
 
 
@@ -54,11 +55,11 @@ def median_period_ns(points: Sequence[Timed]) -> float:
 
 
 def gap_rows(time_ns: TimesNs, previous_ns: int | None, period_ns: float) -> NDArray[np.intp]:
-    """Return the rows that follow a gap: more than three periods without a point, at least 2 s.
+    """Return the rows that follow a gap. A gap is longer than three periods, and than 2 s.
 
     Args:
         time_ns: rising times, shape (n,).
-        previous_ns: time of the row before the first; None without one.
+        previous_ns: time of the row before the first; None if there is none.
         period_ns: usual time between two points, ns.
     """
     first = time_ns[0] if previous_ns is None else previous_ns
@@ -66,7 +67,7 @@ def gap_rows(time_ns: TimesNs, previous_ns: int | None, period_ns: float) -> NDA
 
 
 def next_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
-    """Return the smallest step not below a size; the first for NaN, the last if all are smaller."""
+    """Return the smallest step that is at least ``largest``; the first step for NaN, the last if all are smaller."""
     return next((step for step in steps if not largest > step), steps[-1])
 
 
@@ -75,7 +76,7 @@ def label_positions(wanted: Sequence[float], spacing: float, low: float, high: f
 
     Args:
         wanted: best positions.
-        spacing: minimum distance of two labels; less if there are too many labels.
+        spacing: minimum distance of two labels; it is reduced if there are too many labels.
         low: lowest position.
         high: highest position.
     """

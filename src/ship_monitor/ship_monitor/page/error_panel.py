@@ -57,7 +57,7 @@ class ErrorPanel:
 
         Args:
             history: history with the errors.
-            chosen: highlighted angle; empty for none.
+            chosen: highlighted angle; empty if there is none.
         """
         newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
         keys = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]

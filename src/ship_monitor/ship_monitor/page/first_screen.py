@@ -48,7 +48,7 @@ def first_screen(
         history: history with the safety of the last ten minutes.
         label: LIVE, BAG or SIMULATED, from the source of the state.
         location: namespace and domain, for a page that waits for data.
-        local: local time, displayed under UTC; empty for none.
+        local: local time, displayed under UTC; empty if there is none.
     """
     has_lights = any(angle.name in _THEODOLITE_ANGLES for angle in suite_state.angles)
     waiting = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""

@@ -57,7 +57,7 @@ class InnovationPanel:
         Args:
             history: history with the innovations.
             suite_state: state with the sources.
-            marked: marked source; empty for none.
+            marked: marked source; empty if there is none.
             has_truth: True if the errors against truth are known.
         """
         sources = {source.name: source for source in suite_state.sources}

@@ -1,6 +1,7 @@
 """Source of the page's data: a running suite or a bag.
 
-One source of a running suite serves all browsers. For a bag each browser has its own, because each has its own time.
+All browsers share the source of a running suite. For a bag each browser has its own source, because it displays its
+own time.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from ship_watch.suite_state import SuiteStateSource
 
 
 class PageSource(SuiteStateSource, Protocol):
-    """Interface of a running suite or a bag for the page."""
+    """Interface of the page to a running suite or a bag."""
 
     @property
     def history(self) -> History:
@@ -21,7 +22,7 @@ class PageSource(SuiteStateSource, Protocol):
         ...
 
     def controls(self, on_move: Callable[[], None]) -> UIElement | None:
-        """Return new controls for the place under the top bar, as the time slider of a bag; None for none.
+        """Return new controls to be placed under the top bar, such as the time slider of a bag; None without controls.
 
         Args:
             on_move: called after the controls have changed the displayed time; the page then updates.

@@ -34,7 +34,7 @@ class Panels:
     Attributes:
         layout: layout that the page places below its first screen.
         times: time axis of the plots.
-        marked: name of the marked source; empty for none.
+        marked: name of the marked source; empty if there is none.
         visible_panels: names of the visible panels, which are drawn; None for all panels at once.
         frames: name → frame of the panel.
     """

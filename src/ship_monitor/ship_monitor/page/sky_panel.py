@@ -59,7 +59,7 @@ class SkyPanel:
         Args:
             history: history with the exposures.
             suite_state: state with the sources and the attitude.
-            marked: marked source; its field is drawn before those of other sources that are IN. Empty for none.
+            marked: marked source; its field is drawn before those of other sources that are IN. Empty if there is none.
         """
         sources = {source.name: source for source in suite_state.sources}
         names = [name for name, exposure in sorted(history.star_exposures.items()) if len(exposure.u)]

@@ -54,8 +54,8 @@ class View:
         label: LIVE, BAG or SIMULATED.
         location: namespace and domain, shown while waiting for data.
         paused_s: time since the pause, s; NaN if not paused.
-        chosen: name of the selected angle or source; empty for none.
-        note: result of the last action, shown instead of the keys; empty for none.
+        chosen: name of the selected angle or source; empty if there is none.
+        note: result of the last action, shown instead of the keys; empty if there is none.
         is_ascii: True if the terminal shows ASCII only.
         zone: time zone of the local time; None for UTC only.
     """

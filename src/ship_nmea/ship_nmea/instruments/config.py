@@ -72,7 +72,7 @@ class NmeaSourceConfig:
         choices=(REQUIRED, OPTIONAL),
     )
     quality_9_is_fix: bool = parameter(
-        False, doc="a GGA of quality 9 is a fix with SBAS, as some makers mean it; otherwise it is no fix"
+        False, doc="a GGA of quality 9 is a fix with SBAS, as some makers mean it; otherwise it is not a fix"
     )
     time: str = parameter(
         INSTRUMENT_TIME,
@@ -98,7 +98,7 @@ class NmeaSourceConfig:
         """Return the port or device of this machine that it occupies; None if there is none.
 
         Args:
-            name: of the source's group of parameters, for example ``sources.gyro``.
+            name: name of the source's group of parameters, for example ``sources.gyro``.
         """
         if self.kind == SERIAL:
             return path_resource(f"{name}.device", self.device)

@@ -23,9 +23,9 @@ class DatagramLines:
         """Return the complete lines and those whose rest has not arrived in time: arrival, line and sender of each.
 
         Args:
-            data: of the datagram; empty if none arrived.
-            sender: of the datagram.
-            arrival_ns: of the datagram, by the node's clock.
+            data: data of the datagram; empty if none arrived.
+            sender: sender of the datagram.
+            arrival_ns: arrival time of the datagram, by the node's clock.
             now_ns: steady time.
         """
         lines = self._timed_out_lines(now_ns)

@@ -168,8 +168,8 @@ class Source:
         """Return the status of the source, from the messages that it published.
 
         Args:
-            problem: of its link; empty if it is open.
-            dropped: number of lines of its link that were dropped.
+            problem: problem of the source's link; empty if the link is open.
+            dropped: number of lines of the link that were dropped.
             now_ns: steady time.
         """
         with self._lock:

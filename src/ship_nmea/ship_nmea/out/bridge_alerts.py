@@ -55,7 +55,7 @@ class BridgeAlerts:
     """Sends alerts to the sinks configured for them, and executes the bridge's commands.
 
     Args:
-        runtime: of the node.
+        runtime: runtime of the node.
     """
 
     def __init__(self, runtime: NmeaNode) -> None:

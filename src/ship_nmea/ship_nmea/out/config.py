@@ -97,7 +97,7 @@ class SinkConfig:
         """Return the port, device or file of this machine that it occupies; None if others may share its destination.
 
         Args:
-            name: of the sink's group of parameters, for example ``sinks.bridge``.
+            name: name of the sink's group of parameters, for example ``sinks.bridge``.
         """
         if self.kind == TCP_SERVER:
             return port_resource(f"{name}.port", ResourceKind.TCP, self.port, self.address)

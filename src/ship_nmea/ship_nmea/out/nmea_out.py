@@ -64,7 +64,7 @@ class NmeaOut:
     """Work of the node; see :class:`ship_nmea.nmea_node.Work`.
 
     Args:
-        runtime: of the node.
+        runtime: runtime of the node.
 
     Raises:
         BadInput: no sink can be opened, and trying again would not help.

@@ -1,7 +1,7 @@
 """Interface of all outlets; their methods are called only in the thread of their sink.
 
-An outlet never blocks, except for a file on a slow disk. It accepts a sentence or returns False. Received data is
-passed on in whole lines. On failure it raises OSError and is opened again later.
+An outlet never blocks, except for a file on a slow disk. It sends a sentence or returns False. Received data is passed
+on in complete lines. On failure an outlet raises OSError and is opened again later.
 """
 
 import selectors
@@ -16,19 +16,19 @@ RECEIVE_BYTES = 4096
 """Maximum number of bytes per read."""
 
 LineReceiver = Callable[[str, str], None]
-"""Receives a line and the address that it came from, which is empty for a serial line."""
+"""Function called with a received line and the address of its sender (empty for a serial line)."""
 
 
 class Outlet(ABC):
     """Destination of a sink.
 
     Attributes:
-        place: description of it.
+        place: kind and address of the destination, for texts.
         client_lost_ns: steady time at which a client was last disconnected; None if never.
 
     Args:
-        config: of its sink.
-        receive: called with each received line and its sender's address.
+        config: configuration of the sink.
+        receive: called with each received line and the address of its sender.
     """
 
     def __init__(self, config: SinkConfig, receive: LineReceiver) -> None:
@@ -44,15 +44,15 @@ class Outlet(ABC):
 
     @abstractmethod
     def open(self, selector: selectors.BaseSelector) -> None:
-        """Open it, and register with the selector a function for each event that it waits for.
+        """Open the outlet, and register its events and their handlers with the selector.
 
         Raises:
-            OSError: it cannot be opened now.
+            OSError: the outlet cannot be opened now.
         """
 
     @abstractmethod
     def send(self, sentence: bytes) -> bool:
-        """Return True if a sentence was accepted; otherwise it is to be offered again soon.
+        """Send a sentence; return False if the caller must try again soon.
 
         Raises:
             OSError: the outlet is broken.
@@ -60,14 +60,14 @@ class Outlet(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close it; also after a failed opening."""
+        """Close the outlet; also called after :meth:`open` has failed."""
 
     def status_note(self) -> str:
-        """Return further text for its status."""
+        """Return further text for the status of the outlet."""
         return ""
 
 
 def command_texts(lines: Iterable[bytes]) -> list[str]:
-    """Return received lines as texts, without those that are longer than a sentence can be."""
+    """Return received lines as texts, without empty lines and lines longer than the longest valid sentence."""
     texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
     return [text for text in texts if text]

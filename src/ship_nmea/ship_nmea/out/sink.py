@@ -52,8 +52,8 @@ class Sink:
     """Destination of some sentences.
 
     Args:
-        name: of the sink.
-        config: of the sink.
+        name: name of the sink.
+        config: configuration of the sink.
         receive: called with each received line and its sender's address, in the thread of the sink.
 
     Attributes:

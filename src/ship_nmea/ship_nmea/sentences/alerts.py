@@ -41,7 +41,7 @@ class SentenceAlert:
         state: V unacknowledged, S silenced, A acknowledged or a caution, U rectified and unacknowledged, N normal.
         changed_ns: time of its last change, POSIX UTC.
         title: a few words.
-        description: a sentence; empty for none.
+        description: a sentence; empty if there is none.
     """
 
     identifier: int
@@ -60,8 +60,8 @@ class AlertCommand:
     """A command of the bridge.
 
     Attributes:
-        identifier: of the alert.
-        instance: of the alert; None where the bridge names none.
+        identifier: identifier of the alert.
+        instance: instance of the alert; None where the bridge names none.
         command: A, Q, O or S.
     """
 
@@ -76,7 +76,7 @@ def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> 
     Args:
         alert: the alert.
         talker: its two letters.
-        manufacturer: code of three letters; empty for none.
+        manufacturer: code of three letters; empty if there is none.
         sequence: number of the call; its last digit identifies the two sentences of one alert.
     """
     total = "2" if alert.description else "1"
@@ -127,7 +127,7 @@ def parse_command(text: str, manufacturer: str) -> AlertCommand | None:
     """Return the command to this source in a sentence; None for another sentence, or a command to another source.
 
     Raises:
-        ValueError: it is no sentence, its checksum is wrong or absent, or its command cannot be read.
+        ValueError: it is not a sentence, its checksum is wrong or absent, or its command cannot be read.
     """
     try:
         sentence = pynmea2.NMEASentence.parse(text, check=True)

@@ -48,7 +48,7 @@ class SavedStart(Generic[Prior]):
 
     Args:
         kind: the format.
-        path: of the file; empty for none.
+        path: path of the file; empty if there is none.
         files: file operations.
         start_from: starts the core from a content at a time in ns; returns remarks for the operator.
         content_to_save: returns the content to save; None if there is none yet.

@@ -140,7 +140,7 @@ def outputs_with_levels(
         run: N outputs on one state.
         published: the published protection levels; ``protection_level_messages`` changes them.
         redundancy_keys: attributes of each output on which, besides the state, the redundancy of its sources depends.
-        directions: of each output, shape (N, 3, 3).
+        directions: directions of each output, shape (N, 3, 3).
         protection_level_messages: protection levels of one output, if the published ones do not cover it.
     """
     start, count = 0, len(run.time_ns)

@@ -164,7 +164,7 @@ class InputRecord:
 
     @property
     def latency_s(self) -> float:
-        """Median time from stamp to arrival of the accepted messages, s; NaN before the first."""
+        """Median time from stamp to arrival of the accepted messages, s; NaN if there was none yet."""
         if not self._latencies_ns:
             return math.nan
         ordered, middle = sorted(self._latencies_ns), len(self._latencies_ns) // 2
@@ -172,7 +172,7 @@ class InputRecord:
         return 0.5 * (ordered[middle] + ordered[~middle]) * 1e-9
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the newest accepted stamp, s; NaN before the first."""
+        """Return the time since the newest accepted stamp, s; NaN if there was none yet."""
         return math.nan if self._newest_stamp_ns is None else (now_ns - self._newest_stamp_ns) * 1e-9
 
 

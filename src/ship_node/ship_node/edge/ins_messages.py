@@ -30,8 +30,8 @@ def sigma_mismatch_text(covariance: FloatArray, config: InsInputConfig) -> str:
     """Return a text with the sigmas stated by the INS that exceed the configured ones; empty if none does.
 
     Args:
-        covariance: of the orientation in its messages, rad², shape (3, 3); the third axis is vertical.
-        config: of the INS.
+        covariance: covariance of the orientation in its messages, rad², shape (3, 3); the third axis is vertical.
+        config: configuration of the INS.
     """
     stated_arcsec = np.sqrt(covariance.diagonal()) / ARCSEC
     pairs = (
@@ -70,9 +70,9 @@ def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     They all have angular rates and the same covariance. Each sample equals that of :func:`ins_sample` to the last bit.
 
     Args:
-        messages: of ``ins/imu``.
+        messages: messages of ``ins/imu``.
         receive_ns: receive time of each message by the node's clock, shape (N,).
-        config: of the INS.
+        config: configuration of the INS.
     """
     first, numbers = messages.message(0), messages.numbers
     try:

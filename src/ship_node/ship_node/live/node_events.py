@@ -54,7 +54,7 @@ class NodeEvents:
     used, and each service request is answered.
 
     Args:
-        context: of the node.
+        context: context of the node.
         guard: catches exceptions of callbacks.
         steady_ns: a steady clock, ns.
     """

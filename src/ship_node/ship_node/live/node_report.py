@@ -34,10 +34,10 @@ def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str
     """Return the log line about a node's set-up: devices by kind, files, clock, black box.
 
     Args:
-        adapter: of the node, as configured.
+        adapter: adapter of the node, as configured.
         config: its configuration: a group of devices is a mapping; the name of a file parameter ends with ``_file``.
         clock: full name of the topic that sets the node's time; empty for the system's time.
-        black_box: path of its black box; empty for none.
+        black_box: path of its black box; empty if there is none.
     """
     parts = []
     for field in dataclasses.fields(config):

@@ -35,7 +35,7 @@ from ship_node.live.node_log import NodeLog
 
 USE_SIM_TIME = "use_sim_time"
 
-_BLACK_BOX_DOC = "file (.mcap) or folder for all inputs and outputs of the node; empty for none"
+_BLACK_BOX_DOC = "file (.mcap) or folder for all inputs and outputs of the node; empty if there is none"
 _BLACK_BOX_PART_DOC = "size at which the black box continues in a new file [MB]; 0 for never"
 BLACK_BOX_PART_MB = 1000
 _BYTES_PER_MB = 1_000_000
@@ -70,7 +70,7 @@ class NodeParameters:
 
     Attributes:
         config: the current configuration.
-        black_box: path of the node's black box; empty for none.
+        black_box: path of the node's black box; empty if there is none.
         black_box_part_bytes: size at which a black box continues in a new file; 0 for never.
         has_reliable_inputs: True if messages lost on the way to its inputs are sent again.
         topics: the suite's name of an input → the ship's, for topics that the ship names differently.

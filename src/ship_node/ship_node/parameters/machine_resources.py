@@ -28,7 +28,7 @@ class MachineResource:
         parameter: dotted name of the parameter that gives it.
         kind: kind of resource.
         name: the port's number, or the path.
-        address: of a port, the own address or the multicast group; empty for all addresses.
+        address: address of a port, the own address or the multicast group; empty for all addresses.
     """
 
     parameter: str

@@ -125,7 +125,7 @@ def _inputs_with(
 
     Args:
         adapter_class: adapter of the node.
-        values: of the parameters.
+        values: values of the parameters.
         given: values of the device's parameters that are zero by default but required for use, as of a camera.
         factory: makes the adapter's messages.
     """

@@ -156,7 +156,7 @@ def parse_seeds(text: str) -> list[int]:
         [1, 5, 7, 8, 9]
     """
     if not _SEEDS.fullmatch(text):
-        raise ValueError(f"'{text}' are no seeds such as 1-200 or 1,5,7-9")
+        raise ValueError(f"'{text}' are not seeds such as 1-200 or 1,5,7-9")
     ranges = [[int(end) for end in part.split("-")] for part in text.split(",")]
     if any(ends[0] > ends[-1] for ends in ranges):
         raise ValueError(f"'{text}' contains a range that ends before it begins")

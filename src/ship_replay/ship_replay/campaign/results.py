@@ -40,7 +40,7 @@ class ResultFolder:
         """Return the result of an item; None if it was not yet run.
 
         Raises:
-            BadInput: the file is no result.
+            BadInput: the file is not a result.
         """
         path = self.path(item)
         try:
@@ -49,7 +49,7 @@ class ResultFolder:
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError) as problem:
-            raise BadInput("is no result of a campaign: remove it", file=path) from problem
+            raise BadInput("is not a result of a campaign: remove it", file=path) from problem
         if ingredients != item.key_fields:
             raise BadInput("is the result of another item: remove it", file=path)
         item_result: Result = result

@@ -58,7 +58,7 @@ def _arcsec(text: str) -> float:
         value = 0.0
     # Beyond a few degrees the small-angle approximation fails and the filter's covariance is too small.
     if not 0.001 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is no sigma: expected 0.001 to 3600 arcsec")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a sigma: expected 0.001 to 3600 arcsec")
     return value
 
 

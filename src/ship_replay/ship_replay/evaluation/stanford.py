@@ -194,7 +194,7 @@ class _PublishedLevels:
         self._by_time[time_ns] = levels, np.where(np.isnan(limits), math.inf, limits)
 
     def at(self, time_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Return levels and limits at a stamp, arcsec, shapes (3,), (3,); NaN and infinity before the first."""
+        """Return levels and limits at a stamp, arcsec, shapes (3,), (3,); NaN and infinity before the first message."""
         if len(self._times_ns) != len(self._by_time):
             self._times_ns = sorted(self._by_time)
         index = bisect.bisect_right(self._times_ns, time_ns) - 1

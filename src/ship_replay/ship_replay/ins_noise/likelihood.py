@@ -7,7 +7,7 @@ measurements. The likelihood is the density of the innovations (Schweppe 1965), 
 
 with r = h - L m and P' = P - P (I + L P)^-1 L P.
 
-Constants (installations, clocks) are no states: the mean is propagated as a linear function of them, and they are
+Constants (installations, clocks) are not states: the mean is propagated as a linear function of them, and they are
 integrated out at the end (de Jong 1991). Several parameter sets are computed together: a gradient by differences costs
 little more than one likelihood.
 """

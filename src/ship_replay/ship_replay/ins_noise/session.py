@@ -88,7 +88,7 @@ class StarComparisons:
         linear, here = linearised.compared.linear, core.vertical.at(measurement.time_ns)
         value = linear.residual + linear.jacobian @ core.state.mean
         if here.given_deflection is not None:
-            # The INS is levelled by gravity: the given deflection is no error of the INS.
+            # The INS is levelled by gravity: the given deflection is not an error of the INS.
             attitude = core.filter.model.slices["ins.attitude"]
             value = value - linear.jacobian[:, attitude] @ (here.deflection_jacobian @ here.given_deflection)
         self.accepted[key] = StarInnovation(

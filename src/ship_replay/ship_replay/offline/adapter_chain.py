@@ -72,7 +72,7 @@ def suite_nodes(
         namespace: namespace of the nodes.
 
     Raises:
-        BadInput: there is none, it is no parameter file, or a section nearly fits a node but not exactly.
+        BadInput: there is none, it is not a parameter file, or a section nearly fits a node but not exactly.
     """
     if config_path is not None:
         return _checked_nodes(config_path, adapter_classes, namespace)
@@ -91,7 +91,7 @@ def nodes_of(
     other node has a section. The others are selected only by sections with their names.
 
     Raises:
-        BadInput: it is no parameter file.
+        BadInput: it is not a parameter file.
     """
     main, *others = adapter_classes
     names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
@@ -120,7 +120,7 @@ class AdapterChain:
     """Several adapters with the interface of one.
 
     Args:
-        adapters: in any order; they are sorted so that data flows from publishers to subscribers.
+        adapters: the adapters, in any order; they are sorted so that publishers come before their subscribers.
         linked: if true, outputs of an adapter are inputs of later ones; otherwise all inputs come from outside.
         configs: node name → its configuration; may be omitted.
 

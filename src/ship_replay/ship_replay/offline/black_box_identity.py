@@ -111,7 +111,7 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
     for topic, type_name in sorted(bag.topics.items()):
         if topic == EVENTS_TOPIC or type_name in UNCOMPARED_TYPES or expected.get(topic) == type_name:
             continue
-        text = f"topic '{topic}' ({type_name}) is no topic of {adapter.node_name} with these parameters"
+        text = f"topic '{topic}' ({type_name}) is not a topic of {adapter.node_name} with these parameters"
         if not other_config:
             raise BadInput(f"{text}: if it was written with other parameters, give them by --config", file=bag.path)
         notes.append(f"{text}: ignored")

@@ -97,7 +97,7 @@ class ReplayRun:
         truth_topics: truth topics of the bag; the errors of an orientation are filled in if its truth is among them.
 
     Attributes:
-        last_time_ns: arrival time of the last message; None before the first.
+        last_time_ns: arrival time of the last message; None if there was none yet.
     """
 
     def __init__(

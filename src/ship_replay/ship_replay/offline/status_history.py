@@ -187,7 +187,7 @@ def low_use_text(health: Any) -> str:
 
 
 def most_frequent_rejection(health: Any) -> tuple[str, int]:
-    """Return the most frequent rejection reason of an input and its count; empty and 0 for none."""
+    """Return the most frequent rejection reason of an input and its count; empty and 0 if there is none."""
     counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
     counts.pop(_ACCEPTED_WITH_NOTE, None)
     reason = max(counts, key=lambda name: counts[name], default="")

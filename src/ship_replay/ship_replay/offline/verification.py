@@ -161,7 +161,7 @@ def verify_bag(
 
     Args:
         bag: inputs and outputs of one run.
-        adapter_classes: of the nodes that may take part, the main one first.
+        adapter_classes: adapter classes of the nodes that may take part, the main one first.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
         progress: wraps the iteration over the bag, for a progress bar.

@@ -121,7 +121,7 @@ def check_file(
         The nodes of the file that can be created from it.
 
     Raises:
-        BadInput: the file cannot be read, is no parameter file or has a section for none of the nodes.
+        BadInput: the file cannot be read, is not a parameter file or has a section for none of the nodes.
     """
     names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
     known = [*names.values(), *(full_name(companion.node_name, namespace) for companion in COMPANIONS)]

@@ -50,7 +50,7 @@ class _InstallationResidual:
         mounting: measured mounting.
         measured_dv: deck from device by the data, shape (3, 3).
         turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
-        is_inlier: True for the compared times that are no outliers, shape (n,).
+        is_inlier: True for the compared times that are not outliers, shape (n,).
         sigmas: largest component of the rotation in the device frame, in its sigmas.
     """
 

@@ -31,8 +31,9 @@ class InsNoise(NamedTuple):
     """Noise of an INS from its attitudes and rates, standard deviation per axis.
 
     Attributes:
-        attitude_sigma_rad: of a single attitude, rad.
-        rate_sigma_rad_per_s: of a single rate, rad/s; 0 if hidden by the attitude noise, NaN if by correlated errors.
+        attitude_sigma_rad: standard deviation of a single attitude, rad.
+        rate_sigma_rad_per_s: standard deviation of a single rate, rad/s; 0 if it is hidden by the attitude noise, NaN
+            if it is hidden by correlated errors.
     """
 
     attitude_sigma_rad: float
@@ -111,7 +112,7 @@ def _value(config: Any, name: str) -> float:
 def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     """Report configured INS noise that is smaller than that from its own rates; return True if there is any.
 
-    Smaller measured noise is no contradiction: it does not include correlated errors.
+    Smaller measured noise is not a contradiction: it does not include correlated errors.
     """
     times, rotations, rates = [], [], []
     for record in check.bag.records({check.topic_names[_INS_TOPIC]}):

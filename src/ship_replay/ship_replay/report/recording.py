@@ -60,7 +60,7 @@ class RecordedAlert:
 class RejectedMeasurement:
     """A measurement that was not used: source, reason, and whether the node or the filter rejected it.
 
-    A note is no rejection: the measurement was used.
+    A note is not a rejection: the measurement was used.
     """
 
     utc_ns: int

@@ -43,7 +43,7 @@ def read_report_data(
     check_truth(truth, namespace)
     if is_short(path):
         return ReportData(read_recording(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
-    # Both take equally long and are independent.
+    # Reading and evaluation take equally long and are independent.
     with process_pool(1) as others:
         evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
         recording = read_recording(path, limits, namespace)
@@ -70,15 +70,15 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def is_short(path: Path) -> bool:
-    """True if a bag is so short that parallel processes do not pay."""
+    """True if a bag is so short that a second process would not save time."""
     return path.is_file() and path.stat().st_size <= SHORT_BYTES
 
 
 def check_truth(path: Path | None, namespace: str) -> None:
-    """Refuse a bag named as truth that has none.
+    """Raise an error if a bag given for its truth has no truth topic.
 
     Raises:
-        BadInput: it has none, or cannot be read.
+        BadInput: the bag has no truth topic, or cannot be read.
     """
     if path is not None and not has_truth(path, namespace):
         raise BadInput(f"no truth: expected topic {' or '.join(_TRUTH_TOPICS)}", file=path)

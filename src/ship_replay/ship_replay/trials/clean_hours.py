@@ -97,7 +97,7 @@ class VoyageStatistics:
     """Statistics of a voyage.
 
     Attributes:
-        limit: alert limit of its levels, rad; infinite without one.
+        limit: alert limit of its levels, rad; infinite if there is none.
         exclusions: (s, source) of each exclusion.
         degradations: (s, reason) of each time after settling at which an output became DEGRADED.
         seconds: number of outputs, one a second.

@@ -1,20 +1,20 @@
 """Evaluation of a voyage's faults: was each detected, which source was named, and what was published meanwhile.
 
 Only outputs are evaluated (:mod:`ship_replay.trials.voyage_outputs`). Indications that also occur in the same voyage
-without faults are ignored. A fault counts from the first message that it changed.
+without faults are ignored. A fault begins with the first message that it changes.
 
 **The named source** is the first one reported to a watch officer:
 
-1. A source that is excluded, or one that is repeatedly rejected for its own form, stamps or sequence of values. The
-earlier of the two is the named source. After an exclusion, every other excluded source must also be the faulty one. If
-a source is first rejected for itself and others are excluded later, the first is the named one.
-2. Otherwise, the source that was first repeatedly rejected in comparison with others.
+1. An excluded source, or a source that is repeatedly rejected for its own form, stamps or sequence of values, whichever
+is first. If an exclusion is first, all excluded sources must be faulty. If a rejection is first, later exclusions of
+other sources do not matter.
+2. Without these, the first source that is repeatedly rejected in comparison with others.
 
-A rejection in comparison does not name a source while another is excluded: correct lights or stars are also rejected if
-encoders or position are wrong.
+A rejection in comparison does not name a source while another one is excluded: correct lights or stars are also
+rejected if encoders or position are wrong.
 
-A name is correct if the source it refers to (:mod:`ship_estimation.protection_levels`) contains the fault: see
-:func:`is_faulty_source`.
+A name is correct if it refers to the faulty source (:func:`is_faulty_source`). The names of sources are those of
+:mod:`ship_estimation.protection_levels`.
 """
 
 from collections import Counter
@@ -34,7 +34,7 @@ SETTLING_S = 3.0
 """Time after the end of a fault within which its effects are still reported, s."""
 
 _SAME_TIME_NS = NS_PER_S // 2
-"""Maximum time to a non-VALID status of the fault-free voyage for a status to be ignored, ns."""
+"""A status is ignored if the fault-free voyage has one as bad within this time, ns."""
 
 _LEAST_REFUSALS = 2
 EXCEEDANCE_SIGMAS = 5.0
@@ -51,16 +51,16 @@ class FaultOutcome:
     """Outcome of one fault.
 
     Attributes:
-        changed: number of messages it changed.
+        changed: number of messages that the fault changed.
         detected: True if a status left VALID, the faulty source was named, or any source was excluded; a status caused
             by an earlier fault does not count.
         attributed: True if the named source is the faulty one.
-        alert_s: time from the first changed message to the first indication or non-VALID output; NaN without one.
+        alert_s: time from the first changed message to the first indication or non-VALID output; NaN if there is none.
         named: source → number of indications.
         worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
-        worst_over_level: the same over its protection level; NaN if there was none.
+        worst_over_level: largest ratio of this error to its protection level; NaN if there was no level.
         beyond_s: total time with VALID outputs whose errors exceed five sigmas.
-        longest_beyond_s: longest such time without a break.
+        longest_beyond_s: longest uninterrupted time with such outputs.
     """
 
     changed: int
@@ -133,11 +133,11 @@ def first_named_sources(indications: Sequence[FaultIndication]) -> set[str]:
 
 
 def is_faulty_source(name: str, fault: Fault) -> bool:
-    """True if a name in the outputs refers to a source that contains the fault.
+    """True if a name in the outputs refers to the source with the fault.
 
-    A node names the topic, or its source. ``beacon.a`` is a wrong baseline or light of drone a. It contains the fault
-    of a single light in the image, but not that of a rotated telescope. ``ship`` and ``ship_attitude`` are the ship's
-    attitude in the theodolite's filter, which contains the faults of the INS.
+    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a: also to a
+    fault of a single light in the image, but not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the
+    ship's attitude in the theodolite's filter, and therefore also to faults of the INS.
     """
     topic = fault.topic
     kind, _, rest = topic.partition("/")
@@ -163,9 +163,9 @@ def _drone_names(id_: str) -> tuple[str, ...]:
 def _first_not_valid(
     outputs: VoyageOutputs, fault_free: VoyageOutputs, begin_ns: int, end_ns: int
 ) -> tuple[int | None, bool]:
-    """Return log time and novelty of the first output worse than VALID and than in the fault-free voyage.
+    """Return the log time of the first output that is worse than VALID and worse than in the fault-free voyage.
 
-    The second value is True if it is not the remaining effect of an earlier fault.
+    The second value is True if this output is not the remaining effect of an earlier fault.
     """
     fault_free_stamps_ns: dict[tuple[str, int], np.ndarray] = {}
     last_worse_ns: dict[str, int] = {}
@@ -188,9 +188,9 @@ def _first_not_valid(
 
 
 def exceedance_durations(valid_outputs: Sequence[ValidOutput]) -> tuple[float, float]:
-    """Return total and longest time with VALID outputs above five sigmas, s; the worse of the outputs.
+    """Return total and longest uninterrupted time with VALID outputs whose errors exceed five sigmas, s.
 
-    An output that was not VALID in between is a break.
+    Each value is the larger one of the two outputs. An output that is not VALID interrupts the time.
     """
     total, longest, most_ns = 0, 0, round(1.5 * _PERIOD_S * NS_PER_S)
     for topic in INTEGRITY_TOPICS:

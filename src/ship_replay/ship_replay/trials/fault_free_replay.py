@@ -46,7 +46,7 @@ class FaultFreeReplay:
         outputs: outputs of the nodes.
         arrivals_ns: input topic → arrival times of its messages, in order.
         beacon_times_ns: arrival times of the images with a light, in order.
-        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without one.
+        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN if there is none.
         ins_sigma_arcsec: noise of a sample of the INS; NaN without ``ship_attitude``.
         start_ns: beginning of the bag.
         end_ns: end of the bag.

@@ -76,7 +76,7 @@ def run_voyage(voyage: Voyage, fault_free: FaultFreeReplay) -> dict[str, Any]:
 
     Args:
         voyage: the voyage.
-        fault_free: the same without faults.
+        fault_free: the same voyage without faults.
     """
     start_s = time.monotonic()
     with read_bag(voyage.bag) as bag:

@@ -92,7 +92,7 @@ def kill_node(folder: Path, seed: int) -> KillTrial:
 
 def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_topic: str | None) -> KillTrial:
     killed_after_s = random.Random(seed).uniform(_EARLIEST_S, _LATEST_S)
-    # A packet lost on the way would delay later ones for seconds, which is no effect of the disk.
+    # A packet lost on the way would delay later ones for seconds, which is not an effect of the disk.
     use_dds_profile()
     domain_id = free_domain_id()
     environment = live_environment(domain_id, folder / "ros")
@@ -133,7 +133,7 @@ class _Sender:
 
     Attributes:
         samples: stamp in ns and steady time in s of each sample, in order.
-        attitudes: the same of each attitude received.
+        attitudes: stamp in ns and steady time in s of each received attitude, in order.
     """
 
     def __init__(self, graph: GraphObserver, output_topic: str | None) -> None:

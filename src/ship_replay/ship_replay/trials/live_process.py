@@ -94,7 +94,7 @@ class LiveProcess:
         return self._process.pid
 
     def log_text(self) -> str:
-        """Return its output so far."""
+        """Return the output of the process so far."""
         return self.log_path.read_text(encoding="utf-8", errors="replace")
 
     def wait(self, timeout_s: float) -> int:

@@ -19,11 +19,11 @@ class ResultsFile:
 
     Args:
         path: path of the file; an incomplete last line of a killed run is removed.
-        key: returns the key of a result; raises KeyError or TypeError if it is no result.
+        key: returns the key of a result; raises KeyError or TypeError if it is not a result.
         fresh: discard existing results.
 
     Raises:
-        BadInput: a line before the last is no result.
+        BadInput: a line before the last is not a result.
     """
 
     def __init__(self, path: Path, key: Callable[[Result], Hashable], fresh: bool = False) -> None:

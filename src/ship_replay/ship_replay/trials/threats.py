@@ -53,7 +53,7 @@ class Threat:
     weight: float = 1.0
 
     def sigmas(self, sizes: Sizes) -> float | None:
-        """Return the largest size in sigmas of one measurement; None if the threat is no step."""
+        """Return the largest size in sigmas of one measurement; None if the threat is not a step."""
         if self.sigma is None:
             return None
         return max(float(abs(sizes[name])) / sigma for name, sigma in self.sigma.items() if name in sizes)

@@ -101,7 +101,7 @@ class Draws:
     """The random parts of one voyage that continue from stretch to stretch.
 
     Args:
-        seed: of the voyage.
+        seed: seed of the voyage.
     """
 
     def __init__(self, seed: int) -> None:

@@ -69,10 +69,10 @@ class Injection:
     """A bag with faults.
 
     Attributes:
-        path: of the bag.
+        path: path of the bag.
         faults: name → fault; checked against :func:`injectable_topics`.
         seed: seed of the faults' draws.
-        namespace: of the ship in the bag.
+        namespace: namespace of the ship in the bag.
     """
 
     path: Path
@@ -105,7 +105,7 @@ class Injection:
         """Return the effect of a fault by itself; a fault may affect no message, for example without a light in view.
 
         Args:
-            name: of the fault.
+            name: name of the fault.
 
         Raises:
             BadInput: the fault needs a camera that the bag does not describe.

@@ -71,7 +71,7 @@ class ValueFault:
 
     Attributes:
         fault: the fault.
-        type_name: of the messages.
+        type_name: type of the messages.
         optics: cameras of the devices.
         rng: the fault's own source of randomness.
     """

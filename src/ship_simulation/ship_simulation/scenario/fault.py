@@ -81,7 +81,7 @@ KINDS = {
     "slip": FaultKind("a step is added to the encoders", (_ENCODERS,)),
     "wrong_fix": FaultKind("a vector is added to a baseline with fix FIXED", (_VECTOR,)),
     "false_stars": FaultKind(
-        "count additional spots that are no stars; identified as the other stars are", (("count",),)
+        "count additional spots that are not stars; identified as the other stars are", (("count",),)
     ),
     "false_lights": FaultKind("count lights are moved in the image; additional ones have new ids", (("count",),)),
     "hide": FaultKind("the first light of the image is missing"),

@@ -33,7 +33,7 @@ class Lever:
     forward_m: float = parameter(0.0, doc="surveyed component along forward (bow)", **_METRES)
     up_m: float = parameter(0.0, doc="surveyed component along up", **_METRES)
     right_m: float = parameter(0.0, doc="surveyed component along right (starboard)", **_METRES)
-    sigma_m: float = parameter(0.0, doc="error of the survey, each axis", **_SMALL_METRES)
+    sigma_m: float = parameter(0.0, doc="standard deviation of the survey, each axis", **_SMALL_METRES)
 
 
 @dataclass(frozen=True)
@@ -306,7 +306,7 @@ class ShipBaseline:
     forward_m: float = parameter(0.0, doc="from the base to the rover antenna, toward the bow", **_LENGTH_M)
     up_m: float = parameter(0.0, doc="the same, upward", **_LENGTH_M)
     right_m: float = parameter(0.0, doc="the same, to starboard", **_LENGTH_M)
-    sigma_m: float = parameter(0.005, doc="error of the survey, each component", **_SIGMA_M)
+    sigma_m: float = parameter(0.005, doc="standard deviation of the survey, each component", **_SIGMA_M)
     rtk: Rtk = section(Rtk)
 
     @property

@@ -105,7 +105,7 @@ def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> Float
     Args:
         scenario: the INS, and the latitude.
         true_nd: true attitude of the deck at each sample, shape (n, 3, 3).
-        draws: of the run.
+        draws: random draws of the run.
     """
     config, count = scenario.ins, len(true_nd)
     noise = draws.stream("ins.rate").standard_normal((count, 3))
@@ -151,8 +151,8 @@ class DeviceTruth:
     Attributes:
         installation_error_v: rotation vector m in the device frame, rad, shape (3,).
         rotation_dv: deck from device, its installation error included, shape (3, 3).
-        time_offset_s: of a star sensor: a sample is valid at its stamp plus this; of a reference: its stamp minus the
-            INS's for the same attitude.
+        time_offset_s: for a star sensor, time of validity of a sample minus its stamp; for a reference, its stamp minus
+            the INS's for the same attitude.
     """
 
     installation_error_v: FloatArray
@@ -166,7 +166,7 @@ class DeviceExposures:
 
     Attributes:
         time_ns: stamps, shape (n,).
-        since_start_s: the same in seconds after the start, shape (n,).
+        since_start_s: stamps in seconds after the start, shape (n,).
         valid_ns: times of validity: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
         times: quadrature nodes of each exposure.
@@ -329,7 +329,7 @@ class FusedSamples:
         log_time_ns: arrival times, shape (n,).
         rotation_nd: horizon from deck as estimated, shape (n, 3, 3).
         rate_d: angular velocity (bow, up, starboard), rad/s, shape (n, 3).
-        covariance_n: of the total error as a rotation vector (North, Up, East), rad², shape (3, 3).
+        covariance_n: covariance of the total error as a rotation vector (North, Up, East), rad², shape (3, 3).
     """
 
     time_ns: np.ndarray

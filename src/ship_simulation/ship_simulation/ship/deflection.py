@@ -20,7 +20,7 @@ class Deflection:
     Args:
         scenario: gravity, and the ship's track.
         track: the ship's position.
-        draws: of the run.
+        draws: random draws of the run.
     """
 
     def __init__(self, scenario: Scenario, track: ShipTrack, draws: Draws) -> None:
@@ -54,7 +54,7 @@ class DeflectionSamples:
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         deflection: (xi, eta) by maps, rad, shape (n, 2).
-        covariance: of the error of each, rad², shape (2, 2).
+        covariance: covariance of the error of each deflection, rad², shape (2, 2).
     """
 
     time_ns: np.ndarray

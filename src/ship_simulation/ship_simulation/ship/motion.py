@@ -86,7 +86,7 @@ class HarmonicMotion:
 
     Args:
         mean: (heading, pitch, roll), rad, shape (3,).
-        angular_frequency: of each component, rad/s, shape (n,).
+        angular_frequency: angular frequency of each component, rad/s, shape (n,).
         phasor: complex amplitude of each component in each angle, rad, shape (n, 3): the angle is Re(phasor * exp(i w
             t)).
         turns: changes of heading, added to it.

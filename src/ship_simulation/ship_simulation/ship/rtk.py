@@ -24,7 +24,7 @@ class BaselineSamples:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
         baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
-        covariance_n: of the white error and of that of FLOAT, m², shape (n, 3, 3); NaN likewise.
+        covariance_n: covariance of the white error and the FLOAT error, m², shape (n, 3, 3); NaN with the fix NONE.
         fix: NONE, FLOAT or FIXED, shape (n,).
     """
 
@@ -55,8 +55,8 @@ def simulate_solutions(
         config: errors and rate.
         time_ns: stamps.
         true_n: the baselines, with errors shared with other baselines.
-        stretch: of the voyage.
-        draws: of the run.
+        stretch: part of the voyage.
+        draws: random draws of the run.
     """
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     bias = _correlated_error(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)

@@ -35,8 +35,8 @@ class SchulerError:
     Args:
         rng: source of all draws.
         scenario: the INS, and the ship's track.
-        sigma: of the attitude at the start, about (North, Up, East), rad, shape (3,).
-        deflection: of the vertical; None if gravity is everywhere normal to the ellipsoid.
+        sigma: standard deviation of the attitude at the start, about (North, Up, East), rad, shape (3,).
+        deflection: deflection of the vertical; None if gravity is everywhere normal to the ellipsoid.
     """
 
     def __init__(

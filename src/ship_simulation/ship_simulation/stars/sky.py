@@ -36,7 +36,7 @@ class TrueSky:
 
     Attributes:
         track: the ship's position.
-        model: of refraction.
+        model: model of refraction.
         weather: the true air at the ship.
         ut1_error_s: true UT1 − UTC minus that of the table.
         catalogue: the star catalogue.

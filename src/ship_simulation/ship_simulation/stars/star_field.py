@@ -26,8 +26,8 @@ class FieldStars:
 
     Attributes:
         exposure: number of the exposure, shape (k,).
-        row: of the catalogue, shape (k,).
-        direction_s: in the sensor frame, with refraction, shape (k, 3).
+        row: row of the star in the catalogue, shape (k,).
+        direction_s: directions in the sensor frame, with refraction, shape (k, 3).
         pixel: (u, v), shape (k, 2).
     """
 
@@ -96,7 +96,7 @@ def swap_identities(
     Args:
         rows: rows of the catalogue, one per star, shape (k,).
         exposure: number of the exposure of each star, not decreasing, shape (k,).
-        probability: of a swap in an exposure with two stars or more.
+        probability: probability of a swap in an exposure with two stars or more.
         rng: source of the draws.
 
     Returns:

@@ -40,7 +40,7 @@ class ReportedStars:
         hip: reported HIP number, shape (k,); 0 if the sensor reports a direction, or no identity.
         directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
-        positions: of the reported stars, J2000.0; NaN if the sensor reports no identity.
+        positions: positions of the reported stars, J2000.0; NaN if the sensor reports no identity.
         position_sigma: error of these, rad per axis, shape (k,).
         magnitude: as measured, shape (k,).
     """
@@ -112,7 +112,7 @@ def simulate_sightings(
         config: its part of the scenario.
         motion: its exposures.
         sky: the true one.
-        draws: of the run.
+        draws: random draws of the run.
     """
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
     is_observing = dark & is_outside(motion.since_start_s, config.outages)

@@ -37,9 +37,9 @@ def draw_optics(rng: np.random.Generator, detector: Detector, name: str) -> True
     """Draw the true optics of a camera around those configured.
 
     Args:
-        rng: of the optics of this camera.
+        rng: random generator of the optics of this camera.
         detector: as configured, with the sigmas.
-        name: of the camera, for an error message.
+        name: name of the camera, for an error message.
     """
     configured = detector.camera(name)
     focal, principal_u, principal_v, k1 = rng.standard_normal(4)

@@ -28,7 +28,7 @@ class EncoderSamples:
         log_time_ns: arrival times, shape (n,).
         azimuth: rad, 0 to 2 pi, shape (n,).
         elevation: rad, shape (n,).
-        sigma: of each angle, rad.
+        sigma: standard deviation of each angle, rad.
     """
 
     time_ns: np.ndarray
@@ -65,10 +65,10 @@ class ImageSamples:
         time_ns: middles of the exposures, increasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
         first: shape (n + 1,).
-        beacon_ids: of all lights of the scenario.
+        beacon_ids: ids of all lights of the scenario.
         beacon_index: index of each found light in ``beacon_ids``, shape (k,).
         point_m: on the detector, along right and up, shape (k, 2).
-        sigma_m: of each coordinate, of a light at rest.
+        sigma_m: standard deviation of each coordinate, of a light at rest.
     """
 
     time_ns: np.ndarray

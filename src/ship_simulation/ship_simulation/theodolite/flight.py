@@ -101,7 +101,7 @@ class Aim:
 
     Attributes:
         programme: the sweep, and whether the lights are followed.
-        paths: of the drones.
+        paths: paths of the drones.
         last_departure_s: time when the last of them leaves.
     """
 

@@ -40,7 +40,7 @@ class PointingTruth:
         rotation_nt: horizon from telescope there, shape (m, 3, 3).
         beacon_count: number of lights in the telescope's view there, shape (m,).
         scene: all true quantities, at any time.
-        star_parallelism: of the main axis in each camera that observes stars, rad, shape (3,).
+        star_parallelism: parallelism of the main axis in each camera that observes stars, rad, shape (3,).
     """
 
     encoder_index: np.ndarray

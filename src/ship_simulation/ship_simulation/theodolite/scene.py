@@ -34,11 +34,11 @@ class TrueTheodolite:
     """The constants of the theodolite.
 
     Attributes:
-        axis_errors: of its axes.
+        axis_errors: errors of the theodolite's axes.
         parallelism: azimuth, elevation and rotation of the main axis in the telescope frame, rad, shape (3,).
-        focal_length_m: of the telescope.
-        lever_d: from the ship's antenna to the intersection of the axes, m, shape (3,).
-        lens_m: N' of the telescope's lens from there, in the main frame, m, shape (3,).
+        focal_length_m: focal length of the telescope.
+        lever_d: vector from the ship's antenna to the intersection of the axes, m, shape (3,).
+        lens_m: vector from there to the principal point N' of the telescope's lens, main frame, m, shape (3,).
     """
 
     axis_errors: AxisErrors
@@ -126,7 +126,7 @@ class TrueBeacon(ObservedBody):
 
     Attributes:
         config: its part of the scenario.
-        attitude: of the drone (nose, up, right).
+        attitude: attitude of the drone (nose, up, right).
         lever_b: from its antenna to its light, in its own axes, m, shape (3,).
     """
 

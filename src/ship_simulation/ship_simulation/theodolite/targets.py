@@ -35,7 +35,7 @@ class TargetSamples:
     Attributes:
         time_ns: middles of the exposures, not decreasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
-        target_ids: of all targets of the scenario.
+        target_ids: ids of all targets of the scenario.
         target: index in ``target_ids``, shape (n,).
         point_m: on the detector, along its right and up, shape (n, 2).
         rotation: reported rotation of the detector, rad, shape (n,).

@@ -11,7 +11,7 @@ from theodolite_calib.lights.line_of_sight import covariance_by_source
 from theodolite_calib.lights.telescope_attitude import linearise, total_covariance
 from theodolite_calib.measured.sighting import Sighting
 
-# The axis errors are the unknowns of the fit: they are no error of a sighting.
+# The axis errors are the unknowns of the fit: they are not errors of a sighting.
 _FITTED_BLOCK = "axes"
 _SHIP = "ship.attitude"
 

@@ -81,13 +81,13 @@ def _fixed_term(text: str) -> tuple[str, float]:
     """Return name and value (rad) of a fixed term."""
     name, _, value = text.partition("=")
     if name not in NAMES:
-        raise argparse.ArgumentTypeError(f"'{name}' is no term: expected one of {', '.join(NAMES)}")
+        raise argparse.ArgumentTypeError(f"'{name}' is not a term: expected one of {', '.join(NAMES)}")
     try:
         arcsec = float(value) if "=" in text else 0.0
     except ValueError:
         arcsec = math.nan
     if not math.isfinite(arcsec):
-        raise argparse.ArgumentTypeError(f"'{value}' is no value of '{name}': expected a finite number of arcsec")
+        raise argparse.ArgumentTypeError(f"'{value}' is not a value of '{name}': expected a finite number of arcsec")
     return name, arcsec * ARCSEC
 
 

@@ -177,7 +177,7 @@ class _Problem:
         return np.diag(np.concatenate([PRIOR_SIGMAS[self.free] ** -2.0, np.ones(self.correlated_map.shape[-1])]))
 
     def linearise(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (n, 2), and the model's derivative by all unknowns, shape (n, 2, k + q)."""
+        """Return residuals (n, 2), and the model's derivative with respect to all unknowns, shape (n, 2, k + q)."""
         residuals, change = self.sightings.linearise(AxisErrors.from_vector(vector))
         return residuals - self.correlated_map @ shared, np.concatenate(
             [change[..., self.free], self.correlated_map], axis=-1

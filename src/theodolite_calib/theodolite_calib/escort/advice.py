@@ -33,9 +33,9 @@ class EscortAdvice:
 
     Attributes:
         names: names of the N drones.
-        places_n: their antennas from the ship's antenna (N, U, E), m, shape (N, 3).
+        places_n: vectors from the ship's antenna to the drones' antennas (N, U, E), m, shape (N, 3).
         sigma_now: standard deviation of the pointing on the sky with the beacons now in the field, rad.
-        sigma_advised: the same with the beacons at the advised positions, rad.
+        sigma_advised: standard deviation of the pointing with the beacons at the advised positions, rad.
         limits_reached: limits reached by the positions; or the limit that leaves none.
     """
 
@@ -93,8 +93,8 @@ class _Search:
         names: names of the drones.
 
     Attributes:
-        best: least standard deviation of the pointing so far, rad; infinite before the first.
-        best_box: its box coordinates, shape (N, 3); None before the first.
+        best: least standard deviation of the pointing so far, rad; infinite if there was none yet.
+        best_box: its box coordinates, shape (N, 3); None if there was none yet.
     """
 
     def __init__(self, allowed: AllowedPlaces, accuracy: BeaconAccuracy, names: tuple[str, ...]) -> None:

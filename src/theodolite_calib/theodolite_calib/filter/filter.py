@@ -88,14 +88,14 @@ class CalibrationState:
 
     @property
     def last_update_ns(self) -> int | None:
-        """Time of the last accepted sighting, of beacons or of stars; None before the first."""
+        """Time of the last accepted sighting, of beacons or of stars; None if there was none yet."""
         return max(
             (time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None
         )
 
     @property
     def residual_rms(self) -> float:
-        """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first."""
+        """RMS of the residuals of beacons and stars on the sky, rad; NaN if there was none yet."""
         return float(np.sqrt(self.residual_square_sum / self.point_count)) if self.point_count else float("nan")
 
 

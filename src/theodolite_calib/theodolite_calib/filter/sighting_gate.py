@@ -1,9 +1,9 @@
 """Gate of the sightings: which sightings, and which of their beacons, the filter accepts.
 
-Two tests apply, each with the probability of the gate: all residuals together, and the part of them that no attitude of
-the telescope explains, which are the angles between the beacons. A sighting that fails is tested for misidentification
-(:mod:`theodolite_calib.lights.beacon_check`), so that the rejection names its cause. Beacons with exchanged names are
-used under the right names. One wrong beacon among three or more is left out.
+Two tests apply, each with the probability of the gate. The first tests all residuals together. The second tests only
+the angles between the beacons, which do not depend on the attitude of the telescope. A sighting that fails is tested
+for misidentification (:mod:`theodolite_calib.lights.beacon_check`), so that the rejection contains the cause. Beacons
+with exchanged names are used under the right names. One wrong beacon among three or more is excluded.
 """
 
 from dataclasses import dataclass, replace

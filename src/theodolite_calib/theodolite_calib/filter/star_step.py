@@ -1,9 +1,9 @@
-"""Step of the filter by one exposure of stars.
+"""Filter step for one exposure of stars.
 
 The state is propagated to the time of the exposure and compared with the identified stars
-(:mod:`theodolite_calib.filter.star_comparison`). If they pass the gate, the main filter and the subfilters are updated.
-A rejection against encoders and ship counts like one of beacons: the pointing has an unresolved fault until stars or
-beacons are accepted again.
+(:mod:`theodolite_calib.filter.star_comparison`). If the stars pass the gate, the main filter and the subfilters are
+updated. Stars that contradict encoders and ship are counted together with rejected beacons: after several rejections
+the pointing has an unresolved fault until stars or beacons are accepted again.
 """
 
 from dataclasses import replace
@@ -24,11 +24,11 @@ from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _CONFLICT_REASONS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
-"""Rejections that contradict the prediction: most stars match a right prediction."""
+"""Reasons of rejections that contradict the prediction: with a correct prediction most stars are identified."""
 
 
 class StarStep:
-    """Step from a state to the next by one exposure of stars.
+    """Filter step from one state to the next for one exposure of stars.
 
     Args:
         config: parameters of the node.
@@ -43,7 +43,7 @@ class StarStep:
         self._axis_indices = axis_state_indices(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
-        """Return state and decision after an exposure; ``state`` is that after the previous sighting."""
+        """Return state and decision after an exposure; ``state`` is the one after the previous sighting or exposure."""
         after, decision = self._evaluate(state, sighting)
         return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded_sources)))
 

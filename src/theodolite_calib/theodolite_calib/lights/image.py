@@ -49,7 +49,7 @@ class Camera:
     def direction_by_point(self, point_m: FloatArray) -> FloatArray:
         """Return the derivative of the direction by the detector point, rad/m, shape (..., N, 3, 2).
 
-        The derivative by the principal point has the opposite sign.
+        The derivative with respect to the principal point has the opposite sign.
         """
         across = self._direction_by_ray(point_m)
         return -across[..., [2, 1]]
@@ -113,9 +113,9 @@ class PredictedPoints:
 
     Attributes:
         point_m: shape (..., N, 2).
-        by_attitude_n: derivative by the rotation vector of the telescope's attitude in n, m/rad, shape (..., N, 2, 3).
-        by_direction_n: derivative by the unit direction of the beacon in n, m/rad, shape (..., N, 2, 3).
-        by_focal_length: derivative by the focal length, m/m, shape (..., N, 2).
+        by_attitude_n: derivative with respect to the telescope's rotation vector in n, m/rad, shape (..., N, 2, 3).
+        by_direction_n: derivative with respect to the beacon's unit direction in n, m/rad, shape (..., N, 2, 3).
+        by_focal_length: derivative with respect to the focal length, m/m, shape (..., N, 2).
     """
 
     point_m: FloatArray
@@ -171,7 +171,7 @@ class BeaconStreaks:
     the streak grows by the same factor, to σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
 
     Attributes:
-        image: as detected.
+        image: detected image.
         camera: geometry of the telescope.
         psf_sigma_m: spread of the image of a light at rest, each axis.
         nodes: the m nodes of the exposure.

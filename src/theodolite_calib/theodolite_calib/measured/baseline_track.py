@@ -1,10 +1,10 @@
-"""Track of the baselines to one drone: interpolation between valid ones, and detection of jumps.
+"""Track of the baselines to one drone: interpolation between valid baselines, and detection of jumps.
 
-A receiver with wrong ambiguities still reports FIXED and is off by decimetres. The change between the right and the
-wrong solution is a step in an otherwise smooth path: over one or two seconds a drone flies a cubic. The step is found
-by least squares, from cubics through the last solutions with and without a step at each of them. The noise is the
-larger of the solutions' scatter about the cubic and their stated noise, so that a flight in gusts hides a step rather
-than being taken for one.
+A receiver with wrong ambiguities still reports FIXED, with an error of decimetres. The change between the right and the
+wrong solution is a step in an otherwise smooth path: over one or two seconds the path of a drone is a cubic polynomial.
+The step is estimated by least squares: cubics are fitted to the last solutions, without a step and with a step at each
+solution. The noise is the larger of the solutions' scatter about the cubic and their stated noise. In gusts a step may
+therefore be missed, but gusts are not reported as a step.
 """
 
 import math
@@ -37,7 +37,7 @@ class BaselineJump:
 
     Attributes:
         time_ns: stamp of the first solution after the jump.
-        jump_n: (North, Up, East), m, shape (3,).
+        jump_n: size of the jump (North, Up, East), m, shape (3,).
         sigma_m: standard deviation of each component.
     """
 
@@ -78,9 +78,10 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return velocity
 
     def latest_jump(self, time_ns: int) -> BaselineJump | None:
-        """Return the most significant jump among the last solutions up to the one after a time; None if there is none.
+        """Return the most significant jump among the last solutions; None if there is none.
 
-        Solutions with later stamps are not used, so that their time of arrival does not matter.
+        The newest of these solutions is the first one at or after ``time_ns``. Later solutions are not used, so that
+        the result does not depend on when they arrive.
         """
         interval = self._interval(time_ns)
         if interval is None:

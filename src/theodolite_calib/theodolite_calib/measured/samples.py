@@ -285,7 +285,7 @@ class PointingEstimate:
         rotation_nm: horizon from main frame, shape (3, 3).
         covariance_by_source_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
         covariance_n: total covariance, with the inflation by solution separations, shape (3, 3).
-        covariance_without_separation_n: the same without that inflation; the protection levels use it.
+        covariance_without_separation_n: total covariance without that inflation, for the protection levels.
         rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
         mode: source of the pointing.
         status: status of the pointing.

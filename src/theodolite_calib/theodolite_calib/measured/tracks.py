@@ -29,7 +29,7 @@ _FULL_TURN = 2.0 * np.pi
 _STREAM_WINDOW_NS = 3 * SECOND_NS
 """Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
 _LEAD_IN_NS = SECOND_NS
-"""Time before that range from which samples are used as well, ns."""
+"""Additional time before the checked range whose samples are used too, ns."""
 
 _DRIFT_WINDOW_NS = 60 * SECOND_NS
 """Time range in which the ship's attitude is compared with its own rates, ns."""
@@ -47,9 +47,9 @@ class ShipAt:
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         correlated_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
         noise: variance of each component of the white error and of interpolation, rad².
-        status: status stated by the source; between two attitudes the worse one.
-        chord_nd: horizon from deck as tf2 interpolates it, at a constant rate from one ship/attitude to the next; None
-            with the INS alone.
+        status: status stated by the source; between two attitudes the worse of the two.
+        chord_nd: horizon from deck as interpolated by tf2: with a constant rate between two messages of ship/attitude.
+            None if the source is ins/imu.
     """
 
     rotation_nd: FloatArray
@@ -70,7 +70,7 @@ class ShipSeries:
         correlated_covariance_n: shape (N, 3, 3); None if the configuration states it.
         noise: shape (N,).
         status: N statuses.
-        chord_nd: shape (N, 3, 3); None with the INS alone.
+        chord_nd: shape (N, 3, 3); None if the source is ins/imu.
     """
 
     rotation_nd: FloatArray
@@ -82,7 +82,7 @@ class ShipSeries:
 
     @classmethod
     def from_ships(cls, ships: Sequence[ShipAt]) -> "ShipSeries":
-        """Return the series of some times, all of one source and with covariances stated in the same way."""
+        """Return the series of some attitudes from one source, either all or none with a stated covariance."""
         slow_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
         chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
         return cls(
@@ -102,7 +102,7 @@ class EncoderAt:
     Attributes:
         azimuth: rad.
         elevation: rad.
-        noise: variance of each, interpolation included, rad².
+        noise: variance of each angle, interpolation included, rad².
     """
 
     azimuth: float
@@ -135,11 +135,11 @@ class MeasuredTracks:
 
     Attributes:
         encoder: encoder readings.
-        ship: attitudes of the ship, in the stamps of their source.
+        ship: attitudes of the ship, with the stamps of their source.
         baselines: baselines from the ship's antenna to each drone's, by beacon_id.
         drones: attitudes of the drones whose light is not at their antenna, by beacon_id.
         ship_shift_ns: offset of the ship attitudes' time of validity from their stamps, ns.
-        reach_ns: maximum distance in time of the data that an exposure is compared with, ns.
+        reach_ns: maximum time between an exposure and the data with which it is compared, ns.
     """
 
     def __init__(self, config: OpticalAxisConfig) -> None:
@@ -160,7 +160,7 @@ class MeasuredTracks:
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Apply other noise."""
+        """Apply the noise parameters of a changed configuration."""
         self._by_ins = config.ship.source == "ins/imu"
         white_arcsec = config.ins.white_sigma_arcsec if self._by_ins else config.ship.white_sigma_arcsec
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
@@ -199,7 +199,8 @@ class MeasuredTracks:
 
         Args:
             time_ns: the time.
-            nodes: times of an exposure about it that the track spans; the noise is then that of the mean over it.
+            nodes: times within an exposure around ``time_ns``, all within the track. If given, the noise is that of the
+                mean attitude over the exposure.
         """
         attitude = self.ship.at(time_ns - self.ship_shift_ns)
         if attitude is None:
@@ -229,7 +230,7 @@ class MeasuredTracks:
         return EncoderAt(azimuth, elevation, noise)
 
     def main_axis_at(self, times_ns: list[int], axes: AxisErrors) -> FloatArray | None:
-        """Return horizon from main frame at m times by given axis errors, shape (m, 3, 3); None in a gap."""
+        """Return horizon from main frame at m times, with given axis errors, shape (m, 3, 3); None in a gap."""
         ships, encoders = map(self.ship_at, times_ns), map(self.encoder_at, times_ns)
         rotations_nm = [
             ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
@@ -253,7 +254,10 @@ class MeasuredTracks:
         )
 
     def has_ship_drifted(self, time_ns: int) -> bool | None:
-        """True if the ship's attitude departed from its rates in the last minute, after its last jump, or None."""
+        """True if the ship's attitude departed from its rates; None if unknown.
+
+        The compared time is the last minute, or the time since the last jump of the attitude if that is shorter.
+        """
         until_ns = time_ns - self.ship_shift_ns
         first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)
         ship = self.ship.samples_between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)

@@ -43,7 +43,7 @@ class Calibration:
     """Named quantities with their joint covariance.
 
     Attributes:
-        time_ns: time of the last accepted sighting; 0 before the first.
+        time_ns: time of the last accepted sighting; 0 if there was none yet.
         names: as in ship_msgs/TheodoliteCalibration.
         values: rad or m, shape (n,).
         covariance: covariance of the values, shape (n, n).

@@ -30,7 +30,7 @@ class PointingLevels:
         state: state of the filter.
 
     Attributes:
-        state: the same.
+        state: state of the filter.
     """
 
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:

@@ -74,9 +74,9 @@ class CorrectedAxis:
         state: its state after the last sighting.
 
     Attributes:
-        state: the same.
+        state: state of the filter after the last sighting.
         rotation_mt: main frame from telescope, shape (3, 3).
-        separation_inflation: covariance added to these states by the solution separations, shape (k, k).
+        separation_inflation: covariance added to the propagated states by the solution separations, shape (k, k).
     """
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:

@@ -195,13 +195,13 @@ class TargetOutput:
     def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
         """Return the detector path of a target with constant direction while the main frame turns, m, shape (m, 2).
 
-        A target whose direction turns steadily gives the same mean, except for the product of its rotation and the
-        mount's.
+        For a target with a steadily rotating direction the mean is the same, except for the product of its rotation and
+        the mount's.
 
         Args:
-            sample: its image.
+            sample: image of the target.
             rotations_nm: horizon from main frame at m times, shape (m, 3, 3).
-            middle_nm: the same at the middle, where the target is at its image point, shape (3, 3).
+            middle_nm: horizon from main frame at the middle, where the target is at its image point, shape (3, 3).
         """
         camera = self._detector.camera
         rotation_mv = rotation_main_from_detector(sample.detector_rotation)

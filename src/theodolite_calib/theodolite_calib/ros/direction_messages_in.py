@@ -1,4 +1,4 @@
-"""Conversion of ship_msgs/TargetDirection to a theodolite's direction, for the node ``triangulation`` and for bags."""
+"""Conversion of ship_msgs/TargetDirection to a direction sample, for the node ``triangulation`` and for bags."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ from theodolite_calib.target.common_times import DirectionSample
 
 _NORM_TOLERANCE = 1e-3
 _LEAST_SHARE = 1e-9
-"""Minimum ratio of the two variances across a direction; a smaller one cannot be weighted."""
+"""Minimum ratio of the smaller to the larger variance across a direction; below it the covariance is singular."""
 
 
 def direction(
@@ -33,14 +33,14 @@ def direction(
     Args:
         message: TargetDirection.
         station: name of the theodolite.
-        receive_ns: when it came.
-        horizon: name of the frame that it must be in.
+        receive_ns: arrival time of the message.
+        horizon: required frame_id.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    # A position from several theodolites is in another frame: it is no direction.
+    # A position from several theodolites is rejected here: its frame is not the horizon.
     check_frame(message.header.frame_id, horizon)
     if message.status not in list(Status):
         expected = ", ".join(status.name for status in Status)

@@ -1,4 +1,4 @@
-"""Adapter of the node ``triangulation``: topics of the theodolites, messages of a position, diagnostics."""
+"""Adapter of the node ``triangulation``: input topics of the theodolites, position messages and diagnostics."""
 
 import functools
 import math
@@ -100,7 +100,7 @@ class TriangulationAdapter(ReportingAdapter):
 
 
 def position_messages(factory: MessageFactory, estimate: PositionEstimate) -> list[OutputMessage]:
-    """Return the messages of a position: ship_msgs/TargetDirection without a direction; if INVALID also the reason."""
+    """Return the messages of a position: a ship_msgs/TargetDirection with an unknown direction, and any rejection."""
     unknown = np.full(3, np.nan)
     target = TargetEstimate(
         time_ns=estimate.time_ns,

@@ -20,7 +20,7 @@ class TracedState(CalibrationState):
     """State with its last update.
 
     Attributes:
-        last_update: update by the last accepted sighting or the last jump; None before the first.
+        last_update: update by the last accepted sighting or the last jump; None if there was none yet.
         is_predicted_only: True for a propagated state that follows by prediction alone; False if a subfilter has become
             the main filter since then.
     """
@@ -75,7 +75,7 @@ class TracedFilter(CalibrationFilter):
 
 
 def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
-    """Record the update by a sighting; with excluded sources it is no update of the prediction."""
+    """Record the update by a sighting; with excluded sources it is not an update of the prediction."""
     assert isinstance(predicted, TracedState)
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)

@@ -1,13 +1,13 @@
-"""Direction of a target in the horizon from its image on the main detector, and with a range its position.
+"""Direction of a target in the horizon from its image on the main detector; with a range also its position.
 
-A target at (x, z) on the detector, whose own frame v is the main frame m rotated about the main axis by ρ, appears
-along
+The frame v of the detector is the main frame m rotated about the main axis by ρ. A target with its image at (x, z) on
+the detector appears in the direction
 
     u = rotation_nm · R(0, 0, ρ) · V,   V ∝ [f, -(z - z0), -(x - x0)]
 
-The image rotation ω of the main axis is in rotation_nm already ([W18] (24); docs/explanation/theodolite.md). u is the
-direction of the arriving light: refraction is in it, and is corrected if a range gives a position. All vectors are in
-n, the horizon (North, Up, East).
+rotation_nm includes the image rotation ω of the main axis ([W18] (24); docs/explanation/theodolite.md). u is the
+direction of the arriving light: it includes refraction, which is corrected only for a position from a range. All
+vectors are in n, the horizon (North, Up, East).
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class MainDetector:
 
     @property
     def camera(self) -> Camera:
-        """Same geometry as a camera of the beacons' detector."""
+        """This geometry as a :class:`Camera`."""
         return Camera(self.focal_length_m, self.focal_length_sigma_m, self.principal_point_m)
 
 
@@ -50,9 +50,9 @@ class ObservedDirection:
 
     Attributes:
         direction_n: unit vector, shape (3,).
-        by_turn_n: derivative by a rotation vector of the main frame in n, rad per rad, shape (3, 3).
-        image_covariance_n: covariance of the error by the detector: image, focal length, principal point and rotation,
-            rad², shape (3, 3).
+        by_turn_n: derivative with respect to a rotation vector of the main frame in n, rad per rad, shape (3, 3).
+        image_covariance_n: covariance of the error from the detector: image point, focal length, principal point and
+            rotation, rad², shape (3, 3).
     """
 
     direction_n: FloatArray
@@ -60,7 +60,11 @@ class ObservedDirection:
     image_covariance_n: FloatArray
 
     def covariance_n(self, pointing_n: FloatArray) -> FloatArray:
-        """Return the covariance of the total error, rad², from that of the main frame's rotation vector."""
+        """Return the covariance of the total error, rad².
+
+        Args:
+            pointing_n: covariance of the rotation vector of the main frame, rad², shape (3, 3).
+        """
         covariance: FloatArray = self.by_turn_n @ pointing_n @ self.by_turn_n.T + self.image_covariance_n
         return covariance
 
@@ -76,7 +80,7 @@ def observed_direction(
     """Return the direction of a target from its image.
 
     Args:
-        detector: its geometry.
+        detector: geometry of the detector.
         point_m: image point (x, z), shape (2,).
         sigma_m: standard deviation of each coordinate.
         detector_rotation: ρ, rad.
@@ -119,9 +123,9 @@ class RangedPosition:
 
     Attributes:
         path_n: from the theodolite's centre, m, shape (3,).
-        by_direction_n: derivative by the direction, m/rad, shape (3, 3).
-        by_range_n: derivative by the range, m/m, shape (3,).
-        by_coefficient_n: derivative by the coefficient k of terrestrial refraction, m, shape (3,).
+        by_direction_n: derivative with respect to the direction, m/rad, shape (3, 3).
+        by_range_n: derivative with respect to the range, m/m, shape (3,).
+        by_coefficient_n: derivative with respect to the coefficient k of terrestrial refraction, m, shape (3,).
     """
 
     path_n: FloatArray
@@ -131,18 +135,20 @@ class RangedPosition:
 
 
 def ranged_position(direction_n: FloatArray, range_m: float, coefficient: float) -> RangedPosition:
-    """Return the position of a target in a direction raised by refraction, k · (horizontal distance) / (2 R).
+    """Return the position of a target; its direction is corrected for refraction.
+
+    Refraction raises the direction by the angle k · (horizontal distance) / (2 R).
 
     Args:
         direction_n: observed unit vector, shape (3,).
-        range_m: distance.
-        coefficient: k.
+        range_m: distance of the target.
+        coefficient: coefficient k of terrestrial refraction.
     """
     north, up, east = direction_n.tolist()
     horizontal = float(np.hypot(north, east))
     if horizontal == 0.0:
         return RangedPosition(range_m * direction_n, range_m * np.eye(3), direction_n, np.zeros(3))
-    # Rotated towards the nadir about the horizontal axis to the left of the line: no refraction at the zenith.
+    # The observed direction is lowered in its vertical plane.
     upward_n = np.array([-up * north / horizontal, horizontal, -up * east / horizontal])
     raised = coefficient * range_m * horizontal / (2.0 * EARTH_RADIUS_M)
     lowered_n = np.cos(raised) * direction_n - np.sin(raised) * upward_n

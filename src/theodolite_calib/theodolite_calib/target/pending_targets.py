@@ -1,6 +1,6 @@
 """Pending images of targets: each waits until the pointings before and after it have been published.
 
-Images affect nothing else: the pointings and their inputs are, to the last bit, the same without them.
+Images of targets do not affect the pointings: these are equal to the last bit with and without them.
 """
 
 from collections import deque
@@ -12,16 +12,18 @@ MAX_WAITING = 1000
 """Maximum number of pending images; beyond it the oldest are rejected."""
 
 _MAX_ANSWERED = 5000
-"""Maximum number of answered images that are stored to detect repetitions; a second of data has fewer."""
+"""Maximum number of answered images that are stored to detect repetitions: more than one second of data."""
 
 _Key = tuple[int, str]
 
 
 class PendingTargets:
-    """Pending images of one run, and those answered recently.
+    """Pending images of one run, and recently answered images.
+
+    An image is answered by a direction or a rejection.
 
     Args:
-        stamp_conflicts: stamp conflicts of their source.
+        stamp_conflicts: stamp conflicts of the source of the images.
     """
 
     def __init__(self, stamp_conflicts: StampConflicts) -> None:
@@ -34,7 +36,7 @@ class PendingTargets:
         return len(self._waiting)
 
     def add(self, sample: TargetSample, waiting_ns: int) -> Rejection | None:
-        """Add an image; return its rejection, or that of the image it replaces."""
+        """Add an image; return the rejection of this image or of the one it replaces; None without a conflict."""
         key = sample.time_ns, sample.target_id
         waits = self._waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)
@@ -57,7 +59,7 @@ class PendingTargets:
         return [self._waiting[key] for key in sorted(self._waiting)]
 
     def mark_answered(self, sample: TargetSample) -> None:
-        """Mark an image as answered, by a direction or a rejection."""
+        """Mark an image as answered."""
         key = sample.time_ns, sample.target_id
         del self._waiting[key]
         self._answered[key] = sample
@@ -66,8 +68,8 @@ class PendingTargets:
             del self._answered[self._order.popleft()]
 
     def conflict_text(self, time_ns: int) -> str:
-        """Return the reason why images of a time are unreliable: their source sent conflicting ones; else empty.
+        """Return a text if the source of the images recently sent conflicting ones at this time; empty otherwise.
 
-        It applies to all targets together, because their names come from outside and could be any number.
+        All targets share one text, because there is no limit to the number of target names that a source may send.
         """
         return self._stamp_conflicts.text(self._stamp_conflicts.active_at(time_ns))

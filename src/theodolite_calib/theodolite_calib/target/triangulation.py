@@ -176,7 +176,7 @@ class _Line:
         )
 
     def direction_to(self, position_n: FloatArray, coefficient: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the unit vector to a position, with its derivatives by the position (3, 3) and by k (3,)."""
+        """Return the unit vector to a position, with its derivatives: position (3, 3) and coefficient k (3,)."""
         path_n = position_n - self.foot_n
         distance_m = float(np.linalg.norm(path_n))
         # Raised by k h / (2 R) with h the horizontal distance: that is k d / (2 R) times Up, across the line.
@@ -213,7 +213,7 @@ def _distance_rejection(lines: Sequence[_Line], position_n: FloatArray, covarian
 
 
 def _residuals(lines: Sequence[_Line], position_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return residuals (2 N,), their derivative by the position (2 N, 3) and their covariance (2 N, 2 N)."""
+    """Return residuals (2 N,), their derivative with respect to the position (2 N, 3) and covariance (2 N, 2 N)."""
     residuals, jacobians, by_k = [], [], []
     noise = np.zeros((2 * len(lines), 2 * len(lines)))
     for number, line in enumerate(lines):

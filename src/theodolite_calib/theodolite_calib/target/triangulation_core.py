@@ -68,7 +68,7 @@ class _ReportTimes:
     """Times of one theodolite's reports on a target, INVALID ones included.
 
     Attributes:
-        newest_ns: latest stamp; 0 before the first.
+        newest_ns: latest stamp; 0 if there was none yet.
         interval_ns: between the latest two stamps; 0 before the second.
         received_ns: time of reception of the last one.
     """
