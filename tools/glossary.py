@@ -53,7 +53,8 @@ def terms_of(section: str) -> list[tuple[str, dict[str, str]]]:
 def _term_row(term: str, fields: dict[str, str]) -> str:
     source = f"[{fields['source']}](../sources.md)" if "source" in fields else ""
     link = f"[`{fields['module']}`](../../{module_path(fields['module']).relative_to(ROOT)})"
-    return f"| **{term}** | {fields['meaning']} | {fields.get('unit', '')} | {source} | {link} |\n"
+    cells = f"**{term}**", fields["meaning"], fields.get("unit", ""), source, link
+    return f"|{'|'.join(f' {cell} ' if cell else '' for cell in cells)}|\n"
 
 
 def module_path(module: str) -> Path:

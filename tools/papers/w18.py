@@ -129,8 +129,8 @@ def section(figure: str) -> str:
     elevations = ", ".join(f"{each:.0f}" for each in ELEVATIONS_DEG)
     return f"""## [W18]: calibration of a theodolite by two airborne lights
 
-N′ is the principal point of the lens, here 60 mm from the centre of the theodolite. The method knows its position if
-*surveyed*, and assumes it at the centre if *unsurveyed*.
+N′ is the principal point of the lens, here 60 mm from the centre of the theodolite. The method is given its position
+if *surveyed*, and assumes it at the centre if *unsurveyed*.
 
 {rows_table(printed_values())}
 ### The figure of its simulation in two readings
