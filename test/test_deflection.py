@@ -232,7 +232,7 @@ class _RearrangedRun:
 
 
 def test_gravitys_horizon_needs_the_deflection() -> None:
-    with pytest.raises(ParameterError, match=r"'horizon' is gravity: set gravity\.deflection too"):
+    with pytest.raises(ParameterError, match=r"'horizon' = gravity: set gravity\.deflection"):
         build(ShipAttitudeConfig, {"horizon": "gravity"})
 
 

@@ -46,7 +46,7 @@ def test_a_source_as_stated_is_ok_and_shows_its_figures() -> None:
     assert status.values["measurements"] == "100"
     low, high = chi2.ppf([0.5e-7, 1.0 - 0.5e-7], 200) / 200  # of the mean of 200 squares
     assert status.values["NIS per component"].endswith(f"(expected {low:.2f} to {high:.2f})")
-    assert set(status.values) >= {"factor of the sigma", "outliers (%)", "bias up (sigma)", "correlation right"}
+    assert set(status.values) >= {"factor of its sigma", "outliers (%)", "bias up (sigma)", "correlation right"}
     assert report.statuses() == [status]  # evaluated once, reported as long as it applies
     assert not report.pending
 
@@ -57,7 +57,7 @@ def test_an_understated_sigma_is_a_warning() -> None:
     (status,) = report.statuses()
     assert status.level is Level.WARN
     assert status.message.startswith("sigma optimistic by ")
-    assert float(status.values["factor of the sigma"]) == pytest.approx(3.0, rel=0.2)
+    assert float(status.values["factor of its sigma"]) == pytest.approx(3.0, rel=0.2)
 
 
 def test_too_few_measurements_are_no_warning_and_have_no_figures() -> None:

@@ -68,7 +68,7 @@ def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:
         low, high = diagnosis.nis_band
         values |= {
             "NIS per component": f"{diagnosis.nis:.2f} (expected {low:.2f} to {high:.2f})",
-            "factor of the sigma": f"{diagnosis.factor:.2f}",
+            "factor of its sigma": f"{diagnosis.factor:.2f}",
             "outliers (%)": f"{100.0 * diagnosis.outlier_share:.1f}",
         }
         values |= {f"bias {axis} (sigma)": f"{value:+.2f}" for axis, value in diagnosis.bias_sigma.items()}
