@@ -390,7 +390,7 @@ def test_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == INS, add_heading_error))
     for source in ("star.fore", "star.starboard"):
         _, text = run.diagnostics(f"conflict {source}", run.now_ns - SECOND_NS, run.now_ns)[-1]
-        assert "only the INS differs, star.fore, star.starboard disagree with it equally" in text
+        assert "only the INS differs, star.fore, star.starboard disagree with the INS equally" in text
 
 
 @pytest.mark.parametrize("heading_deg", [45.0, 225.0, 44.0])

@@ -62,8 +62,8 @@ def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
     rejection = values.rejection(ns(7), Reading(102.0))
     assert rejection.reason is Reason.JUMP
     assert rejection.text == (
-        "102 m from the last accepted value, 3.0 s before it, limit 16 m; "
-        "accepted once it has lasted for 60 s"
+        "jump by 102 m from the last accepted value, 3.0 s earlier, limit 16 m; "
+        "accepted once the jump has lasted for 60 s"
     )
 
 
@@ -79,7 +79,7 @@ def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
     values, rejected = insert_all(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
     assert rejected == [float(t) for t in range(5, 60)]
     rejection = values.rejection(ns(60), Reading(30.0))
-    assert "consistent with other values that had jumped" in rejection.text
+    assert "consistent with other values that jumped" in rejection.text
     # A value that has returned to within one step is accepted: 12 within a second.
     assert insert_all(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
 

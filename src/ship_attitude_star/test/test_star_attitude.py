@@ -453,4 +453,4 @@ def test_an_old_solution_is_reported_as_timed_out() -> None:
         level, text = reports[-1]
         assert level == 1
         assert text.startswith("no solution for 1")
-        assert text.endswith(" s, the last VALID")
+        assert text.endswith(" s, last status VALID")
