@@ -53,5 +53,5 @@ def test_before_the_first_build_the_list_explains_how_to_build(tmp_path: Path) -
 def test_an_executable_that_moved_is_named_in_its_old_package(name: str, package: str) -> None:
     run = ros2run(ROOT, "ship_replay", name, "--help")
     assert run.returncode == 2
-    assert run.stderr == f"{name} has moved from ship_replay to {package}: ros2 run {package} {name}\n"
+    assert run.stderr == f"{name} has moved from ship_replay to {package}: ./ros2run {package} {name}\n"
     assert ros2run(ROOT, package, name, "--help").stdout.startswith(f"usage: ./ros2run {package} {name}\n")

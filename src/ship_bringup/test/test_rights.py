@@ -180,7 +180,7 @@ def test_shipped_policies_match_the_code(example, tmp_path, capsys):
     assert policies.main([str(suite_file), "--out", str(tmp_path / "out")]) == 0
     made = (tmp_path / "out" / "policy.xml").read_bytes()
     path = PACKAGE / "security" / f"{example}.policy.xml"
-    remedy = f"./ros2run ship_bringup policies {suite_file} --out OUT, then copy OUT/policy.xml to {path}"
+    remedy = f"ros2 run ship_bringup policies {suite_file} --out OUT, then copy OUT/policy.xml to {path}"
     assert path.read_bytes() == made, remedy
 
 

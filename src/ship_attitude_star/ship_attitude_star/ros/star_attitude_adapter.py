@@ -305,7 +305,8 @@ def _solution_status(
         return DiagnosticStatus(name, Level.OK, f"none yet{how}")
     solved, published_ns = last
     if waiting_ns - published_ns > SOLUTION_TIMEOUT_NS:
-        text = f"no solution for {(waiting_ns - published_ns) * 1e-9:.0f} s, last status {solved.solution.status.name}{how}"
+        age_s = (waiting_ns - published_ns) * 1e-9
+        text = f"no solution for {age_s:.0f} s, last status {solved.solution.status.name}{how}"
         return DiagnosticStatus(name, Level.WARN, text)
     level, text = _STATUS_TEXTS[solved.solution.status]
     if solved.solution.rejection is not None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ship_bags.command_line import CommandParser, run_command
+from ship_bags.command_line import CommandParser, launcher, run_command
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import dds_has_security, is_security_requested, loaded_libraries
 from ship_bags.live.ros_process import namespace_name, positive_number
@@ -145,7 +145,7 @@ def _preflight(options: argparse.Namespace) -> int:
 
 def _parameters(suite: _Suite) -> Iterable[CheckLine]:
     for text in suite.findings.errors:
-        yield CheckLine("parameters", Result.FAIL, text, "for details: ./ros2run ship_replay check_config")
+        yield CheckLine("parameters", Result.FAIL, text, f"for details: {launcher()} ship_replay check_config")
     for text in suite.findings.warnings:
         yield CheckLine("parameters", Result.WARN, text)
     if not suite.findings.errors:
@@ -241,7 +241,7 @@ def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 def _nmea_in(suite: _Suite) -> str:
     """Return the command that starts the suite's ``nmea_in`` alone."""
     names = suite.options.namespace and f" -r __ns:=/{suite.options.namespace}"
-    return f"./ros2run ship_nmea nmea_in --ros-args{names} --params-file {shlex.quote(str(suite.options.file))}"
+    return f"{launcher()} ship_nmea nmea_in --ros-args{names} --params-file {shlex.quote(str(suite.options.file))}"
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_DONE, CommandParser, launcher, run_command
 from ship_bags.errors import BadInput, one_line
 from ship_bags.live.dds import dds_has_security, loaded_libraries, require_security
 from ship_bags.live.ros_process import namespace_name, positive_number
@@ -156,7 +156,7 @@ def _show_limits(parsed: argparse.Namespace) -> int:
     if parsed.bag is None:
         raise BadInput(
             "limits need --bag BAG: the expected accuracy is that of a recording replayed through the suite; without "
-            "a recording, simulate a voyage (./ros2run ship_simulation simulate)"
+            f"a recording, simulate a voyage ({launcher()} ship_simulation simulate)"
         )
     limits = Limits() if parsed.limits in (None, _NO_FILE) else read_limits(parsed.limits)
     print("\n".join(expected_limits(parsed.file, parsed.bag, parsed.namespace, limits)))

@@ -17,6 +17,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
+from ship_bags.command_line import launcher
 from ship_bags.errors import BadInput
 from ship_bringup.security.certificates import (
     certificate_key,
@@ -251,7 +252,7 @@ class _Enclave:
             text = f"{place}: subject_name is '{permissions.subject}': expected '{expected}'"
             yield KeystoreFault(text, "these are permissions of another enclave or ship: create them again")
         yield from _date_faults(self._use, path, permissions.not_before, permissions.not_after)
-        advice = "create the policies again: ./ros2run ship_bringup policies"
+        advice = f"create the policies again: {launcher()} ship_bringup policies"
         for text in policy_faults(permissions, self._rights, self._use.domain_id):
             yield KeystoreFault(f"{path}: {text}", advice, of_policy=True)
 

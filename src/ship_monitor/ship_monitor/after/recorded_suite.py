@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ship_bags.command_line import launcher
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
@@ -118,7 +119,7 @@ class RecordedSuite:
         name = self.path.name
         if usable.isdisjoint(OUTPUTS):
             outputs = f"no {OUTPUTS[0]} and no {OUTPUTS[1]}"
-            remedy = f"make them with './ros2run ship_replay replay {self.path} --out OUT.mcap', then open OUT.mcap"
+            remedy = f"make them with '{launcher()} ship_replay replay {self.path} --out OUT.mcap', then open OUT.mcap"
             return (f"{name} contains {outputs}, only inputs: {remedy}",)
         lines = [] if has_truth else [f"{name} contains no truth: innovations are shown, errors are not"]
         if OUTPUTS[0] not in usable:
