@@ -44,7 +44,7 @@ def test_too_much_for_one_core_and_for_all_of_them_is_named(adapters):
     few, many = (node_loads(adapters, {"ins/imu": rate_hz}, 1.0) for rate_hz in (100.0, 2000.0))
     assert list(load_warnings(few, cores=2)) == []
     one, other, both = load_warnings(many, cores=2)
-    assert "% of one core, limit 70 %: it may fall behind, mostly by ins/imu at 2000 Hz" in one + other
+    assert "% of one core, limit 70 %: it may fall behind; largest load: ins/imu at 2000 Hz" in one + other
     assert "mostly by ship/attitude at 2000 Hz" in one + other
     assert "all nodes together" in both
     assert load_text(many).startswith("load: about ")
@@ -64,4 +64,4 @@ def test_check_config_prints_the_load_and_warns_if_too_high(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "load: about " in printed
     assert "of one core for ship_attitude" in printed
-    assert "it may fall behind. Most of the load is ins/imu at " in printed
+    assert "it may fall behind; largest load: ins/imu at " in printed

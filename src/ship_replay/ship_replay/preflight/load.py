@@ -94,13 +94,13 @@ def load_warnings(found: Sequence[NodeLoad], cores: int) -> Iterator[str]:
     Example:
         >>> for text in load_warnings([NodeLoad("ship_attitude", 0.84, "imu at 1000 Hz")], cores=1):
         ...     print(text)
-        ship_attitude takes about 84 % of one core, limit 70 %: it may fall behind. Most of the load is imu at 1000 Hz
+        ship_attitude takes about 84 % of one core, limit 70 %: it may fall behind; largest load: imu at 1000 Hz
     """
     for load in found:
         if load.is_too_much:
             yield (
                 f"{load.node} takes about {100.0 * load.share:.0f} % of one core, limit {100.0 * MOST_SHARE:.0f} %: "
-                f"it may fall behind, mostly by {load.busiest}"
+                f"it may fall behind; largest load: {load.busiest}"
             )
     total = sum(load.share for load in found)
     if len(found) > 1 and total > MOST_SHARE * cores:
