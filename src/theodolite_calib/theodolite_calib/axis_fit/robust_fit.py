@@ -62,7 +62,7 @@ class AxisFit:
     """Result of a fit.
 
     Attributes:
-        errors: axis errors, rad, fixed ones included.
+        errors: axis errors, fixed errors included, rad.
         fitted: names of the fitted errors, in the order of the covariance.
         covariance: covariance of the fitted errors, rad², shape (k, k); it includes only common errors stated by the
             table.
@@ -107,7 +107,7 @@ class AxisFit:
 
 
 def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
-    """Fit all axis errors except the fixed ones.
+    """Fit all axis errors except the fixed errors.
 
     Args:
         sightings: the sightings, at least as many as there are errors to fit.

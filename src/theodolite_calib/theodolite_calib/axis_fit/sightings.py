@@ -63,7 +63,7 @@ def correlated_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, c
 
 
 def _covariance(time_correlated: list[SharedError], time_s: FloatArray) -> FloatArray:
-    """Return the covariance of the sightings by errors correlated in time, right and up in turn, (2 n, 2 n), rad²."""
+    """Return the covariance of the sightings due to time-correlated errors, right and up in turn, (2 n, 2 n), rad²."""
     interval_s = np.abs(np.subtract.outer(time_s, time_s))
     covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
     for correlation_s, errors in groupby(time_correlated, key=lambda error: error.time_s):

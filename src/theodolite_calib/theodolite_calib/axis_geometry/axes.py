@@ -124,7 +124,7 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative (..., 3, n) of a direction fixed in a frame, from that of the frame's rotation vector."""
+    """Return the derivative (..., 3, n) of a direction fixed in a frame, from the frame's ``by_rotation``."""
     return -skew(direction) @ by_rotation
 
 

@@ -1,6 +1,6 @@
 """Configuration of a design study: a theodolite and its pointing, and drones with the positions of their beacons.
 
-The keys under ``optical_axis`` are those of the node ``optical_axis``, so that a good design can be copied there.
+The keys under ``optical_axis`` are parameters of the node ``optical_axis``, so that a good design can be copied there.
 """
 
 import re

@@ -175,7 +175,7 @@ def initial_fault_state(subfilters: SubfilterSet) -> FaultState:
 
 
 class FaultDetector:
-    """Fault detector for the sources of a configuration; it uses the innovations in all filters.
+    """Fault detector for the sources of a configuration, from the innovations in all filters.
 
     Args:
         config: probabilities for exclusions, and the reinstatement time.

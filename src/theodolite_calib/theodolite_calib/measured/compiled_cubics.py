@@ -81,8 +81,8 @@ def clearest_step(
         before: minimum number of vectors before a step; fewer than N.
 
     Returns:
-        Index of the first vector after the step; the step, shape (3,); the noise variance of a vector over that of the
-            step; and the sum of squared residuals with cubic and step.
+        Index of the first vector after the step; the step, shape (3,); the ratio of a vector's noise variance to the
+            step's variance; and the sum of squared residuals with cubic and step.
     """
     count: cython.Py_ssize_t = since.shape[0]
     check("vectors", values.shape[0] == count and values.shape[1] == 3 and 0 < before < count)

@@ -46,7 +46,7 @@ within the limit ends this state."""
 
 @dataclass(frozen=True)
 class EncoderJump:
-    """Permanent slip of the encoders, after which they read differently for the same axis.
+    """Permanent slip of the encoders, after which the reading for each direction of the axis differs.
 
     Attributes:
         time_ns: time just before the first reading after the slip.

@@ -119,7 +119,7 @@ class EncoderStepDetector:
         prediction_error = self._prediction_error(time_ns, angles, sigma_rad, coarseness_rad)
         first, self._pending_step = self._pending_step, None
         if first is not None:
-            assert prediction_error is not None  # by the same readings as the first
+            assert prediction_error is not None  # predicted from the same readings as the first error
             return self._resolve_step(*first, prediction_error, angles)
         if prediction_error is not None and self._count >= _WARM_UP_READINGS and prediction_error.exceeds_bound:
             self._pending_step = prediction_error, angles

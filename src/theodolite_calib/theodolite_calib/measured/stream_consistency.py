@@ -120,7 +120,7 @@ def stream_consistency(
 
 
 def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
-    """True if a ship's attitude has departed from the integral of its own rates; None if unknown.
+    """True if the ship's attitude has departed from the integral of its rates; None if unknown.
 
     Args:
         ship: attitudes, in the order of their stamps.

@@ -255,7 +255,7 @@ class OpticalAxisCore:
         return outcome
 
     def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> PointingOutcome:
-        """Add an attitude of a drone; it is not needed if the light is at the drone's antenna."""
+        """Add an attitude of a drone; a drone with its light at the antenna needs no attitudes."""
         track = self._tracks.drones.get(beacon_id)
         return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 

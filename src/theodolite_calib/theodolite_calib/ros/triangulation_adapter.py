@@ -87,7 +87,7 @@ class TriangulationAdapter(ReportingAdapter):
         if last is None or self._published_ns is None:
             return DiagnosticStatus("position", Level.OK, "no position yet", values)
         if waiting_ns - self._published_ns > _STALE_NS:
-            # This is OK, because possibly no theodolite has a target in view.
+            # The level is OK, because possibly no theodolite has a target in view.
             text = f"no position for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, the last {last.status.name}"
             return DiagnosticStatus("position", Level.OK, text, values)
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
