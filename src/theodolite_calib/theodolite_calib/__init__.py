@@ -1,6 +1,6 @@
 """Theodolite pointing: axis errors calibrated by beacons on drones, and the main axis in the horizon at each reading.
 
-Each folder imports only those below it:
+Each folder imports only folders named below it:
 
 - ``axis_fit`` fits axis errors to a table of sightings, ``design`` predicts the accuracy before a voyage,
   ``triangulation`` computes positions of targets from recorded directions.
@@ -10,6 +10,6 @@ Each folder imports only those below it:
 - ``target`` gives directions and positions of targets; ``escort`` gives advised positions of the drones.
 - ``filter`` estimates axis errors, deformation and the ship's error.
 - ``measured`` holds the samples, ``config`` the parameters.
-- ``lights`` is the camera model for beacons and the attitude of the telescope from them.
+- ``lights`` is the camera model for beacons, and computes the telescope's attitude from their images.
 - ``axis_geometry`` is the mount model: zero points, collimation, non-perpendicularity, tilt and flexure.
 """

@@ -1,4 +1,4 @@
-"""Parameters of the ``optical_axis`` node. Each states its unit, range and meaning; names are dotted."""
+"""Parameters of the ``optical_axis`` node, each with unit, range and meaning; names are dotted."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,16 +28,16 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_geometry.axes import NAMES
 
 _MAX_LEVER_M = 200.0
-"""Largest lever of any ship, m: a larger number is in millimetres, or another mistake."""
+"""Largest lever of any ship, m; a larger number is in millimetres, or wrong."""
 
 _SHORTEST_FOCAL_LENGTH_M = 0.001
 
 _SAME_TOLERANCE = 1e-9
-"""Relative difference up to which two parameters count as equal: the same number may be written in different units."""
+"""Relative difference up to which two parameters count as equal, because their units may differ."""
 
 
 def _axis_error(doc: str) -> Any:
-    """Return the field of the known value of an axis error, up to 1°; larger zero points need ``fit_axes``."""
+    """Return the field of the prior value of an axis error, at most 1°; larger zero points need ``fit_axes``."""
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
 
 
@@ -55,7 +55,7 @@ def _sigma_deg(default: float, doc: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class LeverConfig:
-    """A surveyed vector in the axes (forward, up, right) of the device that carries it."""
+    """Surveyed vector in the axes (forward, up, right) of the ship, drone or theodolite."""
 
     forward_m: float = parameter(
         0.0, doc="component along forward (bow)", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M
@@ -70,7 +70,7 @@ class LeverConfig:
 
     @property
     def vector_m(self) -> FloatArray:
-        """Vector, shape (3,)."""
+        """Vector in metres, shape (3,)."""
         return np.array([self.forward_m, self.up_m, self.right_m])
 
 
@@ -145,7 +145,7 @@ class AxesConfig:
 
     @property
     def sigma(self) -> FloatArray:
-        """Their uncertainties, rad, shape (7,)."""
+        """Standard deviations of the prior values, rad, shape (7,)."""
         return ARCSEC * np.array([getattr(self, f"{name}_sigma_arcsec") for name in NAMES])
 
 
@@ -208,7 +208,7 @@ class TelescopeConfig:
 
     @property
     def parallelism_sigma(self) -> FloatArray:
-        """Their uncertainties, rad, shape (3,)."""
+        """Standard deviations of the parallelism, rad, shape (3,)."""
         return ARCSEC * np.array(
             [self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.rotation_sigma_arcsec]
         )
@@ -216,11 +216,11 @@ class TelescopeConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class StarCameraConfig:
-    """Star camera fixed to the theodolite, and the orientation of the main axis in it.
+    """Star camera fixed to the theodolite, and the orientation of the main axis in the camera.
 
-    The main frame is that of the camera rotated by R(azimuth, elevation, roll), in the sense of
-    ``telescope.azimuth_arcsec`` and the following parameters. The calibration telescope may be one: its id is then
-    ``telescope.telescope_id``.
+    The main frame is the camera's frame rotated by R(azimuth, elevation, roll), with the signs of
+    ``telescope.azimuth_arcsec``, ``elevation_arcsec`` and ``rotation_arcsec``. If the calibration telescope is a star
+    camera, its id is ``telescope.telescope_id``.
     """
 
     frame_id: str = parameter("", doc="frame_id that theodolite/<id>/stars must carry; empty accepts any")
@@ -241,13 +241,13 @@ class StarCameraConfig:
 
     @property
     def parallelism_sigma(self) -> FloatArray:
-        """Their uncertainties, rad, shape (3,)."""
+        """Standard deviations of the parallelism, rad, shape (3,)."""
         return ARCSEC * np.array([self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.roll_sigma_arcsec])
 
 
 @dataclass(frozen=True, kw_only=True)
 class MainDetectorConfig:
-    """Detector in the main tube, on which targets are observed; none if it has no focal length."""
+    """Detector in the main tube, for images of targets; a focal length of 0 means no detector."""
 
     frame_id: str = parameter("", doc="frame_id that theodolite/target must carry; empty accepts any")
     focal_length_m: float = parameter(
@@ -296,7 +296,7 @@ class MainDetectorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class AirConfig:
-    """Coefficient k of terrestrial refraction on the path to the beacons, and to a target with a range."""
+    """Coefficient k of terrestrial refraction on the paths to beacons and to a target with a range."""
 
     coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
     sigma: float = parameter(0.06, doc="error of k, common to all lights", minimum=0.0, maximum=5.0)
@@ -306,7 +306,7 @@ class AirConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ShipAntennaConfig:
-    """Antenna aboard from which all baselines start: its error is common to them."""
+    """Antenna aboard from which all baselines start, so that its error is common to all baselines."""
 
     sigma_m: float = parameter(0.01, doc="correlated error, each axis", unit="m", minimum=0.0, maximum=10.0)
     time_s: float = parameter(300.0, doc="correlation time of the error", unit="s", minimum=0.0, maximum=1e7)
@@ -314,7 +314,7 @@ class ShipAntennaConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RtkConfig:
-    """Baseline from the ship's antenna to the drone's."""
+    """Baseline from the ship's antenna to the drone's antenna."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/baseline must carry; empty accepts any")
     base_id: str = parameter("", doc="base_id required in the messages; empty accepts any")
@@ -338,7 +338,7 @@ class RtkConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DroneImuConfig:
-    """Attitude of the drone; used only if its light has a lever."""
+    """Attitude of the drone, used only if the light has a lever from the drone's antenna."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/imu must carry; empty accepts any")
     accept_unset_covariance: bool = accept_unset_covariance()
@@ -364,7 +364,7 @@ class BeaconConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EscortConfig:
-    """Advice for the drones: the limits of their positions, relative to the theodolite."""
+    """Advice for the drones, with the limits of their positions relative to the theodolite."""
 
     enabled: bool = parameter(False, doc="publish advised positions of the drones on theodolite/escort")
     period_s: float = parameter(10.0, doc="period of the advice, in slow topics", unit="s", minimum=1.0, maximum=3600.0)
@@ -406,7 +406,7 @@ class EscortConfig:
                     value=least,
                 )
         near, far, field = self.range_min_m, self.range_max_m, np.deg2rad(self.field_deg)
-        # The largest distance is across the whole field: between two far positions, or a near and a far one.
+        # The largest distance is across the whole field, between two far positions, or a near and a far position.
         same_range_m, different_range_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
         widest_m = float(max(same_range_m, different_range_m))
         if not self.separation_min_m <= widest_m:
@@ -473,7 +473,7 @@ class OpticalAxisConfig:
     )
 
     def __post_init__(self) -> None:
-        # One main filter; subfilters without each drone, without the encoders, without the ship's attitude.
+        # There is one hypothesis per filter: main filter, subfilters without a drone, encoders or ship's attitude.
         hypotheses, most = 3 + len(self.beacons), self.integrity.max_hypotheses
         if hypotheses > most:
             raise ParameterError(
@@ -490,14 +490,14 @@ class OpticalAxisConfig:
             )
 
     def star_camera(self, id_: str) -> RequiredCameraConfig:
-        """Return the camera of ``telescopes.<id>``, with ``telescope.focal_length_sigma_m`` for that telescope."""
+        """Return the camera ``telescopes.<id>``; the calibration telescope gets the sigma of its focal length."""
         camera, sigma_m = self.telescopes[id_].camera, self.telescope.focal_length_sigma_m
         if id_ != self.telescope.telescope_id or not sigma_m:
             return camera
         return replace(camera, focal_length_sigma_m=sigma_m)
 
     def _refuse_another_telescope(self, id_: str) -> None:
-        """Refuse a calibration telescope with different focal length or parallelism for beacons and for stars."""
+        """Refuse a calibration telescope whose focal length or parallelism differs between beacons and stars."""
         telescope, camera = self.telescope, self.telescopes[id_]
         duplicates = [
             ("camera.focal_length_m", camera.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)

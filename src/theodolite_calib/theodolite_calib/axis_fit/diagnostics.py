@@ -2,17 +2,17 @@
 
 **Near dependencies.** Belsley, Kuh, Welsch, "Regression Diagnostics" (1980), ch. 3: the columns of the design are
 scaled to unit length. A singular value far below the largest (its condition index is far above 1) belongs to a
-combination of errors that hardly moves the pointing of these sightings. The errors whose variance comes mostly from it
-are involved in it.
+combination of errors that hardly moves the pointing of these sightings. An error is involved in a combination if a
+large part of the error's variance comes from it.
 
-**Other readings of the table.** They are compared by the likelihood of the numbers in the table, not by the residuals
-on the sky. An offset that was already multiplied by cos E has smaller residuals, because it is smaller. With the scale
+**Other readings of the table.** Other readings are compared by the likelihood of the numbers in the table. Residuals on
+the sky would not do, because offsets already multiplied by cos E are smaller and have smaller residuals. With the scale
 s of n sightings,
 
     log L = -2 n log s + sum log |d(sky) / d(offset)|
 
-where the derivative is cos E for an azimuth offset as such and 1 for one that was already multiplied. No sighting can
-show that both offsets have the wrong sign: all errors then have the wrong sign too, and the likelihood is the same.
+where the derivative is cos E for a plain azimuth offset, and 1 for an offset already multiplied by cos E. If both
+offsets have the wrong sign, no sighting can show this: all errors have the wrong sign, and the likelihood is equal.
 """
 
 from collections.abc import Iterator, Mapping
@@ -26,15 +26,15 @@ from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, AxisFit, fit
 from theodolite_calib.axis_fit.sightings import Sightings, directions
 
 NEAR_DEPENDENCY_INDEX = 10.0
-"""Condition index from which on a combination of errors is reported."""
+"""Minimum condition index of a combination of errors that is reported."""
 
 CORRELATED = 0.9
-"""Size of a correlation from which on a pair of errors is reported."""
+"""Minimum size of the correlation of a pair of errors that is reported."""
 
 _PARTICIPATION_SHARE = 0.25
-"""Minimum share of an error's variance for the error to be involved in a combination."""
+"""Minimum part of an error's variance due to a combination for the error to be involved in that combination."""
 _OPEN_PARTICIPATION_RATIO = 0.02
-"""Minimum change of an error for it to be involved in an unobservable combination, as a ratio to the largest one."""
+"""Minimum ratio of an error's change to the largest change for the error to belong to an unobservable combination."""
 _PRIOR_LIMIT_RAD = float(PRIOR_SIGMAS[-1])
 """Prior standard deviation of a small error, rad; a combination with larger changes is unobservable."""
 _ROUNDING = 1e-15
@@ -46,8 +46,8 @@ class NearDependency:
 
     Attributes:
         names: names of the errors involved.
-        changes: change of each of them for one sigma of the combination, signed, rad.
-        effect: effect of this change on the pointing, RMS over the sightings, rad.
+        changes: change of each error for one sigma of the combination, signed, rad.
+        effect: effect of these changes on the pointing, RMS over the sightings, rad.
     """
 
     names: tuple[str, ...]
@@ -79,7 +79,7 @@ def unobservable(fit: AxisFit) -> Unobservable | None:
     _, runs = _combinations(fit)
     sizes = np.abs(runs)
     is_open = np.max(sizes, axis=1) > _PRIOR_LIMIT_RAD
-    # Errors that are not involved change a little too, by second-order effects of the errors themselves.
+    # Other errors change a little too, due to second-order effects.
     takes_part = np.any(
         sizes[is_open] > _OPEN_PARTICIPATION_RATIO * np.max(sizes[is_open], axis=1, keepdims=True), axis=0
     )
@@ -103,7 +103,7 @@ def near_dependencies(fit: AxisFit) -> list[NearDependency]:
 
 
 def correlated_pairs(fit: AxisFit) -> list[tuple[str, str, float]]:
-    """Return the pairs of names with a correlation of at least :data:`CORRELATED`, with it, by falling size."""
+    """Return pairs of errors with their correlation, if its size is at least :data:`CORRELATED`, by falling size."""
     correlation = fit.correlation
     pairs = [
         (fit.fitted[i], fit.fitted[j], float(correlation[i, j]))
@@ -114,7 +114,7 @@ def correlated_pairs(fit: AxisFit) -> list[tuple[str, str, float]]:
 
 
 def _combinations(fit: AxisFit) -> tuple[FloatArray, FloatArray]:
-    """Return condition indices, rising, (k,), and the errors' changes for one sigma of each combination, (k, k)."""
+    """Return rising condition indices, (k,), and the errors' changes for one sigma of each combination, (k, k)."""
     design = (np.sqrt(fit.weights)[:, None, None] * fit.design).reshape(-1, len(fit.fitted))
     lengths = np.linalg.norm(design, axis=0)
     lengths = np.where(lengths > 0.0, lengths, 1.0)
@@ -124,7 +124,7 @@ def _combinations(fit: AxisFit) -> tuple[FloatArray, FloatArray]:
 
 
 _MIN_LOG_LIKELIHOOD_GAIN = 10.0
-"""Gain of the log-likelihood from which on another reading is reported: twenty thousand times as likely."""
+"""Minimum gain of the log-likelihood of another reading that is reported; it is then 20 000 times as likely."""
 _LEAST_COSINE = 1e-3
 """Minimum cosine of the elevation, used near the zenith where it is a divisor."""
 
@@ -136,7 +136,7 @@ def table_warnings(sightings: Sightings, fixed: Mapping[str, float]) -> list[str
         sightings: sightings as read, at least as many as there are errors to fit.
         fixed: errors that are not fitted, by name, with their values, rad.
     """
-    # Errors common to sightings affect all readings equally. Here they count by the correlation of neighbours.
+    # Common errors of sightings affect all readings equally; the correlation of neighbours replaces them here.
     without_shared_errors = replace(sightings, correlated_errors=())
     given, independent = _log_likelihood(without_shared_errors, fixed)
     best, text = max((_gain(other, given, fixed), words) for other, words in _readings(without_shared_errors))
@@ -150,14 +150,14 @@ def _gain(reading: tuple[Sightings, float], given: float, fixed: Mapping[str, fl
 
 
 def _log_likelihood(sightings: Sightings, fixed: Mapping[str, float]) -> tuple[float, float]:
-    """Return the log-likelihood of the directions, and the ratio of independent sightings."""
+    """Return the log-likelihood of the directions, and the ratio of independent sightings to all sightings."""
     result = fit(sightings, fixed)
     share = min(1.0, max(0.0, (1.0 - result.neighbour_correlation) / (1.0 + result.neighbour_correlation)))
     return -2.0 * len(sightings.labels) * float(np.log(result.scale)), share
 
 
 def _readings(sightings: Sightings) -> Iterator[tuple[tuple[Sightings, float], str]]:
-    """Yield other readings of the table, each with the term of its derivative in the likelihood, and its text."""
+    """Yield other readings of the table, each with the derivative's term of the log-likelihood, and a warning."""
     azimuth, elevation = sightings.offsets()
     cosine = np.cos(sightings.elevation)
     cosine = np.where(np.abs(cosine) < _LEAST_COSINE, _LEAST_COSINE, cosine)

@@ -1,4 +1,4 @@
-"""Effect of the correlated errors of the optical axis' model on the direction from an exposure of beacons."""
+"""Effect of correlated errors on the direction of the optical axis from an exposure of beacons."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from theodolite_calib.lights.line_of_sight import covariance_by_source
 from theodolite_calib.lights.telescope_attitude import linearise, total_covariance
 from theodolite_calib.measured.sighting import Sighting
 
-# The axis errors are the unknowns of the fit: they are not errors of a sighting.
+# The axis errors are the unknowns of the fit, not errors of a sighting.
 _FITTED_BLOCK = "axes"
 _SHIP = "ship.attitude"
 
@@ -22,11 +22,11 @@ def correlated_effects(
     """Return the effect of one sigma of each correlated error on a sighting.
 
     Args:
-        model: the errors.
-        prediction: exposure as configured, with the Jacobian by all errors.
+        model: model of the errors.
+        prediction: exposure predicted with the configured values, with its Jacobian with respect to all errors.
         sighting: the exposure.
         rotation_nt: attitude of the telescope (horizon from telescope) from the beacons, shape (3, 3).
-        direction_d: direction of the main axis by it, unit vector, shape (3,).
+        direction_d: direction of the main axis from this attitude, unit vector, shape (3,).
 
     Returns:
         Name and correlation time (s) → angles to the right and up, shape (2,), rad.
@@ -36,7 +36,7 @@ def correlated_effects(
         sighting.image, prediction.camera, prediction.lines.direction_n, line_covariance, rotation_nt, None
     )
     gain = np.linalg.solve(equations.weighted_jacobian @ equations.jacobian, equations.weighted_jacobian)
-    # The beacons give the telescope's attitude without the axis geometry, whose errors enter by the comparison.
+    # The beacons give the telescope's attitude without the axis geometry, so its part of the Jacobian is removed.
     through_beacons = gain @ (prediction.jacobian - prediction.by_attitude_n @ prediction.by_state_n)
     turn_d = sighting.ship.rotation_nd.T @ (prediction.by_state_n + through_beacons)
     by_error = right_and_up(direction_d) @ direction_change(direction_d, turn_d)

@@ -22,16 +22,16 @@ _SIDES = ("to the right", "up")
 _ROOM = 1.12
 """Ratio of the axis limit to the farthest point."""
 _STEEP = 20.0
-"""Ratio of values above which each gets its own scale: zero points may be degrees, the rest is arcseconds."""
+"""Ratio of values above which each gets its own scale: zero points may be degrees, the other errors are arcseconds."""
 _ARROW = 0.05
-"""Length of an arrow of one scale, in radii of the sky."""
+"""Length of the arrow for a residual of one scale, in radii of the sky."""
 _CORRELATION_COLOURS = "RdBu_r"
 _DARK_CELL = 0.6
-"""Correlation above which a cell is dark and has light numbers."""
+"""Correlation above which a cell is dark, so that its number is white."""
 
 
 def draw_figures(fit: AxisFit, sightings: Sightings, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into an existing folder; return the files by the figures' names."""
+    """Draw every figure as PNG into an existing folder, and return the files by name of the figure."""
     return write_figures(_figures(fit, sightings), folder)
 
 
@@ -43,7 +43,7 @@ def _figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]
 
 
 def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
-    """Return the figure of residuals without and with the model, on one scale if that shows both."""
+    """Return the figure of residuals without and with the model, on one scale if it can show both."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 6.6), layout="compressed")
     limits = [_ROOM * float(np.max(np.abs(part))) / ARCSEC for part in (fit.before, fit.residuals)]
     if limits[0] < _STEEP * limits[1]:
@@ -69,7 +69,7 @@ def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
 
 
 def _over_angles(fit: AxisFit, sightings: Sightings) -> Figure:
-    """Return the figure of the residuals over both angles: a bend or a wave is a missing term."""
+    """Return the figure of the residuals over both angles; a missing term appears as a bend or a wave."""
     azimuth_deg, elevation_deg = np.rad2deg(azimuth_and_elevation(sightings.direction_d))
     residuals = fit.residuals / ARCSEC
     limit = _ROOM * max(float(np.max(np.abs(residuals[~fit.outliers]), initial=0.0)), 3.5 * fit.scale / ARCSEC)
@@ -93,7 +93,7 @@ def _over_angles(fit: AxisFit, sightings: Sightings) -> Figure:
 
 
 def _sky(fit: AxisFit, sightings: Sightings) -> Figure:
-    """Return the figure of the sightings on the sky with residuals as arrows; the zenith in the middle."""
+    """Return the figure of the sightings on the sky, the zenith in the middle, with residuals as arrows."""
     figure, axes = plt.subplots(figsize=(7.2, 7.2), layout="constrained")
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
     lowest_deg = min(0.0, 15.0 * np.floor(np.rad2deg(elevation.min()) / 15.0))
@@ -165,7 +165,7 @@ def _draw_points(axes: Axes, x: FloatArray, y: FloatArray, outliers: NDArray[np.
 
 
 def _draw_beyond(axes: Axes, x: FloatArray, y: FloatArray, limit: float) -> None:
-    """Write the true value of points that were drawn at the edge."""
+    """Write the values of points that exceed the limit and were drawn at the edge."""
     for number in np.flatnonzero(np.abs(y) > limit):
         axes.annotate(
             f"{y[number]:+.0f}″".replace("-", "−"), (x[number], np.clip(y[number], -limit, limit)),

@@ -1,4 +1,4 @@
-"""``fit_axes``: axis errors of a theodolite from sightings of known directions; with figures, tables, a calibration."""
+"""``fit_axes``: axis errors of a theodolite from sightings of known directions; writes figures, tables, calibration."""
 
 import argparse
 import math
@@ -22,7 +22,7 @@ from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPr
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 _MAX_SCATTER = np.deg2rad(1.0)
-"""Scatter of the sightings about their own fit above which they are in other units, or no sightings, rad."""
+"""Maximum scatter of the sightings about their fit, rad; above it the table has other units or other content."""
 
 CALIBRATION = "calibration.yaml"
 OUTPUT_NAMES = (
@@ -104,7 +104,7 @@ def _run(options: argparse.Namespace) -> int:
     warnings = table_warnings(sightings, fixed)
     write_tables(result, sightings, warnings, options.out)
     saved = _calibration(result, sightings, warnings, options)
-    # Imported late: loading the figures' library takes longer than the fit.
+    # Imported here, because loading the figures' library takes longer than the fit.
     from theodolite_calib.axis_fit.figures import draw_figures
 
     draw_figures(result, sightings, options.out)
@@ -113,10 +113,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _calibration(result: AxisFit, sightings: Sightings, table_warnings: list[str], options: argparse.Namespace) -> str:
-    """Write the calibration that optical_axis starts from, if the fit gives one; return the text about it."""
+    """Write the calibration for ``optical_axis`` if the sigmas are known; return the text about it."""
     path = options.out / CALIBRATION
     if table_warnings or not result.sigmas_known:
-        # A calibration of an earlier table must not be taken for one of this table.
+        # A calibration of an earlier table must not be mistaken for a calibration of this table.
         path.unlink(missing_ok=True)
         why = "of the warnings about the table" if table_warnings else "no sigma is known"
         return f"not written: calibration.yaml, because {why}"
@@ -126,10 +126,10 @@ def _calibration(result: AxisFit, sightings: Sightings, table_warnings: list[str
 
 
 def _fit_sightings(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFit:
-    """Return the fit.
+    """Return the fit of the sightings.
 
     Raises:
-        BadInput: there is nothing to fit, there are too few sightings, or they are inconsistent.
+        BadInput: every term is fixed, or the sightings are too few, too many or inconsistent.
     """
     terms = len(NAMES) - len(fixed)
     if terms == 0:
@@ -156,7 +156,7 @@ def _fit_sightings(path: Path, sightings: Sightings, fixed: dict[str, float]) ->
 def _calibration_prior(fit: AxisFit, time_s: FloatArray | None, serial: str) -> CalibrationPrior:
     """Return the calibration from which ``optical_axis`` starts, from a fit with known sigmas.
 
-    Fixed terms, the focal length and the parallelism have no variance in it: they stay as configured.
+    Fixed terms, the focal length and the parallelism have no variance in the calibration, so they stay as configured.
 
     Args:
         fit: fit of the sightings.

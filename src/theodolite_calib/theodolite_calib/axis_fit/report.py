@@ -1,4 +1,4 @@
-"""Results of a fit: as text for the terminal, as YAML for programs, as CSV for further evaluation."""
+"""Results of a fit as text for the terminal, as YAML for programs, and as CSV for further evaluation."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,11 +25,11 @@ MEANINGS = {
 }
 
 _WIDE_GAP = np.pi / 2.0
-"""Gap in azimuth above which the tilt of the vertical axis is determined by half of the sky alone, rad."""
+"""Gap in azimuth above which the tilt of the vertical axis is poorly determined, rad."""
 
 
 def summary(fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> str:
-    """Return the result as text for the terminal, the last line without a line break."""
+    """Return the result as text for the terminal, without a line break at the end."""
     lines = [
         *_coverage(sightings),
         _first_row(sightings),
@@ -72,7 +72,7 @@ def _terms(fit: AxisFit) -> Iterator[str]:
     for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
         known = f"{sigmas.get(name, 0.0):9.2f}" if fit.sigmas_known else f"{'unknown':>9}"
         sigma = known if name in sigmas else f"{'fixed':>9}"
-        # Adding zero turns a rounded -0.0 into 0.0.
+        # The sum with zero turns a rounded -0.0 into 0.0.
         yield f"{name:8}  {round(float(value), 2) + 0.0:9.2f} {sigma}   {MEANINGS[name]}"
     if not fit.sigmas_known:
         yield (
@@ -139,13 +139,13 @@ _RESIDUALS = ("before", "after", "left_out")
 
 
 def write_tables(fit: AxisFit, sightings: Sightings, table_warnings: list[str], folder: Path) -> list[Path]:
-    """Write every table into an existing folder; return the files.
+    """Write every table into an existing folder, and return the files.
 
     Args:
         fit: the fit.
         sightings: sightings of the fit.
         table_warnings: warnings about the table as it was read.
-        folder: the folder.
+        folder: folder for the tables.
     """
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
     return [
@@ -167,7 +167,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: 
         "format": FORMAT,
         "version": VERSION,
         "values_arcsec": {name: float(value) for name, value in zip(NAMES, values, strict=True)},
-        # No sigma is better than one that rests on a wrong assumption.
+        # A sigma from a wrong assumption would be worse than a missing sigma.
         "sigma_arcsec": _sigmas_arcsec(fit) if fit.sigmas_known else None,
         "covariance_of": list(fit.fitted),
         "covariance_rad2": fit.covariance.tolist() if fit.sigmas_known else None,

@@ -5,15 +5,15 @@ standard deviation of one component of a residual:
 
     ρ(r) = r² / 2  for r <= k s,   k s (r - k s / 2)  beyond,   k = 1.345
 
-A sighting with r <= k s has the weight 1, one beyond it the weight k s / r. The loss is convex in the residuals, which
-are nearly linear in such small errors, so there is one minimum for any initial values. s is the median of r divided by
-1.177, the median for two normal components of sigma 1. The loss is minimised by iteratively reweighted Gauss-Newton
-steps.
+A sighting has the weight 1 for r <= k s, and k s / r beyond. The loss is convex in the residuals, which are nearly
+linear in such small errors, so there is one minimum for any initial values. s is the median of r divided by 1.177, the
+median length of a vector of two normal components of sigma 1. The loss is minimised by iteratively reweighted
+Gauss-Newton steps.
 
 Errors common to several sightings (:mod:`theodolite_calib.axis_fit.sightings`) are further unknowns, each with its
 sigma as prior; the rest of a residual is the sighting's own error. If a table states no common errors, the sightings
-are assumed to be independent. A correlation between the residuals of neighbours contradicts this assumption; the fit
-then gives no covariance.
+are assumed to be independent. If the residuals of neighbours are correlated, this assumption is wrong, and no sigmas
+are given.
 
 Huber, "Robust Statistics" (1981), ch. 7.
 """
@@ -29,15 +29,15 @@ from theodolite_calib.axis_fit.sightings import Sightings
 from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, main_axis_rotation
 
 HUBER_K = 1.345
-"""Residual at which the loss changes from quadratic to linear, in scales."""
+"""Residual at which the loss changes from quadratic to linear, in multiples of the scale."""
 
 OUTLIER_AT = 3.5
-"""Residual above which a sighting is an outlier, in scales; 0.2 % of normal residuals exceed it."""
+"""Residual above which a sighting is an outlier, in multiples of the scale; 0.2 % of normal residuals exceed it."""
 
 PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
-"""Prior standard deviation of each error, rad: zero points may have any value, the others are about a degree.
+"""Prior standard deviation of each error, rad: half a turn for zero points, a degree for other errors.
 
-An unobservable error therefore stays at zero, with this sigma. Observable errors are not affected."""
+An unobservable error stays at zero, with its prior sigma. The prior hardly affects observable errors."""
 
 CORRELATION_LIMIT = 0.3
 """Maximum correlation between the residuals of neighbouring sightings for which sigmas are given.
@@ -45,7 +45,7 @@ CORRELATION_LIMIT = 0.3
 At this correlation the sigmas, which assume independence, are a third too small."""
 
 _CHANCE_SIGMAS = 3.0
-"""Correlation that independent residuals may have by chance, in standard deviations of the correlation."""
+"""Maximum chance correlation of independent residuals, in standard deviations of the correlation."""
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
 """Median length of a vector of two normal components of sigma 1."""
 _LEAST_SCALE = 1e-4 * ARCSEC
@@ -53,7 +53,7 @@ _LEAST_SCALE = 1e-4 * ARCSEC
 _ROUNDING = 1e-12
 _MOST_STEPS = 200
 _STEPS_WITH_NEW_SCALE = 50
-"""Number of steps after which the scale is fixed: the remaining problem is convex and converges."""
+"""Number of steps after which the scale is fixed; the remaining problem is convex and converges."""
 _CONVERGED_SIGMAS = 1e-6
 
 
@@ -62,19 +62,19 @@ class AxisFit:
     """Result of a fit.
 
     Attributes:
-        errors: axis errors, rad, fixed ones included.
+        errors: axis errors, fixed errors included, rad.
         fitted: names of the fitted errors, in the order of the covariance.
-        covariance: covariance of the fitted errors, rad², shape (k, k); it includes only those common errors that the
-            table states.
+        covariance: covariance of the fitted errors, rad², shape (k, k); it includes only common errors stated by the
+            table.
         neighbour_correlation: correlation between the residuals of neighbouring sightings.
-        sigmas_known: False if that correlation shows common errors that the table does not state.
+        sigmas_known: False if neighbour_correlation shows common errors that the table does not state.
         scale: robust sigma of one component of a sighting's own error, rad, without common errors.
         before: residuals without any model, to the right and up, rad, shape (n, 2).
         shared: estimated effect of the common errors, rad, shape (n, 2).
         residuals: residuals with the fitted model and without the common errors, rad, shape (n, 2).
-        leave_one_out: residual of each sighting against the fit of the others, rad, shape (n, 2).
+        leave_one_out: residual of each sighting against the fit of the other sightings, rad, shape (n, 2).
         weights: weight of each sighting, at most 1, shape (n,).
-        design: derivative of the direction by the fitted errors, shape (n, 2, k).
+        design: derivative of the direction with respect to the fitted errors, shape (n, 2, k).
     """
 
     errors: AxisErrors
@@ -107,7 +107,7 @@ class AxisFit:
 
 
 def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
-    """Fit all axis errors except the fixed ones.
+    """Fit all axis errors except the fixed errors.
 
     Args:
         sightings: the sightings, at least as many as there are errors to fit.
@@ -133,7 +133,7 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
         shared = shared + change[terms:]
         # An observable common error takes a degree of freedom from the residuals, as an axis error does.
         used_degrees = terms + float(np.sum(1.0 - np.sum(root[terms:] ** 2, axis=1)))
-        # The size of the step in sigmas of the result.
+        # Square root: size of the step in sigmas of the result.
         if np.sqrt(gradient @ change) < _CONVERGED_SIGMAS:
             break
     return _result(problem, vector, shared, scale, used_degrees)
@@ -151,7 +151,7 @@ def rms(residuals: FloatArray) -> float:
 
 
 def _initial_errors(sightings: Sightings) -> FloatArray:
-    """Return the initial errors: a mean zero point of the azimuth, which may have any value; else zero."""
+    """Return the initial errors: the mean zero point of the azimuth, which may have any value, and else zeros."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
     encoder_axis, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
     return np.array([np.angle(np.sum(encoder_axis * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
@@ -159,7 +159,7 @@ def _initial_errors(sightings: Sightings) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Unknowns: axis errors that are not fixed, and common errors of sightings in units of their sigma.
+    """Least-squares problem; the unknowns are the fitted axis errors, and common errors in units of their sigma.
 
     Attributes:
         sightings: the sightings.
@@ -242,8 +242,8 @@ def _covariance(
 ) -> FloatArray:
     """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
-    The stiffness is the second derivative of the loss. Beyond k s it is zero along the residual, and equal to the
-    sighting's weight across it; the mean of both, half the weight, is used.
+    The stiffness is the second derivative of the loss. For residuals beyond k s it is zero along the residual, and the
+    sighting's weight across the residual. The mean, half the weight, is used.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - used_degrees
@@ -255,7 +255,7 @@ def _covariance(
 
 
 def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> FloatArray:
-    """Return W with W Wᵀ = (data_information + information)⁻¹; the prior ``information`` is diagonal."""
+    """Return W with W Wᵀ = (data_information + information)⁻¹; the prior's ``information`` is diagonal."""
     known = 1.0 / np.sqrt(np.diagonal(information))
     values, vectors = np.linalg.eigh(known[:, None] * data_information * known + np.eye(len(known)))
     # In units of the prior every eigenvalue is at least 1, except for rounding.
@@ -266,14 +266,14 @@ def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> F
 def _leave_one_out_residuals(
     residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray
 ) -> FloatArray:
-    """Return the residual of each sighting against a fit without it, by one Newton step from the fit of all."""
+    """Return each sighting's residual against a fit without this sighting, by one Newton step from the full fit."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
     stiffness = weights[:, None, None] * np.eye(2) - flat
     of_one = design @ _root_of_inverse(_normal(design, stiffness), information)
-    # A sighting reduces its own residual: without it the residual is larger.
+    # Each sighting reduces its own residual, which is larger in a fit without the sighting.
     own_pull = of_one @ np.swapaxes(of_one, -1, -2)
     kept = np.eye(2) - stiffness @ own_pull
-    # A residual determined by one sighting alone is zero except for rounding, which must not be enlarged.
+    # A residual that its sighting alone determines is zero except for rounding, which must not be enlarged.
     stretched = own_pull @ np.linalg.inv(kept + _ROUNDING * np.eye(2))
     return residuals + (stretched @ (weights[:, None] * residuals)[..., None])[..., 0]

@@ -1,11 +1,11 @@
 """Reader of sightings: a CSV table, or YAML with the same names under ``sightings``.
 
 Further columns state the errors common to several sightings. ``slow_right_arcsec:NAME:T`` and ``slow_up_arcsec:NAME:T``
-are the effect of one sigma of the error NAME on each sighting; T is its correlation time in seconds, ``inf`` if it is
-constant. ``group`` and ``group_sigma_arcsec`` state that all sightings of a group were taken with the base rotated
-about each of its axes by one error of this size.
+are the effect of one sigma of the error NAME on each sighting. T is the correlation time of NAME in seconds, ``inf``
+for a constant error. All sightings of one ``group`` have a common rotation error of the base about each of its axes,
+with the sigma ``group_sigma_arcsec``.
 
-:func:`read_sightings` selects the reader by the name of the file; every reader returns the same struct.
+:func:`read_sightings` selects the reader by the name of the file; every reader returns rows of the same form.
 """
 
 import csv
@@ -31,10 +31,10 @@ COLUMNS = {
 """Required columns, with their meaning."""
 
 LABEL_COLUMN = "observation"
-"""Column with the user's own numbers, optional; without it the rows are numbered from 1."""
+"""Column with the user's own numbers, optional; without this column the rows are numbered from 1."""
 
 TIME_COLUMN = "time_s"
-"""Time of the sighting, UTC as POSIX time, optional; errors correlated in time need it."""
+"""Column with the time of the sighting, UTC as POSIX time, needed only for errors correlated in time."""
 
 GROUP_COLUMNS = ("group", "group_sigma_arcsec")
 
@@ -44,7 +44,7 @@ _YAML_KEY = "sightings"
 
 
 class _Place(NamedTuple):
-    """Place of values: the file, the line if it is known, and the name of the entry in the file."""
+    """Place of values: the file, the line if known, and the name of the entry in the file."""
 
     file: Path
     line: int | None = None
@@ -93,12 +93,12 @@ def read_sightings(path: Path) -> Sightings:
 
 
 def correlated_column(side: int, name: str, time_s: float) -> str:
-    """Return the name of the column of a correlated error to the right (0) or up (1)."""
+    """Return the name of the column with the effect of a correlated error to the right (0) or up (1)."""
     return f"{_SIDES[side]}:{name}:{time_s:g}"
 
 
 def _without_repeats(rows: list[_Row]) -> tuple[list[tuple[int, _Row]], tuple[str, ...]]:
-    """Return the rows with their numbers, each sighting once, and the labels of the rows that repeat a sighting."""
+    """Return the numbered rows, each sighting once, and the labels of the rows that repeat a sighting."""
     kept: dict[tuple[str, ...], tuple[int, _Row]] = {}
     repeated = []
     for number, (place, values) in enumerate(rows, start=1):
@@ -117,7 +117,7 @@ def _column(table: list[_Row], column: str, unit: str) -> np.ndarray:
 
 
 def _correlated_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
-    """Yield the errors of pairs of columns ``slow_right_arcsec:NAME:T``, ``slow_up_arcsec:NAME:T``."""
+    """Yield the errors from pairs of columns ``slow_right_arcsec:NAME:T``, ``slow_up_arcsec:NAME:T``."""
     names = [column for column in table[0][1] if str(column).startswith(tuple(f"{side}:" for side in _SIDES))]
     for key in dict.fromkeys(column.split(":", 1)[1] for column in names):
         name, _, time = key.rpartition(":")
@@ -137,7 +137,7 @@ def _correlated_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
 
 
 def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SharedError]:
-    """Yield the errors of the group columns: for each group a rotation of the base about each of its axes."""
+    """Yield the errors from the group columns: for each group, rotations of the base about its three axes."""
     group, sigma = GROUP_COLUMNS
     if group not in table[0][1]:
         return
@@ -201,7 +201,7 @@ def _number(place: _Place, values: Mapping[str, Any], column: str, unit: str) ->
 
 
 def _refuse_radians(path: Path, numbers: np.ndarray) -> None:
-    """Refuse angles that all look like radians: in degrees they would be sightings of one point near the horizon."""
+    """Refuse angles that are all in the range of radians; in degrees this would be one point near the horizon."""
     azimuths, elevations = np.abs(numbers[:, 0]), np.abs(numbers[:, 1])
     if np.max(azimuths) <= 2.0 * np.pi and np.max(elevations) <= np.pi:
         raise BadInput(

@@ -1,12 +1,12 @@
 """Sightings of known directions: residuals of an axis model, common errors, and coverage of the sky.
 
-A common error is a Gauss-Markov process in time, or a constant if its correlation time is infinite. Each of its values
-moves a sighting by the stated effect, so that two sightings have the covariance
+A common error is a Gauss-Markov process in time, or a constant if its correlation time is infinite. One sigma of the
+error moves a sighting by the stated effect, so that two sightings have the covariance
 
     sum over the errors of  effect_i effect_jᵀ exp(-|t_i - t_j| / T)
 
-:meth:`Sightings.correlated_map` is a root of that covariance: the fit then has these errors as further unknowns, each
-with a prior variance of 1.
+:meth:`Sightings.correlated_map` is a root of that covariance. Each column is a further unknown of the fit with a prior
+variance of 1.
 """
 
 from dataclasses import dataclass
@@ -27,8 +27,8 @@ MAX_SIGHTINGS = 1000
 """Maximum number of sightings with errors correlated in time, whose joint covariance is decomposed as a whole."""
 
 _MIN_EFFECT_RAD = 0.1 * ARCSEC
-"""Minimum effect on the sightings, rad RMS, for a column of the map; smaller ones cannot be separated from their own
-error."""
+"""Minimum effect on the sightings, rad RMS, for a column of the map; smaller effects cannot be separated from the
+sightings' own errors."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ def correlated_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, c
 
 
 def _covariance(time_correlated: list[SharedError], time_s: FloatArray) -> FloatArray:
-    """Return the covariance of the sightings by errors correlated in time, right and up in turn, (2 n, 2 n), rad²."""
+    """Return the covariance of the sightings due to time-correlated errors, right and up in turn, (2 n, 2 n), rad²."""
     interval_s = np.abs(np.subtract.outer(time_s, time_s))
     covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
     for correlation_s, errors in groupby(time_correlated, key=lambda error: error.time_s):
         effects = np.stack([error.effect.ravel() for error in errors], axis=-1)
-        # A correlation time of zero is white: each time has its own error.
+        # An error with a correlation time of zero is white: independent at each time.
         correlation = np.exp(-interval_s / correlation_s) if correlation_s > 0.0 else (interval_s == 0.0).astype(float)
         covariance += (effects @ effects.T) * np.repeat(np.repeat(correlation, 2, axis=0), 2, axis=1)
     return covariance
@@ -77,7 +77,7 @@ def _covariance(time_correlated: list[SharedError], time_s: FloatArray) -> Float
 def _root(covariance: FloatArray) -> FloatArray:
     """Return a root of the covariance, without negligible columns, shape (2 n, q)."""
     values, vectors = np.linalg.eigh(covariance)
-    # Eigenvalues rise: the least ones, with a negligible joint effect on the sightings, are omitted.
+    # Eigenvalues rise. The first, smallest eigenvalues have a negligible joint effect and are omitted.
     is_significant = np.cumsum(np.maximum(values, 0.0)) > _MIN_EFFECT_RAD**2 * len(values)
     root: FloatArray = vectors[:, is_significant] * np.sqrt(values[is_significant])
     return root
@@ -88,13 +88,13 @@ class Sightings:
     """Encoder readings for known directions of the optical axis.
 
     Attributes:
-        labels: name of each sighting, as its user numbers them.
+        labels: label of each sighting, from the table or its row number.
         azimuth: reading of the azimuth encoder, rad, shape (n,).
         elevation: reading of the elevation encoder, beyond the zenith if the telescope is plunged, rad, shape (n,).
         direction_d: true direction of the optical axis, unit vectors in the base's frame, shape (n, 3).
-        time_s: time of each, s, UTC as POSIX time or from any other start, shape (n,); None if unknown.
+        time_s: time of each sighting, s, UTC as POSIX time or from any other start, shape (n,); None if unknown.
         correlated_errors: errors of the directions common to several sightings.
-        repeated: labels of rows that repeat a sighting; every sighting counts once.
+        repeated: labels of rows that repeat a sighting and are not used.
     """
 
     labels: tuple[str, ...]
@@ -110,19 +110,19 @@ class Sightings:
         return correlated_map(self.correlated_errors, self.time_s, len(self.labels))
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """Return true azimuth and elevation minus the encoders', on the face of the reading, shape (n,) each, rad."""
+        """Return true azimuth and elevation, on the face of the reading, minus the reading, shape (n,) each, rad."""
         plain, over = (encoder_angles(AxisErrors(), self.direction_d, plunged=plunged) for plunged in (False, True))
         is_over = np.cos(self.elevation) < 0.0
         azimuth, elevation = (np.where(is_over, *pair) for pair in zip(over, plain, strict=True))
         return wrap_pi(azimuth - self.azimuth), wrap_pi(elevation - self.elevation)
 
     def residuals(self, errors: AxisErrors) -> FloatArray:
-        """Return true direction minus the model's, as angles to the right and up on the sky, shape (n, 2), rad."""
+        """Return true minus modelled direction, as angles to the right and up on the sky, shape (n, 2), rad."""
         model_d = main_axis_rotation(errors, self.azimuth, self.elevation)[..., 0]
         return _sky_angles(self.direction_d, model_d)
 
     def linearise(self, errors: AxisErrors) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (n, 2), and the model's derivative to the right and up per axis error, shape (n, 2, 7)."""
+        """Return residuals (n, 2), and the derivative of the modelled direction per axis error, shape (n, 2, 7)."""
         axis = main_axis(errors, self.azimuth, self.elevation)
         model_d = axis.rotation_dm[..., 0]
         change = right_and_up(self.direction_d) @ direction_change(model_d, axis.by_error)
@@ -130,12 +130,12 @@ class Sightings:
 
 
 def directions(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Return unit vectors (bow, up, starboard) of azimuth and elevation, shape (..., 3)."""
+    """Return unit vectors (bow, up, starboard) from azimuth and elevation, shape (..., 3)."""
     return main_axis_rotation(AxisErrors(), azimuth, elevation)[..., 0]
 
 
 def _sky_angles(true_d: FloatArray, model_d: FloatArray) -> FloatArray:
-    """Return the angle from the model's to the true direction, resolved to the right and up."""
+    """Return the angle from the modelled to the true direction, resolved to the right and up."""
     sines = -(right_and_up(true_d) @ model_d[..., None])[..., 0]
     sine = np.linalg.norm(sines, axis=-1)
     angle = angle_between(true_d, model_d)
@@ -156,7 +156,7 @@ class Coverage:
 
     Attributes:
         count: number of sightings.
-        plunged: number of those with the telescope beyond the zenith.
+        plunged: number of sightings with the telescope beyond the zenith.
         elevations: least and greatest true elevation, rad.
         azimuth_gap: widest range of azimuth without a sighting, (from, to) clockwise, rad.
     """
@@ -168,13 +168,13 @@ class Coverage:
 
     @property
     def azimuth_gap_width(self) -> float:
-        """Width of the gap, in (0, 2 pi], rad: the full circle if all sightings have one azimuth."""
+        """Width of the gap, in (0, 2 pi], rad; the full circle if all sightings have one azimuth."""
         width = (self.azimuth_gap[1] - self.azimuth_gap[0]) % (2.0 * np.pi)
         return width if width > 0.0 else 2.0 * np.pi
 
 
 def coverage(sightings: Sightings) -> Coverage:
-    """Return the coverage of the sky by the sightings, at least one."""
+    """Return the coverage of the sky by one or more sightings."""
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
     ordered = np.sort(azimuth)
     following = np.roll(ordered, -1)

@@ -1,13 +1,13 @@
 """Mount model of a theodolite: direction of the main axis from encoder angles and axis errors, exact, and its inverse.
 
-In the deck frame it is the exact form of [W18] (1)(2). The main frame m is (optical axis, up, right), the deck d is
-(bow, up, starboard):
+In the deck frame the model is the exact form of [W18] (1)(2). The main frame m is (optical axis, up, right), the deck d
+is (bow, up, starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
 T is the tilt of the vertical axis by βm towards the azimuth Am. It has the rotation vector (βy, 0, -βx), with
-βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. In the horizon, with a the
-error of the ship's attitude and e the deformation, both rotation vectors:
+βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. The main frame in the horizon
+includes the error a of the ship's attitude and the deformation e, which are rotation vectors:
 
     rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
@@ -26,7 +26,7 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, ske
 
 Angle = float | FloatArray
 
-# The initial error of the elevation is the flexure. Each step squares it: after three, 0.1 rad has become 1e-17 rad.
+# The error of the initial elevation is the flexure. Each step squares the error; after three, 0.1 rad has become 1e-17.
 _FLEXURE_STEPS = 3
 
 
@@ -39,9 +39,9 @@ class AxisErrors:
         h: zero point of the elevation encoder; the axis points at E - h.
         c: collimation: angle of the optical axis to the left of the normal to the horizontal axis.
         I: non-perpendicularity: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
-        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers the axis when pointing over the bow.
+        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers an optical axis that points to the bow.
         beta_y: tilt of the vertical axis towards starboard, βm sin Am.
-        flexure: bending of the tube; it raises the axis by flexure · cos E.
+        flexure: bending of the tube; it raises the optical axis by flexure · cos E.
     """
 
     g: Angle = 0.0
@@ -54,7 +54,7 @@ class AxisErrors:
 
     @classmethod
     def from_vector(cls, vector: FloatArray) -> "AxisErrors":
-        """Return the errors of a vector in the order of :data:`NAMES`, shape (..., 7)."""
+        """Return the errors from a vector in the order of :data:`NAMES`, shape (..., 7)."""
         vector = np.asarray(vector, dtype=float)
         return cls(*(vector.tolist() if vector.ndim == 1 else np.moveaxis(vector, -1, 0)))
 
@@ -69,7 +69,7 @@ class AxisErrors:
 
     @cached_property
     def by_tilt(self) -> FloatArray:
-        """Derivative of the main frame's rotation vector in d by the rotation vector of the tilt, shape (..., 3, 3)."""
+        """Derivative of the main frame's rotation vector in d with respect to the tilt's, shape (..., 3, 3)."""
         return left_jacobian(_tilt_vector(self))
 
 
@@ -82,12 +82,12 @@ _AZIMUTH, _ELEVATION = range(2)
 
 @dataclass(frozen=True)
 class MainAxis:
-    """Main frame in the deck, and the derivatives of its rotation vector in d, rad per rad.
+    """Main frame in the deck, and the derivatives of the main frame's rotation vector in d, rad per rad.
 
     Attributes:
         rotation_dm: deck from main frame, shape (..., 3, 3); its first column is the optical axis.
-        by_error: derivatives by the axis errors in the order of :data:`NAMES`, shape (..., 3, 7).
-        by_encoder: derivatives by the encoder angles (azimuth, elevation), shape (..., 3, 2).
+        by_error: derivatives with respect to the axis errors in the order of :data:`NAMES`, shape (..., 3, 7).
+        by_encoder: derivatives with respect to the encoder angles (azimuth, elevation), shape (..., 3, 2).
     """
 
     rotation_dm: FloatArray
@@ -96,7 +96,7 @@ class MainAxis:
 
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
-    """Return the main frame with its Jacobians. An encoder error acts like a change of the encoder's angle."""
+    """Return the main frame with its Jacobians; an encoder error has the effect of a change of the encoder's angle."""
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)
@@ -118,13 +118,13 @@ def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
 
 
 def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> FloatArray:
-    """Return "deck from main frame", shape (..., 3, 3), without the Jacobians."""
+    """Return the rotation deck from main frame, shape (..., 3, 3), without the Jacobians."""
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     return rotation_dx @ _about_elevation_and_collimation(errors, elevation)
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative of a direction (..., 3) that rotates with a frame, shape (..., 3, n)."""
+    """Return the derivative (..., 3, n) of a direction fixed in a frame, from the frame's ``by_rotation``."""
     return -skew(direction) @ by_rotation
 
 
@@ -134,11 +134,11 @@ SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), sli
 - SHIP: rotation vector a of the error of the ship's attitude in n, rad.
 - DEFORMATION: rotation vector e of the deformation in d, rad.
 - AXES: the axis errors in the order of :data:`NAMES`, rad.
-- SHIP_TIME: time by which the samples of the ship's attitude are valid later than assumed, s.
+- SHIP_TIME: true minus assumed time of the samples of the ship's attitude, s.
 """
 
 AXIS_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
-"""Filter states that rotate the main axis, with their slices of that vector, in order."""
+"""Filter states that rotate the main axis, with their slices of the vector of all errors, in order."""
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,9 @@ class AxisGeometry:
         rotation_nd: horizon from deck, corrected, shape (3, 3).
         rotation_dm: deck from main frame, deformation included, shape (3, 3).
         rotation_nm: horizon from main frame, shape (3, 3).
-        by_error: derivatives of the main frame's rotation vector in n by the errors, shape (3, 14); the columns are
-            :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
-        by_encoder: derivatives by the encoder angles (azimuth, elevation), shape (3, 2).
+        by_error: derivatives of the main frame's rotation vector in n with respect to the errors, shape (3, 14); the
+            columns are :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
+        by_encoder: derivatives with respect to the encoder angles (azimuth, elevation), shape (3, 2).
     """
 
     rotation_nd: FloatArray
@@ -168,8 +168,8 @@ def axis_geometry(
 
     Args:
         errors: estimated errors, shape (14,).
-        rotation_nd: measured attitude of the deck at that time, shape (3, 3).
-        rate_d: its angular velocity, rad/s, shape (3,).
+        rotation_nd: measured attitude of the deck, shape (3, 3).
+        rate_d: angular velocity of the deck, rad/s, shape (3,).
         azimuth: encoder azimuth, rad.
         elevation: encoder elevation, rad.
     """
@@ -184,23 +184,23 @@ def encoder_angles(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the encoder angles at which the optical axis has a given direction.
 
-    There are two pairs (faces): the ordinary one, and the plunged one with the telescope beyond the zenith and the
-    azimuth about 180° away. For directions closer to the vertical axis than about c + I there is none.
+    There are two pairs of angles (faces). In the plunged pair the telescope is beyond the zenith and the azimuth
+    differs by about 180°. Directions closer to the vertical axis than about c + I have no pair.
 
     Args:
         errors: axis errors.
         direction_d: wanted direction in the deck frame, of any length, shape (..., 3).
-        plunged: give the plunged pair.
+        plunged: return the plunged pair.
 
     Returns:
-        Azimuth in [0, 2 pi) and elevation (rad), shape (...) each; NaN where the axes do not reach. Up to the errors,
-        the elevation is in [-pi/2, pi/2], and plunged in [pi/2, 3 pi/2].
+        Azimuth in [0, 2 pi) and elevation (rad), shape (...) each; NaN for directions that the axes cannot reach.
+            Except for the errors, the elevation is in [-pi/2, pi/2], or in [pi/2, 3 pi/2] if plunged.
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
     # Direction in the frame of the tilted vertical axis: x, y (up), z.
     x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.tilt_rotation)[..., 0, :], -1, 0)
     sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
-    # Components in the frame that turns in azimuth; the component up is y there too.
+    # Components in the frame that turns in azimuth, where the upward component is y too.
     left = (y * sin_i + sin_c) / cos_i
     horizontal = np.hypot(x, z)
     square = (horizontal - left) * (horizontal + left)
@@ -223,7 +223,7 @@ def _elevation_before_flexure(errors: AxisErrors, raised: FloatArray) -> FloatAr
 
 
 def _tilt_vector(errors: AxisErrors) -> FloatArray:
-    """Rotation vector of the vertical axis, shape (..., 3)."""
+    """Return the rotation vector of the tilt of the vertical axis, shape (..., 3)."""
     beta_x, beta_y = errors.beta_x, errors.beta_y
     if isinstance(beta_x, float) and isinstance(beta_y, float):
         return np.array([beta_y, 0.0, -beta_x])
@@ -247,7 +247,7 @@ def _about_elevation_and_collimation(errors: AxisErrors, elevation: Angle) -> Fl
 
 
 def _cos_sin(angle: Angle) -> tuple[Angle, Angle]:
-    """Return cosine and sine; for a single angle, as in a live node, plain numbers are several times faster."""
+    """Return cosine and sine; a single angle, as in a live node, is several times faster with ``math``."""
     if isinstance(angle, float):
         return math.cos(angle), math.sin(angle)
     return np.cos(angle), np.sin(angle)
@@ -262,5 +262,5 @@ def _matrix(elements: list[Angle]) -> FloatArray:
 
 
 def _column(factor: Angle) -> FloatArray:
-    """Return a factor for each rotation, shape (...), as a factor for each vector, shape (..., 1)."""
+    """Return factors of shape (...) in shape (..., 1), to multiply vectors."""
     return np.asarray(factor)[..., None]

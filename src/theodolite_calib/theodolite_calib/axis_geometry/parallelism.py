@@ -2,8 +2,8 @@
 
     rotation_nm = rotation_nt · R(ΔA, ΔE, Δω)
 
-with (ΔA, ΔE, Δω) the parallelism: the attitude of the main frame in the telescope's frame. [W18] (24) is its first
-order, and is misprinted there.
+The parallelism (ΔA, ΔE, Δω) is the attitude of the main frame in the telescope's frame. [W18] (24) is the first-order
+form of this equation, with a misprint.
 """
 
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
@@ -18,8 +18,8 @@ def telescope_rotation(parallelism: FloatArray, rotation_nm: FloatArray) -> tupl
         rotation_nm: horizon from main frame, shape (3, 3).
 
     Returns:
-        Horizon from telescope, shape (3, 3), and the derivative of its rotation vector in n by the angles of the
-        parallelism, shape (3, 3).
+        Horizon from telescope, shape (3, 3), and the derivative of its rotation vector in n with respect to the
+            angles of the parallelism, shape (3, 3).
     """
     azimuth, elevation, rotation = parallelism
     rotation_nt = rotation_nm @ rotation_from_angles(azimuth, elevation, rotation).T

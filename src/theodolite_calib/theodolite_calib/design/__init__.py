@@ -1,5 +1,5 @@
-"""Study before the voyage: accuracy of the pointing from beacons on drones, and its contributions.
+"""Study before the voyage: accuracy of the pointing from beacons on drones, by source of error.
 
-The accuracies are those of ``escort``, from the calibration filter's own model. The folder imports ``escort``,
-``filter``, ``config`` and below, and the modules that write files.
+The folder ``escort`` computes the accuracies with the model of the calibration filter. This folder imports ``escort``,
+``filter``, ``config``, folders below them, and modules that write files.
 """

@@ -1,6 +1,6 @@
-"""Configuration of a design study: a theodolite with its drones, its pointing, and the positions of the beacons.
+"""Configuration of a design study: a theodolite and its pointing, and drones with the positions of their beacons.
 
-The keys under ``optical_axis`` are those of the node ``optical_axis``, so that a good design can be copied there.
+The keys under ``optical_axis`` are parameters of the node ``optical_axis``, so that a good design can be copied there.
 """
 
 import re
@@ -15,7 +15,7 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import OpticalAxisConfig
 
-# Names of drones become headings and cells of tables.
+# Only plain names, because names of drones become headings and cells of tables.
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _W18_BEACON = {"rtk": {"sigma_m": 0.027, "bias_sigma_m": 0.0}}
@@ -38,7 +38,7 @@ W18: dict[str, Any] = {
     },
 }
 """Simulation of [W18]: 100 mm ± 0.1 mm, a tenth of 6.5 µm, 2.7 cm per axis, 2″ of refraction at each beacon at 2 km,
-and no other information. It is the study if no file is given."""
+and no other information. This study is computed if no file is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ class BeaconPosition:
 
 @dataclass(frozen=True, kw_only=True)
 class DesignStudyConfig:
-    """Design study."""
+    """Parameters of a design study."""
 
     azimuth_deg: float = parameter(
         90.0, doc="azimuth of the pointing, from the bow", unit="deg", minimum=-360.0, maximum=360.0
@@ -87,12 +87,12 @@ class DesignStudyConfig:
         return np.tan(np.deg2rad([[light.right_deg, light.up_deg] for light in self.lights.values()]))
 
     def distances_m(self) -> FloatArray:
-        """Return the distances from the theodolite, shape (N,)."""
+        """Return the distances of the beacons from the theodolite, m, shape (N,)."""
         return np.array([light.distance_m for light in self.lights.values()])
 
 
 def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
-    """Return a checked study.
+    """Return the checked configuration of a study.
 
     Raises:
         ParameterError: names the parameter and what is allowed.
@@ -140,7 +140,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
 
 
 def _in_study(error: ParameterError) -> ParameterError:
-    """Return the error with its parameters named as in the study; the node's own checks name them as in the node."""
+    """Return an error of the node's checks, with the parameters under their names in the study."""
     own = {field.name for field in fields(DesignStudyConfig)}
     if any(name.split(".")[0] in own for name in error.parameters):
         return error
@@ -149,5 +149,5 @@ def _in_study(error: ParameterError) -> ParameterError:
 
 
 def with_image_sigma(config: OpticalAxisConfig, sigma_m: float) -> OpticalAxisConfig:
-    """Return the node's configuration with another error of the beacons' images."""
+    """Return the node's configuration with a given error of the beacons' images."""
     return replace(config, telescope=replace(config.telescope, sigma_m=sigma_m))

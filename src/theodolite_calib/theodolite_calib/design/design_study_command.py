@@ -61,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     computed = _study(options)
     options.out.mkdir(parents=True, exist_ok=True)
     write_tables(computed, options.out)
-    # Imported late: loading the figures' library takes longer than the report of bad input.
+    # Imported here, so that bad input is reported before the figures' library is loaded.
     from theodolite_calib.design.figures import draw_figures
     from theodolite_calib.design.page import page_text
 
@@ -73,10 +73,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> DesignStudy:
-    """Return the study of the given file, or of [W18]'s values.
+    """Return the study of the given file, or of the values of [W18] without a file.
 
     Raises:
-        BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
+        BadInput: a value is wrong, or a file cannot be written; names the place and what was expected.
     """
     file = None if options.design is None else read_nested_parameters(options.design)
     try:
@@ -110,7 +110,7 @@ _SIGMAS = ("azimuth_cos_elevation_arcsec", "elevation_arcsec", "on_sky_arcsec")
 
 
 def write_tables(study: DesignStudy, folder: Path) -> list[Path]:
-    """Write every table into an existing folder; return the files."""
+    """Write every table into an existing folder, and return the files."""
     place = ("right_deg", "up_deg", "distance_m", "east_m", "north_m", "up_m")
     tables = {
         "places.csv": (("places", "beacon", *place, "limits_reached"), _places(study)),

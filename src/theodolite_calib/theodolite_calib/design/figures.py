@@ -15,13 +15,13 @@ from theodolite_calib.design.study import DesignStudy, Sweep
 _GIVEN, _BEST = "#0b3c6f", "#c1440e"
 _COLUMNS = 2
 _FINE, _COARSE, _WIDE = (1.0, 2.0, 5.0), (1.0, 3.0), 100.0
-"""Labels of a decade, fine and coarse; coarse ones are used if an axis spans more than the ratio."""
+"""Labelled values of a decade, fine and coarse, and the ratio of an axis' ends above which coarse labels are used."""
 _HIGHEST = 8.0
 """Upper end of the error axis in multiples of the given design's error."""
 
 
 def draw_figures(study: DesignStudy, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into an existing folder; return the files by the figures' names."""
+    """Draw every figure as PNG into an existing folder, and return the files by name of the figure."""
     return write_figures(_figures(study), folder)
 
 

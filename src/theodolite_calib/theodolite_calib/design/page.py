@@ -1,4 +1,4 @@
-"""Design study as one self-contained HTML page: text, tables, embedded figures."""
+"""Design study as one self-contained HTML page with text, tables and embedded figures."""
 
 from collections.abc import Mapping
 from html import escape
@@ -13,7 +13,7 @@ from ship_node.documents.html_page import STYLE, arcsec_texts, image, table
 from theodolite_calib.design.study import DesignStudy
 
 _WORTH_MOVING = 0.05
-"""Relative gain below which other positions are reported as a small improvement."""
+"""Relative gain of accuracy below which the advised positions are reported as a small improvement."""
 _COMPONENTS = ("azimuth · cos E [″]", "elevation [″]", "on the sky [″]")
 
 

@@ -1,7 +1,7 @@
-"""Numbers of a design study, for its tables, figures and page.
+"""Results of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and keeps the others: for the given beacons, and for the beacons at the best positions
-within the limits of ``escort``, which move with it.
+Each sweep changes one quantity and keeps all others. It gives the error for the given beacons, and for beacons at the
+best positions within the limits of ``escort`` for each value of the quantity.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -22,7 +22,7 @@ from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 SWEEP_COUNT = 25
 """Number of values of a sweep."""
 BEST_STEP = 4
-"""Step of the values for which the best positions are computed, which takes longer."""
+"""Step between values for which the best positions are computed, because their computation is slow."""
 _FACTORS = np.geomspace(0.2, 5.0, SWEEP_COUNT)
 _SURVEY_M = np.geomspace(1e-3, 0.2, SWEEP_COUNT)
 
@@ -33,11 +33,12 @@ class Sweep:
 
     Attributes:
         name: name of the quantity.
-        label: label of its axis in a figure.
-        unit: unit of its values.
-        values: shape (n,).
-        given: value of the study.
-        sigma_arcsec: error of the pointing on the sky with the given beacons, shape (n,); NaN if they are impossible.
+        label: label of the quantity in a figure.
+        unit: unit of the values.
+        values: values of the quantity, shape (n,).
+        given: value of the quantity in the study.
+        sigma_arcsec: error of the pointing on the sky with the given beacons, shape (n,); NaN if a beacon is behind the
+            telescope.
         best_arcsec: error with the beacons at the best positions within the limits, shape (n,); NaN if not computed.
     """
 
@@ -52,7 +53,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class SourceSigma:
-    """Error of the pointing by one source, arcsec: azimuth times cos E, elevation, on the sky, shape (3,)."""
+    """Error of the pointing due to one source, arcsec: azimuth times cos E, elevation, on the sky, shape (3,)."""
 
     source: str
     given_arcsec: FloatArray
@@ -66,15 +67,14 @@ class DesignStudy:
     Attributes:
         config: configuration of the study.
         given_n: positions of the given beacons, from the ship's antenna (N, U, E), m, shape (N, 3).
-        given_arcsec: error of the pointing in azimuth times cos E, in elevation and on the sky, shape (3,).
-        unaided_arcsec: error on the sky by encoders and ship alone.
+        given_arcsec: error with the given beacons in azimuth times cos E, in elevation and on the sky, shape (3,).
+        unaided_arcsec: error on the sky from encoders and ship without beacons.
         advice: best positions within the limits, and the accuracy there.
-        advised_arcsec: as ``given_arcsec``; NaN if no position is within the limits.
-        budget: both errors by source; the root sum of squares of a column is the error.
+        advised_arcsec: error with the advised positions, as ``given_arcsec``; NaN if no position is within the limits.
+        budget: both errors by source; the errors are the root sums of squares over the sources.
         sweeps: sweeps over the quantities of the design.
-        places_deg: angles of the beacons to the right of the axis and above it, as given and as advised, shape (2, N,
-            2).
-        distances_m: their distances from the theodolite, shape (2, N).
+        places_deg: angles of the given and the advised beacons to the right of the axis and above it, shape (2, N, 2).
+        distances_m: distances of these beacons from the theodolite, shape (2, N).
     """
 
     config: DesignStudyConfig
@@ -90,13 +90,13 @@ class DesignStudy:
 
     @property
     def meets_requirement(self) -> bool:
-        """True if the given beacons meet the requirement, or nothing is required."""
+        """True if the given beacons meet the requirement, or the study has no requirement."""
         required_arcsec = self.config.required_arcsec
         return required_arcsec == 0.0 or bool(self.given_arcsec[2] <= required_arcsec)
 
 
 def study(config: DesignStudyConfig) -> DesignStudy:
-    """Return all numbers of a study."""
+    """Return all results of a study."""
     design = _Design(config, config.optical_axis)
     given_n = design.beacon_positions_n(config.direction_tangents(), config.distances_m())
     advice = design.advice()
@@ -135,8 +135,8 @@ class _Design:
     """Theodolite of a study with the study's pointing, on a level ship that heads North.
 
     Args:
-        config: the study.
-        node: configuration of its theodolite.
+        config: configuration of the study.
+        node: configuration of the node ``optical_axis``, possibly changed by a sweep.
     """
 
     def __init__(self, config: DesignStudyConfig, node: OpticalAxisConfig) -> None:
@@ -152,14 +152,14 @@ class _Design:
         self.accuracy = BeaconAccuracy(node, CalibrationFilter(node), ship, encoder)
 
     def beacon_positions_n(self, tangents: FloatArray, distances_m: FloatArray) -> FloatArray:
-        """Return beacon positions (N, U, E), m, shape (N, 3), from tangents of their angles from the axis, (N, 2)."""
+        """Return beacon positions (N, U, E), m, (N, 3), from distances and the tangents of angles from the axis."""
         path_t = np.column_stack([np.ones(len(tangents)), tangents[:, 1], tangents[:, 0]])
         path_t *= (distances_m / np.linalg.norm(path_t, axis=1))[:, None]
         places_n: FloatArray = self.accuracy.centre_n + path_t @ self.accuracy.rotation_nt.T
         return places_n
 
     def angles_and_distances(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the angles of positions right of the axis and above it, deg, (N, 2), and their distances, m, (N,)."""
+        """Return angles of positions to the right of and above the axis, deg, (N, 2), and their distances, m, (N,)."""
         path_t = (places_n - self.accuracy.centre_n) @ self.accuracy.rotation_nt
         angles_deg: FloatArray = np.rad2deg(np.arctan2(path_t[:, [2, 1]], path_t[:, :1]))
         return angles_deg, np.linalg.norm(path_t, axis=1)
@@ -273,14 +273,14 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
 
 
 def _at_range(escort: EscortConfig, range_m: float) -> EscortConfig:
-    """Return limits that allow one range alone; a separation that is not possible there is reduced."""
+    """Return limits that allow only one range; a separation too large for this range is reduced."""
     widest_m = 2.0 * range_m * float(np.sin(np.deg2rad(escort.field_deg)))
     separation_m = min(escort.separation_min_m, 0.999 * widest_m)
     return replace(escort, range_min_m=range_m, range_max_m=range_m, separation_min_m=separation_m)
 
 
 def _with_rtk(node: OpticalAxisConfig, factor: float) -> OpticalAxisConfig:
-    """Return a configuration with all errors of RTK times a factor."""
+    """Return the configuration with all RTK errors multiplied by a factor."""
     beacons = {
         name: replace(
             beacon,
@@ -299,16 +299,16 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the factor on the beacons' distances from their middle at which the first leaves the field.
+    """Return the factor on the beacons' distances from their middle at which the first beacon leaves the field.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.
-        middle: their mean, shape (2,).
+        middle: mean of the tangents, shape (2,).
         field: tangent of the radius of the field.
     """
     away = tangents - middle
     squared, across = np.sum(away**2, axis=1), away @ middle
-    # |middle + k away| = field, greater root; a beacon at the middle never leaves the field.
+    # The factor k is the greater root of |middle + k away| = field. A beacon at the middle never leaves the field.
     moving = squared > 0.0
     squared, across = squared[moving], across[moving]
     roots = (np.sqrt(across**2 + squared * (field**2 - middle @ middle)) - across) / squared

@@ -1,15 +1,15 @@
 """Accuracy of the pointing with beacons at given positions, from the calibration filter's model before any sighting.
 
-The filter's first update by one sighting is computed, without its residual. P is the configured covariance of states,
-with the ship's attitude as stated at that time, H and R are Jacobian and noise of the sighting
-(:mod:`theodolite_calib.filter.prediction`). With T the rotation of the main axis per state, the pointing has
+The covariance after the filter's first update by one sighting is computed. P is the configured covariance of states,
+with the stated covariance of the ship's attitude. H and R are Jacobian and noise of the sighting
+(:mod:`theodolite_calib.filter.prediction`). T is the rotation of the main axis per state. The pointing has
 
     C = T (P - P Hᵀ (H P Hᵀ + R/n)⁻¹ H P) Tᵀ + noise of the encoders and of the ship at a reading
 
 where n is the number of exposures over which white errors are averaged (``escort.exposures``).
 
-Previous updates of the filter are not used. Errors of beacons that have been observed for long are partly known, and
-from there every move looks like a gain: advice from the present covariance would never settle.
+Previous updates of the filter are not used. Errors of beacons that have been observed for long are partly known, so
+that from the present covariance every move would be a gain, and the advice would never settle.
 """
 
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ class BeaconAccuracy:
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
         rotation_nm: horizon from main frame, shape (3, 3).
-        centre_n: from the ship's antenna to the crossing of the theodolite's axes, m, shape (3,).
+        centre_n: vector from the ship's antenna to the intersection of the theodolite's axes, m, shape (3,).
     """
 
     def __init__(
@@ -76,11 +76,11 @@ class BeaconAccuracy:
         self._without_beacons_n = main @ self._covariance @ main.T + by_noise_n
 
     def sigma(self, names: tuple[str, ...], places_n: FloatArray) -> float:
-        """Return the standard deviation of the pointing on the sky, both components, rad; NaN for a beacon behind it.
+        """Return the standard deviation of the pointing on the sky, rad; NaN if a beacon is behind the telescope.
 
         Args:
-            names: names of N beacons; none for encoders and ship alone.
-            places_n: drones' antennas from the ship's antenna (N, U, E), m, shape (N, 3).
+            names: names of N beacons; empty for encoders and ship alone.
+            places_n: vectors from the ship's antenna to the drones' antennas (N, U, E), m, shape (N, 3).
         """
         if not names:
             return self._on_sky(self._without_beacons_n)
@@ -125,7 +125,7 @@ class BeaconAccuracy:
         return self._filter.sightings.predict(self._mean, sighting)
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
-        """Return the rotation of the main axis per state, shape (3, n), and its noise at a reading, rad², (3, 3)."""
+        """Return the main axis' rotation per state, shape (3, n), and the axis' noise at a reading, rad², (3, 3)."""
         by_state_n = prediction.by_state_n.copy()
         # The parallelism rotates the telescope, not the main axis.
         by_state_n[:, self._parallelism] = 0.0

@@ -1,9 +1,9 @@
-"""Advice for the drones: the positions with the best pointing within the limits.
+"""Advised positions of the drones: the positions within the limits with the most accurate pointing.
 
 The standard deviation of the pointing is smooth over the box of allowed positions
 (:mod:`theodolite_calib.escort.places`). It is minimised with SLSQP from the best of some distributed starting points.
-The result is the best evaluated position that keeps the drones apart. Positions in the box meet the other limits by
-construction.
+The result is the best evaluated set of positions with sufficient separations of the drones. All positions in the box
+meet the other limits.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from theodolite_calib.escort.places import AllowedPlaces
 _REFINED_STARTS = 2
 """Number of starting points that are refined."""
 _MIN_GAIN = 0.005
-"""Relative loss of the previous positions up to which they are kept: no drone moves for so little."""
+"""Relative gain of accuracy below which the previous positions are kept, because the gain is not worth a move."""
 _RANGES = (0.0, 0.35, 0.7, 1.0)
 _ORIENTATIONS = (0.0, 0.25, 0.5, 0.75)
 _TOLERANCE = 1e-4
@@ -36,7 +36,7 @@ class EscortAdvice:
         places_n: vectors from the ship's antenna to the drones' antennas (N, U, E), m, shape (N, 3).
         sigma_now: standard deviation of the pointing on the sky with the beacons now in the field, rad.
         sigma_advised: standard deviation of the pointing with the beacons at the advised positions, rad.
-        limits_reached: limits reached by the positions; or the limit that leaves none.
+        limits_reached: limits reached by the positions; or the limit that no position meets.
     """
 
     names: tuple[str, ...]
@@ -60,7 +60,7 @@ def advise(
         accuracy: accuracy of the pointing with beacons at given positions.
         names: names of the drones, at least one.
         now_n: known present positions of the drones, from the ship's antenna (N, U, E), m, shape (3,).
-        keep_n: previous positions, kept as long as no others are better by half a percent, shape (N, 3).
+        keep_n: previous positions, kept unless other positions are better by half a percent, shape (N, 3).
     """
     allowed = AllowedPlaces.around_axis(limits, accuracy.centre_n, accuracy.rotation_nt)
     in_field = {name: place_n for name, place_n in now_n.items() if allowed.is_in_field(place_n)}
@@ -85,7 +85,7 @@ def _no_advice(names: tuple[str, ...], sigma_now: float, limit: str) -> EscortAd
 
 
 class _Search:
-    """Search for the best positions; the best evaluated one is stored.
+    """Search for the best positions; the best evaluated positions are stored.
 
     Args:
         allowed: allowed positions.
@@ -93,8 +93,8 @@ class _Search:
         names: names of the drones.
 
     Attributes:
-        best: least standard deviation of the pointing so far, rad; infinite if there was none yet.
-        best_box: its box coordinates, shape (N, 3); None if there was none yet.
+        best: least standard deviation of the pointing so far, rad; infinite at the start.
+        best_box: box coordinates of the best positions, shape (N, 3); None at the start.
     """
 
     def __init__(self, allowed: AllowedPlaces, accuracy: BeaconAccuracy, names: tuple[str, ...]) -> None:
@@ -168,6 +168,6 @@ def _starting_points(count: int) -> Iterator[FloatArray]:
 def _around_edge(numbers: FloatArray, orientation: float, ranges: FloatArray) -> FloatArray:
     """Return positions evenly around the edge of the field."""
     angle = np.pi * orientation + 2.0 * np.pi * numbers / len(numbers)
-    # On the edge the azimuth is at one end or the other of what is allowed at an elevation.
+    # On the edge the azimuth is at one end of the interval that is allowed at the elevation.
     side = np.where(np.abs(np.cos(angle)) < 1e-9, 0.5, (np.cos(angle) > 0.0).astype(float))
     return np.column_stack([0.5 + 0.5 * np.sin(angle), side, ranges])

@@ -1,9 +1,9 @@
 """Positions of a drone within the limits, as a box of three coordinates between 0 and 1.
 
-Seen from the theodolite a position has a range, an elevation e and an azimuth A + α, with A and E those of the
-telescope's axis. It is in a field of the radius f if cos f ≤ sin e sin E + cos e cos E cos α. The allowed elevations
-are therefore an interval, and at each of them the allowed azimuths are another one: the limits on range, elevation and
-field are met by construction. The separation of the drones remains to be checked.
+At the theodolite a position has a range, an elevation e and an azimuth A + α; A and E are azimuth and elevation of the
+telescope's axis. The position is in a field of the radius f if cos f ≤ sin e sin E + cos e cos E cos α. The allowed
+elevations are therefore an interval, and so are the allowed azimuths at each elevation. All positions in the box meet
+the limits on range, elevation and field; the separation of the drones must be checked.
 """
 
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from ship_geometry.rotations import FloatArray, angle_between
 from theodolite_calib.config import EscortConfig
 
 _BOX_MARGIN = 1e-9
-"""Margin of the box at each limit, as a ratio, against rounding."""
+"""Margin of the box at each limit against rounding, as a ratio."""
 _LIMIT_MARGIN = 1e-3
-"""Distance of a box coordinate from its end up to which it is at the limit."""
+"""Distance of a box coordinate from 0 or 1 up to which the position is at a limit."""
 _POLE = 1e-12
 _MIN_RANGE_M = 1.0
-"""Minimum range of a beacon, m: anything closer is on board."""
+"""Minimum range of a beacon, m; a closer position is on board."""
 
 
 @dataclass(frozen=True)
 class AllowedPlaces:
-    """Positions that the limits allow a drone for one direction of the telescope.
+    """Allowed positions of a drone for one direction of the telescope.
 
     Attributes:
-        limits: as configured.
-        centre_n: from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
+        limits: configured limits.
+        centre_n: vector from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
         azimuth: azimuth of the telescope's axis in the horizon, rad.
-        elevation: its elevation, rad.
-        least_elevation: least elevation of a drone, by limit and field, rad.
-        greatest_elevation: greatest elevation of a drone, rad; less than the least one if no position is allowed.
+        elevation: elevation of the telescope's axis in the horizon, rad.
+        least_elevation: least elevation of a drone within limits and field, rad.
+        greatest_elevation: greatest elevation of a drone, rad; less than ``least_elevation`` if no position is allowed.
     """
 
     limits: EscortConfig
@@ -45,11 +45,11 @@ class AllowedPlaces:
 
     @classmethod
     def around_axis(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
-        """Return the positions around a telescope's axis.
+        """Return the allowed positions around the telescope's axis.
 
         Args:
-            limits: as configured.
-            centre_n: from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
+            limits: configured limits.
+            centre_n: vector from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
             rotation_nt: horizon from telescope, shape (3, 3).
         """
         azimuth, elevation, _ = angles_from_rotation(rotation_nt).tolist()
@@ -60,7 +60,7 @@ class AllowedPlaces:
 
     @property
     def unmet_limit(self) -> str:
-        """Elevation limit that leaves no position in the field; empty if there are positions."""
+        """Elevation limit that no position in the field meets; empty if there are positions."""
         if self.least_elevation <= self.greatest_elevation:
             return ""
         low = self.elevation < np.deg2rad(self.limits.elevation_min_deg)
@@ -70,7 +70,7 @@ class AllowedPlaces:
         """Return positions from the ship's antenna (N, U, E), m, shape (..., 3).
 
         Args:
-            box: share of elevation, azimuth and range between their limits, each from 0 to 1, shape (..., 3).
+            box: elevation, azimuth and range as fractions of their allowed intervals, shape (..., 3).
         """
         inside = np.clip(box, _BOX_MARGIN, 1.0 - _BOX_MARGIN)
         elevation = self.least_elevation + inside[..., 0] * (self.greatest_elevation - self.least_elevation)
@@ -109,7 +109,7 @@ class AllowedPlaces:
         return bool(self._angles_off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
 
     def separations_m(self, places_n: FloatArray) -> FloatArray:
-        """Return the distance between each two drones, m, shape (N (N - 1) / 2,)."""
+        """Return the distances between all pairs of drones, m, shape (N (N - 1) / 2,)."""
         first, second = np.triu_indices(len(places_n), k=1)
         separations_m: FloatArray = np.linalg.norm(places_n[first] - places_n[second], axis=-1)
         return separations_m
@@ -148,9 +148,9 @@ class AllowedPlaces:
         return angle_between(places_n - self.centre_n, axis_n)
 
     def _half_width(self, elevation: FloatArray) -> FloatArray:
-        """Return the greatest azimuth of a position from the axis at an elevation, rad."""
+        """Return the greatest azimuth difference α from the axis that is in the field at an elevation, rad."""
         field = np.deg2rad(self.limits.field_deg) * (1.0 - _BOX_MARGIN)
-        # cos f = cos(e - E) - cos e cos E (1 - cos α), solved for α by half angles: exact for small fields too.
+        # cos f = cos(e - E) - cos e cos E (1 - cos α) is solved for α by half angles, accurate for small fields too.
         product = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(
             0.5 * (field + elevation - self.elevation)
         )
@@ -160,6 +160,6 @@ class AllowedPlaces:
 
 
 def _ratio(part: FloatArray, whole: FloatArray | float) -> FloatArray:
-    """Return the ratio of a part to the whole; 0 for a whole of 0."""
+    """Return the ratio of a part to the whole; 0 if the whole is 0."""
     share: FloatArray = part / np.where(np.asarray(whole) == 0.0, np.inf, whole)
     return share

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Jacobian of beacon points by the states of the filter, compiled because it consists of many small products.
+"""Jacobian of beacon points with respect to the states of the filter, compiled because it has many small products.
 
-This is the only source. It is Python with C types for its numbers, compiled by Cython when the package is built. State
-names are known only to the caller, :mod:`theodolite_calib.filter.prediction`.
+This file is the only source: Python with C types, compiled by Cython when the package is built. The caller,
+:mod:`theodolite_calib.filter.prediction`, gives indices of states instead of names.
 """
 
 import cython
@@ -23,20 +23,21 @@ def jacobian_by_states(
     focal_length: cython.Py_ssize_t,
     couplings: cython.const[cython.Py_ssize_t][:, ::1],
 ):
-    """Return the Jacobian of the points of N beacons by n states.
+    """Return the Jacobian of the points of N beacons with respect to n states.
 
     Args:
-        by_attitude: points by a rotation of the telescope, rotation vector in n, m/rad, shape (N, 2, 3).
-        by_direction: points by the directions of the beacons in n, m/rad, shape (N, 2, 3).
-        by_focal_length: points by the focal length, m/m, shape (N, 2).
-        lines: directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
-        by_state_n: telescope by the states, rotation vector in n, shape (3, n).
+        by_attitude: derivative of the points with respect to the telescope's rotation vector in n, m/rad, (N, 2, 3).
+        by_direction: derivative of the points with respect to the beacons' directions in n, m/rad, shape (N, 2, 3).
+        by_focal_length: derivative of the points with respect to the focal length, m/m, shape (N, 2).
+        lines: derivative of the directions with respect to c errors of the lines of sight, rad per unit, (N, 3, c).
+        by_state_n: derivative of the telescope's rotation vector in n with respect to the states, shape (3, n).
         focal_length: index of the focal length's state.
-        couplings: couplings (beacon, error, state): the state moves the beacon by that error; beacon -1 stands for all,
-            shape (e, 3).
+        couplings: indices (beacon, error, state) for each state that is an error of a line of sight; beacon -1 stands
+            for all beacons; shape (e, 3).
 
     Returns:
-        Jacobian by the states, shape (2 N, n), m per unit; and by the errors of the lines of sight, shape (N, 2, c).
+        Derivative of the points with respect to the states, m per unit, shape (2 N, n); and with respect to the errors
+            of the lines of sight, shape (N, 2, c).
     """
     count: cython.Py_ssize_t = by_attitude.shape[0]
     errors: cython.Py_ssize_t = lines.shape[2]
@@ -75,11 +76,11 @@ def jacobian_by_states(
 
 
 def covariances_by_rotation(rows: cython.const[cython.double][:, :], covariances: cython.const[cython.double][:, :, :]):
-    """Return the covariances of m numbers that follow from covariances of rotations, shape (p, m, m).
+    """Return the covariances of m numbers due to rotation errors, shape (p, m, m).
 
     Args:
-        rows: derivative of the numbers by a rotation, shape (m, 3).
-        covariances: covariances of rotations, shape (p, 3, 3).
+        rows: derivative of the numbers with respect to a rotation vector, shape (m, 3).
+        covariances: covariances of the rotation vector, shape (p, 3, 3).
     """
     m: cython.Py_ssize_t = rows.shape[0]
     check("covariances", rows.shape[1] == covariances.shape[1] == covariances.shape[2] == 3)
@@ -104,10 +105,10 @@ def covariances_by_rotation(rows: cython.const[cython.double][:, :], covariances
 def covariance_by_own_error(
     by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]
 ):
-    """Return the covariance of the points of N beacons from an error independent for each beacon, shape (2 N, 2 N).
+    """Return the covariance of the points of N beacons due to an independent error of each beacon, shape (2 N, 2 N).
 
     Args:
-        by_error: derivative of the points, of which the first three columns are used, shape (N, 2, 3 or more).
+        by_error: derivative of the points with respect to the error, its first three columns, shape (N, 2, 3 or more).
         covariance: covariance of the errors, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = covariance.shape[0]

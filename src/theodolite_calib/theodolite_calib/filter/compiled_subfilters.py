@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Innovations of a sighting of beacons in every subfilter, compiled because it consists of many small matrices.
+"""Innovations of a sighting of beacons in every subfilter, compiled because the computation has many small matrices.
 
-This is the only source. It is Python with C types for its numbers, compiled by Cython when the package is built. The
-quantities are explained in :mod:`theodolite_calib.filter.subfilters`, which calls it.
+This file is the only source: Python with C types, compiled by Cython when the package is built. The caller,
+:mod:`theodolite_calib.filter.subfilters`, explains the quantities.
 """
 
 import cython
@@ -21,9 +21,9 @@ from cython.cimports.libc.math import sqrt
 def _solve(
     matrix: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.bint:
-    """Replace the right-hand side (size × columns) by the inverse of a symmetric matrix times it, which is overwritten.
+    """Replace the right-hand side b (size × columns) by A⁻¹ b, with A a symmetric matrix, by its Cholesky factor.
 
-    Uses the Cholesky factor. Returns False if the matrix is not positive definite, or NaN.
+    The matrix is overwritten. Returns False if the matrix has NaN or is not positive definite.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -63,7 +63,7 @@ def _solve(
 def _select_components(
     is_selected: cython.const[cython.uchar][:], covariance: cython.p_double, places: cython.p_int, out: cython.p_double
 ) -> cython.int:
-    """Return the number of selected components; write their indices and their covariance."""
+    """Return the number of selected components; write their indices to ``places`` and their covariance to ``out``."""
     size: cython.int = is_selected.shape[0]
     count: cython.int = 0
     i: cython.int
@@ -89,10 +89,10 @@ def _whiten_beacon(
     scratch: cython.p_double,
     whitened_innovation: cython.p_double,
 ) -> cython.bint:
-    """Whiten the residual of one beacon, given the components in ``conditioning``; False as by :func:`_solve`."""
+    """Whiten a beacon's residual conditioned on the components ``conditioning``; False if :func:`_solve` fails."""
     size: cython.int = conditioning.shape[0]
     count: cython.int = _select_components(conditioning, covariance, places, scratch)
-    # For the conditioning components: covariance with the two of the beacon, and residual.
+    # Columns for the conditioning components: covariance with the beacon's two components, and residual.
     right_side: cython.p_double = scratch + count * count
     left = cython.declare(cython.double[2])
     own = cython.declare(cython.double[4])
@@ -115,7 +115,7 @@ def _whiten_beacon(
             for j in range(2):
                 own[2 * i + j] -= covariance[(2 * beacon + i) * size + places[k]] * right_side[3 * k + j]
             left[i] -= covariance[(2 * beacon + i) * size + places[k]] * right_side[3 * k + 2]
-    # Inverse of the symmetric root of the conditional covariance.
+    # The residual is multiplied by the inverse of the symmetric root of the conditional covariance.
     area = sqrt(own[0] * own[3] - own[1] * own[1])
     scale = 1.0 / (area * sqrt(own[0] + own[3] + 2.0 * area))
     whitened_innovation[0] = scale * ((own[3] + area) * left[0] - own[1] * left[1])
@@ -134,28 +134,28 @@ def beacon_innovations(
     uses: cython.const[cython.uchar][:, ::1],
     conditioning: cython.const[cython.uchar][:, :, ::1],
 ):
-    """Return the innovations of a sighting of l beacons, with two of m components each, in h subfilters of n states.
+    """Return the innovations of a sighting of l beacons, with m = 2 l components, in h subfilters of n states.
 
     Args:
-        separation: states of each subfilter minus those of the main filter, shape (h, n).
+        separation: states of each subfilter minus states of the main filter, shape (h, n).
         parts: covariance of each subfilter, symmetric, shape (h, n, n).
         residual: residual of the main filter, shape (m,).
-        jacobian: jacobian of the residual, shape (m, n).
-        noise: covariance of the sighting itself, shape (m, m).
+        jacobian: derivative of the prediction with respect to the states, shape (m, n).
+        noise: covariance of the sighting's noise, shape (m, m).
         main_covariance: covariance of the main filter's residual, shape (m, m).
         uses: components that each subfilter uses, shape (h, m).
-        conditioning: components on which the innovation of each beacon is conditioned, in the main filter and in every
+        conditioning: components that condition the innovation of each beacon, in the main filter and in every
             subfilter, shape (l, h + 1, m).
 
     Returns:
         Residual of each subfilter, zero for unused components, shape (h, m).
-        Optimal gain from the components used, shape (h, n, m).
-        Normalised innovation squared of these components, shape (h,).
+        Optimal gain for the used components, shape (h, n, m).
+        Normalised innovation squared of the used components, shape (h,).
         Whitened residual of each beacon in the main filter and in every subfilter, with a trailing zero, shape
         (h + 1, l, 3).
 
     Raises:
-        numpy.linalg.LinAlgError: A covariance is not positive definite.
+        numpy.linalg.LinAlgError: a covariance is not positive definite.
     """
     subfilters: cython.Py_ssize_t = separation.shape[0]
     n: cython.Py_ssize_t = separation.shape[1]
@@ -172,7 +172,7 @@ def beacon_innovations(
     nis: cython.double[::1] = of_nis
     innovations: cython.double[:, :, ::1] = innovation_array
     places: cython.int[::1] = np.empty(max(m, 1), dtype=np.intc)
-    # Per subfilter: residual, its covariance and that with the states, a scratch matrix, and the right-hand side.
+    # Arrays of one subfilter: residual, its covariance, covariance with the states, scratch matrix, right-hand side.
     room: cython.double[::1] = np.empty(m + m * m + m * n + m * m + m * max(n + 1, 3) + 1)
     subfilter_residual: cython.p_double = cython.address(room[0])
     covariance: cython.p_double = subfilter_residual + m

@@ -4,9 +4,9 @@ A source is excluded if the other sources are consistent without it (:mod:`ship_
 also excluded if its baseline jumps by more than its flight allows. If beacons are rejected and no single source
 explains the rejections, the fault is unresolved, and the pointing covariance covers the disagreement.
 
-An excluded source is monitored. It is reinstated after it has been consistent for ``return_after_s``. Consistency
-counts only while the fault would be detectable: the standard deviation of the predicted beacon must be small against
-the rejected residual. After a baseline has jumped back, consistency always counts.
+An excluded source is monitored, and reinstated after it has been consistent for ``return_after_s``. Consistency counts
+only if the fault would be detectable: the standard deviation of the predicted beacon must be small against the rejected
+residual. After a baseline has jumped back, consistency always counts.
 """
 
 from collections.abc import Mapping, Set
@@ -52,12 +52,12 @@ _SAME_JUMP_NS = SECOND_NS
 _JUMP_REVERSED_SIGMAS = 4.0
 """A baseline counts as returned if the sum of its jumps is below this many standard deviations."""
 _COMMON_DRIFT_SIGMAS, _COMMON_DRIFT_COSINE = 2.0, 0.7
-"""Beacons drift together if each mean exceeds the first value (standard deviations) and each pair of means has at least
-the second value as the cosine of the angle between them."""
+"""Beacons drift together if each innovation mean exceeds the first value (standard deviations), and the cosine of the
+angle between any two means exceeds the second value."""
 _DRIFT_INDICATION_RATIO = 0.3
 """Ratio of the chi² of an innovation mean to its limit above which the beacons indicate a drift of the ship's attitude.
 
-The ship's attitude is excluded if it also departs from its own rates; neither indication alone suffices."""
+The ship's attitude is excluded only if it also departs from the integral of its rates."""
 _DETECTABLE_SIGMAS = 5.0
 """Ratio of a residual to the standard deviation of the predicted beacon above which the residual is detectable."""
 
@@ -70,9 +70,9 @@ class ExclusionRecord:
         exclusion: time of the exclusion, and time since which the source has been consistent.
         reason: reason, as text.
         rejected_residual_m: size of the rejected residual on the detector, m; 0 if the baseline jumped.
-        jump_sum_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros if it has jumped back or
-            never jumped.
-        jump_sum_sigma_m: standard deviation of that sum, m.
+        jump_sum_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros without a jump or after a
+            jump back.
+        jump_sum_sigma_m: standard deviation of ``jump_sum_n``, m.
         last_jump_ns: stamp of the last jump, ns.
     """
 
@@ -86,10 +86,10 @@ class ExclusionRecord:
 
 @dataclass(frozen=True)
 class UnresolvedFault:
-    """Unresolved fault: beacons contradict the encoders and the ship's attitude, and no single source explains it.
+    """Unresolved fault: beacons contradict encoders and ship's attitude, and no single source explains the fault.
 
     Attributes:
-        disagreement_n: possible error of the pointing: covariance of the rotation vector in n, rad², shape (3, 3).
+        disagreement_n: possible error of the pointing, as covariance of a rotation vector in n, rad², shape (3, 3).
         is_persistent: True if more than one or two sightings disagreed; the fault then ends only after a period of
             consistency.
         consistent_since_ns: time since which beacons have been accepted again; None while they are rejected.
@@ -107,7 +107,7 @@ class FaultState:
     Attributes:
         innovation_means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
         exclusions: excluded sources by name.
-        unresolved_fault: unresolved fault; None if there is none.
+        unresolved_fault: unresolved fault, or None.
         known_jumps_ns: stamps up to which jumps of baselines have been processed, by source.
     """
 
@@ -125,11 +125,11 @@ class FaultState:
 def isolate_step_fault(
     source: str, explaining_sources: Set[str], streams: StreamConsistency, offset_rad: float
 ) -> str | None:
-    """Return the faulty source of a sudden contradiction between beacons and prediction; None if it is not isolated.
+    """Return the faulty source of a sudden contradiction between beacons and prediction; None if not isolated.
 
     Args:
-        source: encoders or ship's attitude, as isolated by the subfilters.
-        explaining_sources: each source whose fault explains the contradiction: the others are consistent without it.
+        source: source that the subfilters isolate: encoders or ship's attitude.
+        explaining_sources: sources whose fault explains the contradiction: without it the other sources are consistent.
         streams: largest steps of the two streams since the last accepted sighting.
         offset_rad: offset of the beacons on the sky, rad.
     """
@@ -147,17 +147,17 @@ def isolate_step_fault(
 def isolate_drift_fault(
     source: str | None, explaining_sources: Set[str], is_common: bool, has_ship_drifted: bool | None
 ) -> str | None:
-    """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
+    """Return the faulty source of a drift of accepted beacons; None if not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
-    The rates of the ship distinguish between these two. If the beacons drift differently, and both an axis source and a
-    drone explain it, no source is isolated.
+    The rates of the ship show whether the ship's attitude drifts. If the beacons drift differently, and both an axis
+    source and a drone explain the drift, no source is isolated.
 
     Args:
-        source: as isolated by the subfilters; None if they isolate none.
-        explaining_sources: each source whose fault explains the drift: the others are consistent without it.
+        source: source that the subfilters isolate, or None.
+        explaining_sources: sources whose fault explains the drift: without it the other sources are consistent.
         is_common: True if all beacons drift together.
-        has_ship_drifted: True if the ship's attitude has departed from its own rates; None if unknown.
+        has_ship_drifted: True if the ship's attitude has departed from the integral of its rates; None if unknown.
     """
     axis_sources = explaining_sources & {ENCODER, SHIP}
     if has_ship_drifted is not None:
@@ -170,12 +170,12 @@ def isolate_drift_fault(
 
 
 def initial_fault_state(subfilters: SubfilterSet) -> FaultState:
-    """Return the initial state: no source is excluded and no fault is unresolved."""
+    """Return the initial state, without excluded sources and unresolved faults."""
     return FaultState(initial_means(1 + len(subfilters.sources), len(subfilters.beacons)))
 
 
 class FaultDetector:
-    """Fault detector for the sources of a configuration, from the innovations in the subfilters.
+    """Fault detector for the sources of a configuration, from the innovations in all filters.
 
     Args:
         config: probabilities for exclusions, and the reinstatement time.
@@ -194,7 +194,7 @@ class FaultDetector:
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
-        """Restart the timers of sources that had a gap in their data before a sighting: a gap is not consistency.
+        """Restart the reinstatement timers of sources with a gap in their data before a sighting.
 
         Args:
             fault_state: state after the previous sighting.
@@ -225,7 +225,7 @@ class FaultDetector:
         is_used: bool,
         time_ns: int,
     ) -> FaultState:
-        """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
+        """Update the innovation means with an accepted or rejected sighting of beacons that are not excluded."""
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[is_used], innovations.accepted])[:, None]
         accepted = np.where(self._excludes[:, beacons], innovations.beacon_nis <= self._beacon_gate, by_row)
@@ -237,7 +237,7 @@ class FaultDetector:
     def isolate_fault(
         self, fault_state: FaultState, separations: FloatArray, time_ns: int
     ) -> tuple[bool, str | None, Set[str]]:
-        """Return true if a fault is detected, the isolated source or None, and all sources that explain the fault.
+        """Return True if a fault is detected, the isolated source or None, and all sources that explain the fault.
 
         Args:
             fault_state: state after the sighting.
@@ -268,8 +268,8 @@ class FaultDetector:
         explaining = {sources[row - 1] for row in isolation.explaining_subfilters}
         if isolation.subfilter is not None:
             return True, sources[isolation.subfilter - 1], explaining
-        # Encoders and ship's attitude have similar effects on the beacons, so their two subfilters may explain the same
-        # fault. The source that is isolated when the other one is no candidate is faulty.
+        # Encoders and ship's attitude have similar effects on the beacons, so both subfilters may explain one fault. A
+        # source is faulty if it is isolated without the other source as a candidate.
         for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
             alone = isolate([candidate for candidate in candidates if candidate != other])
             if alone.subfilter is not None and sources[alone.subfilter - 1] == name:
@@ -277,7 +277,7 @@ class FaultDetector:
         return True, None, explaining
 
     def drift_together(self, fault_state: FaultState, time_ns: int) -> bool:
-        """True if at least two beacons are in use and all of them drift in the same direction in the image."""
+        """True if at least two beacons are in use, and all used beacons drift in one direction in the image."""
         recent = [
             row
             for row, id_ in enumerate(self._subfilters.beacons)
@@ -286,7 +286,7 @@ class FaultDetector:
         ]
         if len(recent) < 2:
             return False
-        # Longer windows only, in standard deviations: shape (w, l, 2).
+        # Means over the longer windows only, in standard deviations, shape (w, l, 2).
         running = fault_state.innovation_means.running[0, recent, 1:].swapaxes(0, 1)
         offset_sigmas = running[..., :2] / np.sqrt(running[..., 4:])
         size = np.linalg.norm(offset_sigmas, axis=-1)
@@ -297,7 +297,7 @@ class FaultDetector:
         return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
-        """True if an innovation mean approaches its limit, and the subfilter without the ship is consistent."""
+        """True if an innovation mean is near its limit, and the subfilter without the ship's attitude is consistent."""
         is_recent = fault_state.innovation_means.last_measured_ns >= time_ns - MAX_MEASUREMENT_AGE_NS
         if (
             fault_state.excluded_sources
@@ -314,7 +314,7 @@ class FaultDetector:
     def exclude_source(
         self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> FaultState:
-        """Exclude a source; the means of all filters restart from its subfilter, or from ``explaining_subfilter``."""
+        """Exclude a source; innovation means restart from its subfilter, or from ``explaining_subfilter`` if given."""
         row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), fault_state.innovation_means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)
@@ -346,15 +346,15 @@ class FaultDetector:
         time_ns: int,
         expected_rejection_m: float,
     ) -> FaultState:
-        """Monitor an excluded drone by a sighting of its beacon; reinstate the drone after a time of consistency.
+        """Monitor an excluded drone with a sighting of its beacon; reinstate the drone after a time of consistency.
 
         Args:
-            fault_state: state before.
-            name: beacon.
-            innovation: innovation against the main filter, which does not use the drone.
+            fault_state: state before the sighting.
+            name: name of the beacon.
+            innovation: innovation of the beacon in the main filter, which does not use the drone.
             time_ns: time of the sighting.
-            expected_rejection_m: residual on the detector that the fault would cause now, m, which must be detectable
-                for a reinstatement; 0 for no such test.
+            expected_rejection_m: residual on the detector that the fault would cause now, m. It must be detectable for
+                a reinstatement; 0 omits this test.
         """
         index, source = self._subfilters.beacons.index(name), BEACON_PREFIX + name
         record = fault_state.exclusions[source]
@@ -379,12 +379,12 @@ class FaultDetector:
         return self._keep_or_reinstate(replace(fault_state, innovation_means=means), source, exclusion, is_reinstated)
 
     def monitor_prediction(self, fault_state: FaultState, source: str, is_consistent: bool, time_ns: int) -> FaultState:
-        """Monitor excluded encoders, or an excluded ship's attitude, by a sighting; reinstate after consistency.
+        """Monitor excluded encoders or ship's attitude with a sighting; reinstate them after a time of consistency.
 
         Args:
-            fault_state: state before.
+            fault_state: state before the sighting.
             source: the excluded source.
-            is_consistent: True if the prediction by that source passes the gate of the sighting.
+            is_consistent: True if the sighting passes the gate against the prediction from this source.
             time_ns: time of the sighting.
         """
         exclusion = fault_state.exclusions[source].exclusion
@@ -406,7 +406,7 @@ class FaultDetector:
             jumped_ns[source] = exclusions.pop(source).last_jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in AXIS_SOURCES else self._subfilters.sources.index(source)
             if row < len(self._subfilters.beacons):
-                # Means of an excluded source are not valid for subfilters that use it again.
+                # Innovation means of an excluded source are not valid for subfilters that use the source again.
                 others = [other for other in range(1 + len(self._subfilters.sources)) if other != 1 + row]
                 means = cleared_means(means, others, [row])
         else:
@@ -424,14 +424,14 @@ class FaultDetector:
         return replace(fault_state, unresolved_fault=UnresolvedFault(disagreement_n, is_persistent))
 
     def record_acceptance(self, fault_state: FaultState, time_ns: int) -> FaultState:
-        """Record an accepted sighting: end an unresolved fault, at once or after a period of consistency."""
+        """Record an accepted sighting; an unresolved fault ends at once, or after a period of consistency."""
         conflict = fault_state.unresolved_fault
         if conflict is None:
             return fault_state
         if not conflict.is_persistent:
             return replace(fault_state, unresolved_fault=None)
         if conflict.consistent_since_ns is None:
-            # Innovations from the time when all beacons were rejected must not isolate a source from now on.
+            # Innovations of rejected beacons must not isolate a source after this acceptance.
             means = cleared_means(fault_state.innovation_means, slice(None), slice(None))
             return replace(
                 fault_state, innovation_means=means, unresolved_fault=replace(conflict, consistent_since_ns=time_ns)

@@ -1,7 +1,7 @@
-"""Calibration filter: propagate a state, compare it with a sighting and update it.
+"""Calibration filter: propagation of a state, comparison with a sighting, and update of the state.
 
-The filter has no memory of its own. A :class:`CalibrationState` is never changed in place, so the time-ordered log can
-keep every state and return to it.
+The filter has no state between calls. A :class:`CalibrationState` is never changed in place, so the time-ordered log
+can keep every state and return to it.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ Jump = EncoderJump | InsJump
 _NO_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 _STEPS = 5
-# The non-linear remainder of a step of this size (rad) is its square: below rounding.
+# Step size, rad, below which the non-linear remainder, its square, is negligible.
 _SMALL_STEP = 1e-5
 
 
@@ -43,23 +43,23 @@ class CalibrationState:
     Attributes:
         time_ns: time of the state; None before the first sighting.
         mean: estimated errors, shape (..., n), mostly (n,).
-        covariance_by_source: covariance by error source, shape (..., n_sources, n, n).
+        covariance_by_source: covariance of the estimate by error source, shape (..., n_sources, n, n).
         observability: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
         subfilters: states of the subfilters.
         fault_state: excluded sources and unresolved faults.
         solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in
             standard deviations, shape (h,).
-        ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+        ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if the messages state none.
         consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected because they
             contradict encoders and ship.
-        rejection_text: text of the last of these rejections.
+        rejection_text: text of the last rejection of this kind.
         last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
-        light_count: number of beacons in that sighting.
+        light_count: number of beacons in the last accepted sighting of beacons.
         last_stars_ns: time of the last accepted exposure of stars; None before the first.
         pixel_dwells: pixel dwell of the stars in each camera with errors per pixel; empty after an inflation.
         sighting_count: number of accepted sightings, of beacons and of stars.
-        point_count: number of beacons and stars in them.
-        residual_square_sum: sum of the squares of their residuals on the sky, rad².
+        point_count: number of beacons and stars in the accepted sightings.
+        residual_square_sum: sum of the squares of the residuals of beacons and stars on the sky, rad².
     """
 
     time_ns: int | None
@@ -88,27 +88,27 @@ class CalibrationState:
 
     @property
     def last_update_ns(self) -> int | None:
-        """Time of the last accepted sighting, of beacons or of stars; None if there was none yet."""
+        """Time of the last accepted sighting, of beacons or of stars; None before the first."""
         return max(
             (time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None
         )
 
     @property
     def residual_rms(self) -> float:
-        """RMS of the residuals of beacons and stars on the sky, rad; NaN if there was none yet."""
+        """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first sighting."""
         return float(np.sqrt(self.residual_square_sum / self.point_count)) if self.point_count else float("nan")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Sighting linearised at the propagated state.
+    """Comparison of a sighting with its prediction, linearised.
 
     Attributes:
         prediction: predicted sighting.
-        measurement: residual in metres, with Jacobian and noise.
+        measurement: residual relative to the propagated state, m, with Jacobian and noise.
         covariance: covariance of the residual, m², shape (2 N, 2 N).
         nis: normalised innovation squared.
-        angles_nis: part of ``nis`` that no attitude of the telescope explains, from the angles between the beacons.
+        angles_nis: part of ``nis`` due to the angles between the beacons, which no attitude of the telescope explains.
         gain: Kalman gain, shape (n, 2 N).
     """
 
@@ -121,7 +121,7 @@ class Comparison:
 
 
 class CalibrationFilter:
-    """Kalman filter of a configuration: time and measurement update of its states.
+    """Kalman filter of a configuration: propagation and measurement update of its states.
 
     Args:
         config: parameters of the node.
@@ -136,11 +136,11 @@ class CalibrationFilter:
         self.subfilters = SubfilterSet(config, self.model, self.ship_error)
 
     def initial_state(self) -> CalibrationState:
-        """Return the state before any sighting, with the errors as configured."""
+        """Return the state before any sighting, with the configured errors."""
         return self.initial_state_from(np.zeros(self.model.size), self.model.initial_covariance_by_source())
 
     def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> CalibrationState:
-        """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
+        """Return the state before any sighting, with given errors, shape (n,), and covariance, (n_sources, n, n)."""
         subfilters = self.subfilters.initial_states(mean, covariance_by_source.sum(axis=0))
         solution_separation = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
@@ -160,9 +160,9 @@ class CalibrationFilter:
 
         Args:
             state: state after the previous sighting.
-            time_ns: the time.
-            new_ship_covariance_n: covariance of the ship's error that is stated at that time, rad², shape (3, 3); None
-                if none is.
+            time_ns: later time; an earlier time does not change the state's time.
+            new_ship_covariance_n: stated covariance of the ship's error at ``time_ns``, rad², shape (3, 3); None if the
+                messages state none.
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
@@ -186,7 +186,7 @@ class CalibrationFilter:
         )
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
-        """Inflate the covariance after a jump: of the INS's correlated error, or of the encoders' zero points."""
+        """Inflate the covariance of the INS's correlated error, or of the encoders' zero points, after their jump."""
         if isinstance(jump, InsJump):
             state = self.propagate(state, jump.time_ns, None)
             states, source, covariance = self.model.state_indices("ship.attitude"), SOURCE_SHIP, jump.covariance_n
@@ -200,9 +200,10 @@ class CalibrationFilter:
         return replace(state, covariance_by_source=parts, subfilters=subfilters, pixel_dwells=_NO_DWELLS)
 
     def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
-        """Exclude a source: all filters restart from the subfilter without it.
+        """Exclude a source: all filters restart from the subfilter without this source.
 
-        The telescope has no subfilter. If it is excluded, the main filter is kept, which has rejected the sighting.
+        The telescope has no subfilter. If the telescope is excluded, all filters restart from the main filter, which
+        has rejected the sighting.
         """
         if source not in self.subfilters.sources:
             subfilters = self.subfilters.restart_from_estimate(state.subfilters, state.mean, state.covariance)
@@ -252,10 +253,10 @@ class CalibrationFilter:
     def update_by_beacons(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
     ) -> tuple[CalibrationState, Comparison]:
-        """Update the propagated state with a sighting; return it with the comparison of the last iteration.
+        """Update the propagated state with a sighting; return the new state and the comparison of the last iteration.
 
         The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). More than one
-        iteration is needed only if the sighting is far from the prediction, like a first one.
+        iteration is needed only if the sighting is far from the prediction, as the first sighting may be.
         """
         latest, mean = comparison, state.mean
         for _ in range(_STEPS):
@@ -290,7 +291,7 @@ class CalibrationFilter:
         Args:
             state: propagated state.
             exposure: exposure of the stars.
-            comparison: comparison of the stars with that state.
+            comparison: comparison of the stars with the propagated state.
         """
         measurement, (gain,) = comparison.measurement, comparison.innovations.gain
         pixel_dwells = state.pixel_dwells
@@ -330,7 +331,7 @@ class CalibrationFilter:
 
 
 def _parts_for_covariance(parts: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Transform a covariance by source linearly so that it sums to another covariance."""
+    """Transform a covariance by source linearly so that its sum is a given covariance."""
     before = parts.sum(axis=0)
     sigma = np.sqrt(np.maximum(np.diagonal(before), np.diagonal(covariance)))
     # States in radians and metres are scaled to unit variance. A state with zero variance keeps zero variance.

@@ -1,27 +1,27 @@
-"""States of the calibration filter, built from its configuration, and the process of the ship's error.
+"""States of the calibration filter, determined by its configuration, and the process of the ship's error.
 
 =========================  =========  =================================================================================
 state                      frame      meaning; errors are true minus used
 =========================  =========  =================================================================================
 ship.attitude (3)          horizon    correlated error a of the ship's attitude: R_true = exp(a) R
-ship.time_offset (1)                  a sample of the INS is valid at its stamp + this; only with the INS as source
+ship.time_offset (1)                  true minus stated time of INS samples, s; only with the INS as source
 deformation (3)            deck       e: the theodolite's base is rotated by exp(e) relative to the deck
 axes (7)                              axis errors in the order of theodolite_calib.axis_geometry.axes.NAMES
-focal_length (1)                      m; of the calibration telescope, for beacons and for stars seen through it
-parallelism (3)                       azimuth, elevation, rotation of the main axis in the telescope
-ship_antenna (3)           horizon    error of all baselines, m; this and the following only if they have a sigma
-lever (3)                  deck       from the ship's antenna to the theodolite, m
-lens (3)                   main       from the crossing of the axes to N', m
-telescope.<id>.parallelism            as parallelism, of another star camera (3)
+focal_length (1)                      error of the calibration telescope's focal length, for beacons and stars, m
+parallelism (3)                       errors of azimuth, elevation and rotation of the main axis in the telescope
+ship_antenna (3)           horizon    error common to all baselines, m; from here on, states exist only with a sigma
+lever (3)                  deck       error of the vector from the ship's antenna to the theodolite, m
+lens (3)                   main       error of the vector from the intersection of the axes to N', m
+telescope.<id>.parallelism            errors of the parallelism of another star camera (3)
 telescope.<id>.optics (4)             errors of the optics of a star camera: focal length, principal point (u, v) and
-                                      k1, in their sigmas; 3 in the calibration telescope, whose focal length is above
+                                      k1, in their sigmas; calibration telescope: 3, without the focal length
 telescope.<id>.field (18)             field-spatial error of a star camera, in sigmas
 sky.<cause>                           errors common to all stars, in sigmas (ship_attitude_star.sky.shared_states);
                                       only with star cameras
-refraction (1)                        of the coefficient k, common to all beacons
-light.<id>.rtk (3)         horizon    correlated error of this baseline, m
-light.<id>.lever (3)       drone      from the drone's antenna to its light, m
-light.<id>.attitude (3)    horizon    of the drone's attitude, rad
+refraction (1)                        error of the refraction coefficient k, common to all beacons
+light.<id>.rtk (3)         horizon    correlated error of this light's baseline, m
+light.<id>.lever (3)       drone      error of the vector from the drone's antenna to its light, m
+light.<id>.attitude (3)    horizon    error of the drone's attitude, rad
 light.<id>.refraction (1)             further error of k on the path to this light
 =========================  =========  =================================================================================
 """
@@ -62,7 +62,7 @@ COMMON_TERMS = {
     "principal_point": "lens",
     "refraction": "refraction",
 }
-"""Error term common to all lines of sight (:mod:`theodolite_calib.lights.line_of_sight`) → its state."""
+"""State of each error term common to all lines of sight (:mod:`theodolite_calib.lights.line_of_sight`)."""
 
 OWN_TERMS = {
     "rtk_bias": "rtk",
@@ -70,14 +70,14 @@ OWN_TERMS = {
     "drone_attitude": "attitude",
     "light_refraction": "refraction",
 }
-"""Error term of one line of sight → its state, after ``light.<id>.``."""
+"""State of each error term of one line of sight, without the prefix ``light.<id>.``."""
 
 _STEP_RATIO = 2.0
 """Ratio of a stated variance to the previous one above which the change is a step."""
 
 
 def state_model(config: OpticalAxisConfig) -> StateModel:
-    """Return all states of a configuration, and the error sources of its budget."""
+    """Return all states and error sources of a configuration."""
     blocks = [*_ship_blocks(config), *_theodolite_blocks(config), *_path_blocks(config)]
     for id_, camera in config.telescopes.items():
         blocks += _camera_blocks(id_, camera, config)
@@ -96,18 +96,18 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
 
 
 def axis_state_indices(model: StateModel) -> NDArray[np.intp]:
-    """Return the indices of the states that turn the main axis, in the order of AXIS_STATES."""
+    """Return the indices of the states that rotate the main axis, in the order of AXIS_STATES."""
     return np.concatenate([model.state_indices(name) for name in AXIS_STATES if name in model.slices])
 
 
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
-    """Return the name of the parallelism states of a star camera; the calibration telescope has one block for all."""
+    """Return the name of a star camera's parallelism states; stars and beacons share the calibration telescope's."""
     return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
 
 
 def _ship_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
     if config.ship.source == "ship/attitude":
-        # The messages state its covariance; the initial one is zero.
+        # The messages state the covariance of this error; its initial covariance is zero.
         return [block("ship.attitude", [0.0] * 3, SOURCE_SHIP, time_s=config.ship.slow_time_s)]
     ins = config.ins
     tilt, heading = ins.tilt_sigma_arcsec * ARCSEC, ins.heading_sigma_arcsec * ARCSEC
@@ -163,7 +163,7 @@ def _beacon_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) ->
 
 @dataclass(frozen=True)
 class ShipErrorStep:
-    """Step of the ship's error when its stated covariance changes by much, at one time or at N times.
+    """Step of the ship's error due to a large change of its stated covariance, at one time or at N times.
 
     Attributes:
         retained: factor on each component of the old error, shape (3,) or (N, 3).
@@ -177,23 +177,23 @@ class ShipErrorStep:
 class ShipErrorProcess:
     """Process of the ship's attitude error, whose covariance the messages state.
 
-    Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary one. A change
-    of that covariance by more than a factor of two exceeds the process: stars became available, or another system took
-    over. The error then has a step, axis by axis (:func:`ship_error_step`).
+    Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary covariance. If
+    a stated variance changes by more than a factor of two, for example because stars became available, the error has a
+    step, axis by axis (:func:`ship_error_step`).
 
     Args:
         config: parameters of the node.
         model: states of the filter.
 
     Attributes:
-        columns: slice of the error in the state.
-        source_index: index of its error source.
+        columns: slice of the ship's error in the state.
+        source_index: index of the error source.
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
         self.columns = model.slices["ship.attitude"]
         self.source_index = model.sources.index(SOURCE_SHIP)
-        # The error of the INS alone may have jumped: a component far beyond its sigma does not decay.
+        # The error of the INS alone may have jumped; a component far beyond its sigma then does not decay.
         by_ins = config.ship.source == "ins/imu"
         self._sigma = model.blocks["ship.attitude"].sigma if by_ins else None
 
@@ -201,13 +201,13 @@ class ShipErrorProcess:
         """Propagate the error, a rotation vector in n, rad, shape (..., 3).
 
         Args:
-            error_n: error before, shape (..., 3).
-            decay: decay factors of the process over the time, shape (3,).
+            error_n: error before propagation, shape (..., 3).
+            decay: decay factors of the process over the propagation time, shape (3,).
         """
         return decay * error_n if self._sigma is None else propagate_correlated_error(error_n, decay, self._sigma)
 
     def exceeds_model(self, error_n: FloatArray) -> NDArray[np.bool_]:
-        """True for each component of the error that exceeds the model and does not decay, shape (3,)."""
+        """True for each component of the error that exceeds the model and so does not decay, shape (3,)."""
         return np.zeros(3, dtype=bool) if self._sigma is None else exceeds_model(error_n, self._sigma)
 
     def apply_stated_covariance(
@@ -223,13 +223,14 @@ class ShipErrorProcess:
         """Apply the stated covariance to a propagated state; return mean, covariance by source and the step, or None.
 
         Args:
-            mean: state, shape (..., n).
-            parts: shape (..., n_sources, n, n), decayed and without the noise of the ship's error; changed in place.
-            columns: slice of the ship's error in these two.
-            decay: decay factors of the error over the time, shape (3,).
-            previous_n: covariance stated before, rad², shape (3, 3); None if none was.
-            stated_n: covariance stated now; None if none is.
-            source_index: index of the ship's error in ``parts``; None for that of the filter.
+            mean: mean of the state, shape (..., n).
+            parts: covariance by source, shape (..., n_sources, n, n), decayed and without the noise of the ship's
+                error; changed in place.
+            columns: slice of the ship's error in ``mean`` and ``parts``.
+            decay: decay factors of the error over the propagation time, shape (3,).
+            previous_n: previously stated covariance, rad², shape (3, 3), or None.
+            stated_n: newly stated covariance, or None.
+            source_index: index of the ship's error source in ``parts``; None for the filter's ``source_index``.
         """
         source_index = self.source_index if source_index is None else source_index
         add_stationary_noise(parts, columns, source_index, decay, previous_n)
@@ -245,22 +246,22 @@ def add_stationary_noise(
     """Add in place the noise that keeps the ship's error at its stationary covariance.
 
     Args:
-        parts: shape (..., n_sources, n, n), decayed already.
-        columns: slice of the ship's error in them.
+        parts: decayed covariance by source, shape (..., n_sources, n, n).
+        columns: slice of the ship's error in ``parts``.
         source_index: index of the ship's error source.
-        decay: decay factors of the error over the time, shape (3,).
-        stationary_n: stationary covariance, rad², shape (3, 3); None if none is stated.
+        decay: decay factors of the error over the propagation time, shape (3,).
+        stationary_n: stationary covariance, rad², shape (3, 3); None adds no noise.
     """
     if stationary_n is not None:
         parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * stationary_n
 
 
 def ship_error_step(previous_n: FloatArray | None, stated_n: FloatArray | None) -> ShipErrorStep | None:
-    """Return the step from one stated covariance to another, rad², shape (3, 3) each; None if there is none.
+    """Return the step from one stated covariance to another, rad², shape (3, 3) each; None without a step.
 
     Args:
-        previous_n: covariance stated before; None if none was.
-        stated_n: covariance stated now; None if none is, and there is no step.
+        previous_n: previously stated covariance; None counts as zero.
+        stated_n: newly stated covariance; None gives no step.
     """
     if stated_n is None:
         return None
@@ -269,13 +270,13 @@ def ship_error_step(previous_n: FloatArray | None, stated_n: FloatArray | None) 
 
 
 def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> ShipErrorStep | None:
-    """Return the steps from one stated covariance to each of N others; None if no step occurs.
+    """Return the steps from one stated covariance to each of N stated covariances; None if no step occurs.
 
-    If the variance decreased, the factor on the old error is new / old, as after a Kalman update with the same
-    decrease. If it increased, the whole old error remains. The difference to the new covariance is added.
+    If a variance decreased, the factor on the old error is new / old, as after a Kalman update with the same decrease.
+    If the variance increased, the whole old error remains. The rest of the new covariance is added as a new error.
 
     Args:
-        previous_n: covariance stated before, rad², shape (3, 3); None if none was.
+        previous_n: previously stated covariance, rad², shape (3, 3); None counts as zero.
         stated_n: covariances stated at N times, shape (N, 3, 3).
 
     Returns:
@@ -290,7 +291,7 @@ def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> Shi
     has_no_step = np.all(is_similar, axis=1)
     retained = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
     remaining_n = stated_n - previous_n * (retained[:, :, None] * retained[:, None, :])
-    # A change of a matrix need not be such a step in each axis: negative variances are set to zero.
+    # The rest of a matrix need not be positive semidefinite; negative variances are set to zero.
     values, vectors = np.linalg.eigh(0.5 * (remaining_n + remaining_n.swapaxes(1, 2)))
     new_n = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
     return ShipErrorStep(
@@ -304,11 +305,11 @@ def with_step(
     """Return state and covariance by source after the step; the arguments are not changed.
 
     Args:
-        mean: shape (..., n).
-        parts: shape (..., n_sources, n, n).
+        mean: mean of the state, shape (..., n).
+        parts: covariance by source, shape (..., n_sources, n, n).
         columns: slice of the ship's error.
-        source_index: index of its source.
-        step: the step.
+        source_index: index of the ship's error source.
+        step: step of the ship's error.
     """
     mean, parts = mean.copy(), parts.copy()
     mean[..., columns] *= step.retained

@@ -1,15 +1,15 @@
 """Combinations of axis errors and deformation that the sightings cannot separate, computed live with the filter.
 
-If stars are observed as well as beacons, N' is included: beacons depend on it, and stars do not.
+If stars are observed as well as beacons, N' is included, because beacons depend on N' and stars do not.
 
-A second covariance is propagated for this. It starts with practically unknown values of the errors in question. The
-deformation is a random walk with the rate of the filter's process, without a mean. All other states, correlated errors
-included, are as in the filter. A combination with no information in this covariance therefore has none in the
-sightings, however many of the same kind follow. A ratio between N' and an angle is in metres per radian.
+A second covariance is propagated for this purpose. At the start axis errors, deformation and N' are practically
+unknown. The deformation is a random walk with the rate of the filter's process. All other states, correlated errors
+included, are as in the filter. If this covariance shows no information about a combination, the sightings have none
+either, even if more of the same kind follow. A ratio between N' and an angle is in metres per radian.
 
-With such large variances, errors known to an arcsecond would be lost in rounding. The root of the covariance is
-propagated instead: stacked roots are combined by QR decomposition, and no variance can become negative (Bierman,
-Factorization Methods for Discrete Sequential Estimation, 1977).
+In a covariance with such large variances, errors known to an arcsecond would be lost in rounding. The root of the
+covariance is therefore propagated. Stacked roots are combined by QR decomposition, so that no variance can become
+negative (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977).
 """
 
 from dataclasses import dataclass, replace
@@ -28,8 +28,8 @@ DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard
 LENS_NAMES = ("lens_forward", "lens_up", "lens_right")
 
 _ELIMINATION_ORDER = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g", *LENS_NAMES)
-"""Order in which errors lead the reported combinations. A leading error is eliminated from all other combinations; the
-errors that pair with the deformation come last."""
+"""Order in which errors lead the reported combinations. A leading error is eliminated from all other combinations.
+Errors that are similar to the deformation come last."""
 
 _UNKNOWN = 1000.0
 """Initial standard deviation of an unknown error, in standard deviations of the configuration."""
@@ -37,7 +37,7 @@ _UNKNOWN = 1000.0
 
 @dataclass(frozen=True)
 class ObservabilityState:
-    """Root of the covariance of the states from the sightings alone, shape (n, n): covariance = root @ root.T."""
+    """State with the root of the covariance from the sightings alone, shape (n, n); covariance = root @ root.T."""
 
     root: FloatArray
 
@@ -47,7 +47,7 @@ class Observability:
 
     Args:
         model: states of the filter.
-        includes_lens: True to include N', if it is a state.
+        includes_lens: True to include N', if the filter has it as a state.
     """
 
     def __init__(self, model: StateModel, includes_lens: bool = False) -> None:
@@ -83,7 +83,7 @@ class Observability:
     def propagate(
         self, state: ObservabilityState, dt_s: float, ship_covariance_n: FloatArray | None
     ) -> ObservabilityState:
-        """Propagate by ``dt_s``; the ship's error has a stated stationary covariance (rad², (3, 3)) if one is given."""
+        """Propagate by ``dt_s``; ``ship_covariance_n`` is the stated stationary covariance of the ship's error."""
         decay, noise = self._model.transition(dt_s)
         roots = [decay[:, None] * state.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
         if ship_covariance_n is not None:
@@ -100,17 +100,17 @@ class Observability:
         """Update with a sighting that has the filter's Jacobian (m, n) and noise (m, m)."""
         root, (size, states) = state.root, jacobian.shape
         both = np.block([[np.linalg.cholesky(noise), jacobian @ root], [np.zeros((states, size)), root]])
-        # Upper rows: root of the innovation's covariance; lower right: root of the updated covariance.
+        # The upper rows are the root of the innovation's covariance; the lower right is the root after the update.
         return ObservabilityState(_triangle(both)[size:, size:])
 
     def _ship_root(self, covariance_n: FloatArray) -> FloatArray:
-        """Return a root of a covariance of the ship's error, rad², shape (3, 3), as rows of the state, shape (n, 3)."""
+        """Return the root of a covariance of the ship's error, rad², shape (3, 3), for all states, shape (n, 3)."""
         root = np.zeros((self._model.size, 3))
         root[self._ship] = square_root(covariance_n)
         return root
 
     def unobservable_combinations(self, state: ObservabilityState) -> tuple[str, ...]:
-        """Return the combinations of names that the sightings so far cannot separate, as ``g - deformation_up``."""
+        """Return the combinations of errors that the sightings cannot separate, such as ``g - deformation_up``."""
         root = state.root[self._state_indices]
         return unobservable_combinations(root @ root.T, self._sigma, self._names, self._reported_names)
 

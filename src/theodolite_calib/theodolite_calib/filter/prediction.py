@@ -1,8 +1,8 @@
-"""Prediction of a sighting of beacons by a state of the calibration filter, with the Jacobian by all states.
+"""Prediction of a sighting of beacons from a state of the calibration filter, with its Jacobian.
 
 The beacons' points on the detector follow from the attitude of the telescope
 (:mod:`theodolite_calib.axis_geometry.axes`) and from the lines of sight (:mod:`theodolite_calib.lights.line_of_sight`).
-Both are corrected by the estimated errors.
+Attitude and lines of sight are corrected by the estimated errors.
 """
 
 from dataclasses import dataclass
@@ -50,20 +50,18 @@ _ALL_BEACONS = -1
 
 @dataclass(frozen=True)
 class Prediction:
-    """Sighting predicted by a state; N beacons, n states.
+    """Sighting of N beacons predicted from a state of n errors.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
         by_state_n: rotation vector of the telescope in n per state, shape (3, n).
-        noise_n: covariance of the telescope's rotation vector that is white from exposure to exposure, by source, rad²,
-            shape (3, 3).
+        noise_n: covariance of the white error of the telescope's rotation vector in n, by source, rad², shape (3, 3).
         camera: camera with the estimated focal length.
         lines: predicted lines of sight to the beacons.
-        residual: measured minus predicted, m, shape (2 N,); NaN for a beacon behind the telescope.
-        by_attitude_n: derivative of the points by the telescope's rotation vector in n, m/rad, shape (2 N, 3).
-        jacobian: derivative of the points by all states, shape (2 N, n).
-        noise_by_source: covariance of the points that is white from exposure to exposure, by source, m², shape (2 N, 2
-            N).
+        residual: measured minus predicted points, m, shape (2 N,); NaN for a beacon behind the telescope.
+        by_attitude_n: derivative of the points with respect to the telescope's rotation vector in n, m/rad, (2 N, 3).
+        jacobian: derivative of the points with respect to all states, shape (2 N, n).
+        noise_by_source: covariance of the white error of the points, by source, m², shape (2 N, 2 N).
     """
 
     rotation_nt: FloatArray
@@ -82,7 +80,7 @@ class SightingModel:
 
     Args:
         config: parameters of the node.
-        model: its states.
+        model: states of the filter.
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
@@ -95,7 +93,7 @@ class SightingModel:
         self._beacon_setups: dict[tuple[str, ...], _BeaconSetup] = {}
 
     def geometry_errors(self, mean: FloatArray) -> FloatArray:
-        """Return the estimated errors of the axis geometry, in the order of its columns, shape (14,)."""
+        """Return the estimated errors of the axis geometry, in the order of ``AxisGeometry.by_error``, shape (14,)."""
         errors: FloatArray = self._configured_errors.copy()
         errors[: len(self._axis_indices)] += mean[self._axis_indices]
         return errors
@@ -114,7 +112,7 @@ class SightingModel:
         Args:
             geometry: geometry of the main axis.
             by_parallelism: rotation vector of the camera per angle of its parallelism, shape (3, 3).
-            parallelism: name of the states of these angles.
+            parallelism: name of the states of the parallelism.
         """
         by_state_n = np.zeros((3, self._model.size))
         by_state_n[:, self._axis_indices] = geometry.by_error[:, : len(self._axis_indices)]
@@ -122,7 +120,7 @@ class SightingModel:
         return by_state_n
 
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
-        """Predict a sighting by a state, with its Jacobian."""
+        """Predict a sighting from a state."""
         ship, encoder = sighting.ship, sighting.encoder
         geometry = axis_geometry(
             self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation
@@ -186,19 +184,19 @@ class SightingModel:
         )
 
     def _beacon_setup(self, names: tuple[str, ...]) -> "_BeaconSetup":
-        """Return the setup of beacons with these names; computed once for all their sightings."""
+        """Return the setup of beacons with these names, which is created once."""
         if names not in self._beacon_setups:
             self._beacon_setups[names] = _BeaconSetup(self._config, self._model, names)
         return self._beacon_setups[names]
 
     def _add_ship_time_offset(self, jacobian: FloatArray, by_ship_rotation: FloatArray, geometry: AxisGeometry) -> None:
-        """Add the effect of the ship's time offset that moves the theodolite around the antenna."""
+        """Add the effect of the ship's time offset on the position of the theodolite relative to the antenna."""
         if "ship.time_offset" in self._model.slices:
             by_turn = by_ship_rotation.reshape(len(jacobian), 3)
             jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ geometry.by_error[:, SHIP_TIME]
 
     def _state_block(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
-        """Return a block of the state; zeros if there is no such state."""
+        """Return a block of the state; zeros if the filter has no such state."""
         columns = self._model.slices.get(name)
         return mean[columns] if columns is not None else np.zeros(width)
 
@@ -212,10 +210,10 @@ class _BeaconSetup:
         names: names of the beacons.
 
     Attributes:
-        survey: surveyed quantities, not corrected by the states.
+        survey: configured quantities, without corrections by the states.
         attitude_covariance_n: covariances of the drones' attitudes, rad², shape (N, 3, 3).
-        couplings: couplings of states, beacons and errors of the lines of sight, as
-            :func:`theodolite_calib.filter.compiled_points.jacobian_by_states` takes them, shape (e, 3).
+        couplings: argument ``couplings`` of :func:`theodolite_calib.filter.compiled_points.jacobian_by_states`, shape
+            (e, 3).
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, names: tuple[str, ...]) -> None:
@@ -267,7 +265,7 @@ class _BeaconSetup:
 
 
 def _state_indices(model: StateModel, state: str, width: int) -> list[int]:
-    """Return the indices of a state; if there is none, the index of a zero appended to all states."""
+    """Return the indices of a state; if it does not exist, the index of a zero appended to all states."""
     columns = model.slices.get(state)
     return [model.size] * width if columns is None else list(range(columns.start, columns.stop))
 

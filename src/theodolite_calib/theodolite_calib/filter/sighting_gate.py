@@ -1,9 +1,9 @@
-"""Gate of the sightings: which sightings, and which of their beacons, the filter accepts.
+"""Innovation gate for sightings and their beacons.
 
 Two tests apply, each with the probability of the gate. The first tests all residuals together. The second tests only
 the angles between the beacons, which do not depend on the attitude of the telescope. A sighting that fails is tested
 for misidentification (:mod:`theodolite_calib.lights.beacon_check`), so that the rejection contains the cause. Beacons
-with exchanged names are used under the right names. One wrong beacon among three or more is excluded.
+with exchanged names are used under the correct names. One wrong beacon among three or more is excluded.
 """
 
 from dataclasses import dataclass, replace
@@ -30,9 +30,9 @@ class SightingDecision:
     """Usable part of a sighting, or the reason of its rejection.
 
     Attributes:
-        decision: decision about its exposure.
-        sighting: sighting with the accepted beacons under their right names; None if none is accepted.
-        comparison: comparison of this sighting with the propagated state.
+        decision: decision about the exposure.
+        sighting: sighting with the accepted beacons under their correct names; None if it is rejected.
+        comparison: comparison of ``sighting`` with the propagated state.
     """
 
     decision: ExposureDecision
@@ -65,7 +65,7 @@ class SightingGate:
 
     def _is_within_gate(self, comparison: Comparison) -> bool:
         probability, components = self._gate.probability, len(comparison.measurement.residual)
-        # Written so that NaN fails.
+        # The condition is written so that NaN fails.
         if not comparison.nis <= chi_square_gate(probability, components):
             return False
         if components == 2:
@@ -75,7 +75,7 @@ class SightingGate:
     def _resolve_misidentification(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> SightingDecision:
-        """Resolve a misidentification among two or more beacons that fail the gate with their given names."""
+        """Evaluate two or more beacons that fail the gate with their given names for misidentification."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
@@ -100,7 +100,7 @@ class SightingGate:
         )
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
-        """Return the camera with the present standard deviation of its focal length, from the state."""
+        """Return the camera with the standard deviation of the focal length from the state."""
         row = self._filter.model.slices["focal_length"].start
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
@@ -120,7 +120,7 @@ class SightingGate:
     def _try_without_one(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> SightingDecision | None:
-        """Evaluate three or more beacons without one of them; return the best decision that passes, or None."""
+        """Evaluate three or more beacons with each beacon left out; return the best decision that passes, or None."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
             return None
@@ -158,7 +158,7 @@ class SightingGate:
         return replace(decision, text=f"NIS {decision.nis:.1f} exceeds gate {decision.gate:.1f}")
 
     def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
-        """Return the decision with residuals, as a rejection by the gate; other decisions are derived from it."""
+        """Return the decision with residuals, as a rejection by the gate that callers can change."""
         focal_m = focal_length_m(comparison)
         return ExposureDecision(
             measurement=exposure,
@@ -174,7 +174,7 @@ class SightingGate:
 
 
 def _telescope_covariance_by_source(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
-    """Return the covariance by source of the predicted telescope attitude: rotation vector in n, rad², (3, 3) each."""
+    """Return the covariance of the predicted telescope attitude by source, rotation vector in n, rad², (3, 3) each."""
     by_state_n = comparison.prediction.by_state_n
     return {"state": by_state_n @ state.covariance @ by_state_n.T, **comparison.prediction.noise_n}
 
@@ -185,7 +185,7 @@ def focal_length_m(comparison: Comparison) -> float:
 
 
 def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
-    """Return a text about the angle between two beacons with the largest residual."""
+    """Return a text about the angle with the largest residual between two beacons."""
     angles = angle_residuals(sighting.image, camera, lines)
     worst = int(np.argmax(angles.chi2))
     first, second = (sighting.names[row] for row in angles.pairs[worst])

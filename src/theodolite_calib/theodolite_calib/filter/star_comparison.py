@@ -1,13 +1,13 @@
-"""Comparison of stars in a camera on the theodolite with the camera's attitude predicted by the filter's state.
+"""Comparison of stars in a camera on the theodolite with the camera's attitude predicted from the filter's state.
 
-The camera s is fixed to the main axis, whose attitude follows from encoders, deformation and ship
+The camera s is fixed to the main axis. The attitude of the camera follows from encoders, deformation and ship
 (:mod:`theodolite_calib.axis_geometry`):
 
     rotation_ns = exp(a) R_ship · exp(e) · R_axes · R(ΔA, ΔE, Δω)ᵀ
 
-A star has no baseline, lever, N' or terrestrial refraction. Its direction in the horizon is that of the catalogue with
-aberration and refraction, and the errors common to all stars are states (:mod:`ship_attitude_star.sky.shared_states`).
-Identification, rejection of stars and residuals are those of the ship's filter
+A star has no baseline, lever, N' or terrestrial refraction. Its direction in the horizon is the catalogue direction
+with aberration and refraction. Errors common to all stars are states (:mod:`ship_attitude_star.sky.shared_states`).
+The ship's filter uses the same identification, rejection and residuals of stars
 (:mod:`ship_attitude_star.stars.residuals`).
 """
 
@@ -33,18 +33,18 @@ from theodolite_calib.filter.prediction import SightingModel
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _STEPS = 6
-# The non-linear remainder of a step of this size (rad) is its square: below rounding.
+# Step size, rad, below which the non-linear remainder, its square, is negligible.
 _SMALL_STEP = 1e-5
 
 
 @dataclass(frozen=True)
 class CameraAttitude:
-    """Attitude of a camera by a state; n states.
+    """Attitude of a camera predicted from a state of n errors.
 
     Attributes:
         rotation_ns: horizon from camera, shape (3, 3).
-        by_state_n: derivatives of its rotation vector in n by the states, shape (3, n).
-        noise_n: covariance of its errors that are independent between exposures, by source, rad², shape (3, 3).
+        by_state_n: derivatives of the camera's rotation vector in n with respect to the states, shape (3, n).
+        noise_n: covariance of the attitude's white error, by source, rad², shape (3, 3).
     """
 
     rotation_ns: FloatArray
@@ -59,13 +59,13 @@ class CameraAttitude:
 
 @dataclass(frozen=True)
 class StarComparison:
-    """Stars of an exposure compared with a propagated state, linearised at the update; k stars.
+    """Comparison of k stars of an exposure with a propagated state, linearised at the updated state.
 
     Attributes:
-        camera: attitude at the point of linearisation.
-        stars: accepted stars, with residuals at that point.
+        camera: camera's attitude at the updated state.
+        stars: accepted stars, with residuals at the updated state.
         measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
-        innovations: innovation of the propagated state, in the form for several filters.
+        innovations: innovation of the propagated state, as one filter of :class:`FilterInnovations`.
     """
 
     camera: CameraAttitude
@@ -79,7 +79,7 @@ class StarModel:
 
     Args:
         config: parameters of the node.
-        model: its states.
+        model: states of the filter.
         sightings: measurement model of the main axis.
     """
 
@@ -93,7 +93,7 @@ class StarModel:
             id_: camera_state_indices(model.slices, f"telescope.{id_}", "focal_length" if id_ == shared else "")
             for id_ in config.telescopes
         }
-        # Errors of a lens are in sigmas, but the focal length shared with the beacons is in metres.
+        # Errors of the optics are in sigmas, except for the focal length shared with the beacons, which is in metres.
         self._in_sigmas: FloatArray = np.ones(model.size)
         if shared in config.telescopes:
             lens = config.star_camera(shared)
@@ -101,7 +101,7 @@ class StarModel:
         self._sky_indices = sky_slice(model.slices, config.sky) if config.telescopes else slice(0, 0)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
-        """Return the camera's attitude at the middle of an exposure by a state."""
+        """Return the camera's attitude at the middle of an exposure, predicted from a state."""
         ship, encoder = sighting.ship, sighting.encoder
         errors = self._sightings.geometry_errors(mean)
         geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
@@ -140,11 +140,11 @@ class StarModel:
         return stars
 
     def optics_rejection(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Rejection | None:
-        """Return the rejection of an exposure that moves the focal length far from the configured one, or None.
+        """Return the rejection if an exposure moves the focal length far from the configured value, or None.
 
         Args:
             mean: mean of the state updated by the exposure, shape (n,).
-            covariance: covariance of that state, shape (n, n).
+            covariance: covariance of the updated state, shape (n, n).
             sighting: the exposure.
         """
         rows, optics = self._lens_indices[sighting.camera_id], sighting.exposure.optics
@@ -157,10 +157,10 @@ class StarModel:
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, sky: SkyModel
     ) -> StarComparison | Rejection:
-        """Compare an exposure with a state propagated to its time, or return the reason why no star of it is usable.
+        """Compare an exposure with a state propagated to its time, or return the reason why no star is usable.
 
         The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the
-        minimum over all states of a sum of squares in standard deviations: state minus prediction, and star residuals.
+        minimum over all states of the normalised squares of star residuals and of the difference from the prediction.
 
         Args:
             mean: mean of the propagated state, shape (n,).
@@ -190,7 +190,7 @@ class StarModel:
         return found
 
     def _measurement(self, camera: CameraAttitude, stars: StarResiduals, offset: FloatArray) -> LinearMeasurement:
-        """Return the stars as one Kalman measurement, linearised at ``offset`` from the propagated mean."""
+        """Return the stars as one measurement, linearised at the propagated mean plus ``offset``."""
         by_turn_n = stars.rotation_jacobian @ camera.rotation_ns.T
         index = self._model.source_indices
         noise = {index[source]: by_turn_n @ part_n @ by_turn_n.T for source, part_n in camera.noise_n.items()}

@@ -2,7 +2,7 @@
 
 The state is propagated to the time of the exposure and compared with the identified stars
 (:mod:`theodolite_calib.filter.star_comparison`). If the stars pass the gate, the main filter and the subfilters are
-updated. Stars that contradict encoders and ship are counted together with rejected beacons: after several rejections
+updated. Stars that contradict encoders and ship are counted together with rejected beacons. After several rejections
 the pointing has an unresolved fault until stars or beacons are accepted again.
 """
 
@@ -24,7 +24,7 @@ from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _CONFLICT_REASONS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
-"""Reasons of rejections that contradict the prediction: with a correct prediction most stars are identified."""
+"""Reasons of rejections that contradict the prediction, because a correct prediction identifies most stars."""
 
 
 class StarStep:
@@ -43,7 +43,7 @@ class StarStep:
         self._axis_indices = axis_state_indices(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
-        """Return state and decision after an exposure; ``state`` is the one after the previous sighting or exposure."""
+        """Return state and decision after an exposure; ``state`` is the state after the previous beacons or stars."""
         after, decision = self._evaluate(state, sighting)
         return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded_sources)))
 
@@ -59,7 +59,7 @@ class StarStep:
         except np.linalg.LinAlgError:
             comparison = singular_covariance()
         decision = ExposureDecision(sighting.exposure, comparison.reason, text=comparison.text)
-        # With encoders or ship excluded there is no prediction that stars could contradict.
+        # If encoders or ship are excluded, the prediction is unknown and stars cannot contradict it.
         if comparison.reason in _CONFLICT_REASONS and not state.fault_state.excluded_sources & AXIS_SOURCES:
             return count_rejection(state, decision, self._gate, "stars")
         return state, decision
@@ -85,7 +85,7 @@ class StarStep:
             gate=gate,
             rejected_parts=comparison.stars.rejected,
         )
-        # Written so that NaN fails.
+        # The condition is written so that NaN fails.
         if not nis <= gate:
             decision = replace(decision, text=f"NIS {nis:.1f} exceeds gate {gate:.1f}")
             return count_rejection(state, decision, self._gate, "stars")

@@ -1,8 +1,8 @@
-"""Step of the filter by one sighting of beacons: propagation, fault detection, gate and update.
+"""Step of the filter with one sighting of beacons: propagation, fault detection, gate and update.
 
 The state is propagated to the time of the sighting. Drones whose baselines have jumped are excluded, and excluded
-drones are monitored. The other beacons are tested by the gate (:mod:`theodolite_calib.filter.sighting_gate`) against
-the main filter, and update it if they pass. They update every subfilter in whose gate they pass. Fault detection
+drones are monitored. The gate (:mod:`theodolite_calib.filter.sighting_gate`) tests the other beacons in the main
+filter. Main filter and subfilters are each updated if the beacons pass the gate of that filter. Fault detection
 (:mod:`theodolite_calib.filter.fault_detection`) uses the innovations of all filters.
 """
 
@@ -44,17 +44,17 @@ from theodolite_calib.measured.stream_consistency import StreamConsistency
 
 
 class SightingStep:
-    """Step from a state to the next by one sighting of beacons.
+    """Step from one state to the next with one sighting of beacons.
 
     Args:
         config: parameters of the node.
         filter_: filter of that configuration.
         stream_consistency: function of two times, ns, that returns the consistency of the encoder and ship streams
-            between them; None if it was not evaluated, or if the first time is too long ago.
-        has_ship_drifted: function of a time, ns, that returns True if the ship's attitude has departed from its own
-            rates before it; None if unknown.
+            between these times, or None if not evaluated.
+        has_ship_drifted: function of a time, ns, that returns True if the ship's attitude has departed from the
+            integral of its rates before that time, or None if unknown.
         stream_faults: function of a time, ns, that returns which of the encoder and ship streams were stuck, jumped or
-            repeated a stamp shortly before it.
+            repeated a stamp shortly before that time.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class SightingStep:
             state: state after the previous sighting.
             sighting: beacons with complete data.
             exposure: exposure of the sighting.
-            jumps: jumps of the baselines of its beacons, by name.
+            jumps: baseline jumps of the sighting's beacons, by name.
         """
         predicted = self._filter.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         fault_state = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
@@ -107,7 +107,7 @@ class SightingStep:
     def _apply_baseline_jump(
         self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
     ) -> CalibrationState:
-        """Exclude the drone of a baseline that has jumped, unless it is excluded already."""
+        """Exclude the drone of a baseline that has jumped, or record the jump if the drone is already excluded."""
         source, fault_state = BEACON_PREFIX + name, predicted.fault_state
         if source in fault_state.excluded_sources:
             return replace(predicted, fault_state=self._fault_detector.record_baseline_jump(fault_state, source, jump))
@@ -121,7 +121,7 @@ class SightingStep:
     def _exclude_source(
         self, state: CalibrationState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> CalibrationState:
-        """Exclude a source: its subfilter becomes the main filter."""
+        """Exclude a source; the subfilter without it becomes the main filter."""
         fault_state = self._fault_detector.exclude_source(state.fault_state, source, exclusion, explaining_subfilter)
         return replace(self._filter.exclude_source(state, source), fault_state=fault_state)
 
@@ -132,7 +132,7 @@ class SightingStep:
 
         Args:
             state: state after the previous sighting.
-            predicted: ``state`` propagated to the sighting; it may exclude further sources.
+            predicted: ``state`` propagated to the sighting, possibly with further excluded sources.
             sighting: beacons with complete data.
             exposure: exposure of the sighting.
         """
@@ -160,7 +160,7 @@ class SightingStep:
         if result.sighting is not None and result.comparison is not None:
             after, final_comparison = self._filter.update_by_beacons(prepared, result.sighting, result.comparison)
             if ENCODER in excluded:
-                # The predicted attitude rests on the excluded encoders. The published one is that after the update.
+                # The predicted attitude depends on the excluded encoders, so the attitude after the update is used.
                 rotation_step = exp_rotation(final_comparison.prediction.by_state_n @ (after.mean - prepared.mean))
                 rotation_nt = rotation_step @ result.comparison.prediction.rotation_nt
                 telescope_dt = result.sighting.deck_from_telescope(rotation_nt), _attitude_sigma(final_comparison)
@@ -180,7 +180,7 @@ class SightingStep:
         comparison: Comparison,
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
+        """Update subfilters and fault state with an accepted sighting; ``before`` is the propagated state."""
         main_filter = before.mean, comparison.covariance
         subfilters, innovations = self._filter.subfilters.update_by_beacons(
             before.subfilters,
@@ -229,7 +229,7 @@ class SightingStep:
         comparison: Comparison,
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Update subfilters and fault state with a rejected sighting; ``predicted`` is the state at its time."""
+        """Update subfilters and fault state with a rejected sighting; ``predicted`` is the propagated state."""
         main_filter = predicted.mean, comparison.covariance
         subfilters, innovations = self._filter.subfilters.update_by_beacons(
             predicted.subfilters,
@@ -268,7 +268,7 @@ class SightingStep:
     def _isolate_by_streams(
         self, unused_state: CalibrationState, source: str, explaining_sources: Set[str], decision: ExposureDecision
     ) -> str | None:
-        """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
+        """Isolate a fault of encoders or ship with steps in their streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
         streams = (
             None
@@ -280,10 +280,10 @@ class SightingStep:
         return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
 
     def _prefer_stream_fault(self, source: str | None, explaining_sources: Set[str], time_ns: int) -> str | None:
-        """Return the source to exclude, which may be another one whose stream showed a fault recently.
+        """Return the source to exclude, which may be another source than ``source`` if its stream showed a fault.
 
-        If exactly one stream showed a fault, and not that of ``source``, the fault is attributed to that stream if its
-        exclusion explains the innovations; otherwise no source is isolated.
+        If only the stream of the other source showed a fault recently, the other source is returned if its exclusion
+        explains the innovations; otherwise no source is isolated.
         """
         stream_faults = self._stream_faults(time_ns)
         if source not in AXIS_SOURCES or source in stream_faults or len(stream_faults) != 1:
@@ -294,7 +294,7 @@ class SightingStep:
     def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Exclude an isolated source; ``explaining_subfilter`` is needed for a source without a subfilter."""
+        """Exclude an isolated source; ``explaining_subfilter`` is used for a source without a subfilter."""
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
@@ -315,7 +315,7 @@ class SightingStep:
         return np.outer(farthest, farthest)
 
     def _monitor_prediction(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
-        """Compare the sighting with the prediction of excluded encoders, or of an excluded ship's attitude."""
+        """Compare the sighting with the prediction from excluded encoders or ship's attitude."""
         used = [
             row
             for row, name in enumerate(sighting.names)
@@ -332,7 +332,7 @@ class SightingStep:
     def _monitor_beacons(
         self, fault_state: FaultState, state: CalibrationState, sighting: Sighting, has_others: bool
     ) -> FaultState:
-        """Compare the beacons of excluded drones with the estimate by the other sources."""
+        """Compare the beacons of excluded drones with the estimate from the other sources."""
         for row, name in enumerate(sighting.names):
             if BEACON_PREFIX + name not in state.fault_state.excluded_sources:
                 continue
@@ -356,7 +356,7 @@ class SightingStep:
         distance_m = comparison.prediction.lines.distance_m[0]
         by_jump = float(focal_length_m(comparison) * across_m / distance_m)
         if np.any(exclusion.jump_sum_n):
-            # A jump along the line of sight has no residual: the smallest number prevents a reinstatement.
+            # A jump along the line of sight has no residual; the smallest positive number prevents a reinstatement.
             return max(by_jump, np.finfo(float).tiny)
         return 0.0 if has_others else exclusion.rejected_residual_m
 
@@ -366,7 +366,7 @@ class SightingStep:
 
 @functools.lru_cache(maxsize=16)
 def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
-    """Return the sigma multipliers of the hypotheses that one source is faulty."""
+    """Return the sigma multipliers for the hypotheses of one faulty source each."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
     return sigma_multipliers(config, [by_source.get(source, priors.beacon) for source in sources])
@@ -380,8 +380,8 @@ def count_rejection(
     Args:
         state: state before the rejected sighting.
         decision: decision about the sighting.
-        gate: numbers of consecutive rejections for the conflict and for the inflation.
-        measured: measured objects, for the text.
+        gate: gate with the numbers of consecutive rejections for conflict and inflation.
+        measured: name of the measured objects in the text.
     """
     count = state.consecutive_rejections + 1
     state = replace(state, consecutive_rejections=count, rejection_text=decision.text)
@@ -407,8 +407,8 @@ def solution_separations(
     """Return the solution separation of each subfilter in the pointing, in standard deviations, shape (h,).
 
     Args:
-        state: main filter.
-        subfilters: subfilters.
+        state: state of the main filter.
+        subfilters: states of the subfilters.
         axis_indices: indices of the states that rotate the main axis.
         rotation_nc: rotation from a camera on the main axis to the horizon, shape (3, 3).
         by_state_n: Jacobian of the camera's rotation vector in n with respect to the state, shape (3, n).
@@ -427,14 +427,14 @@ def solution_separations(
 
 
 def _attitude_sigma(comparison: Comparison) -> float:
-    """Return the standard deviation of the telescope's attitude about its worst axis from the beacons alone, rad."""
+    """Return the standard deviation about the worst axis of the telescope's attitude from beacons alone, rad."""
     by_attitude, noise = comparison.prediction.by_attitude_n, comparison.measurement.noise
     information = by_attitude.T @ np.linalg.solve(noise, by_attitude)
     return float(np.sqrt(1.0 / max(np.linalg.eigvalsh(information)[0], 1.0)))
 
 
 def _disagreement_n(comparison: Comparison) -> FloatArray:
-    """Return the rotation from the predicted telescope attitude to that by the beacons, as a covariance in n, rad²."""
+    """Return the rotation between the telescope attitudes predicted and from beacons, as a covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     rotation_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(rotation_n, rotation_n)

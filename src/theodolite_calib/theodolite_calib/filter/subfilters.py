@@ -1,12 +1,12 @@
 """Subfilters of the theodolite: each excludes one source.
 
-There is one subfilter for each source except the telescope: a mounting shift of the telescope has the same effect on
-beacons as a slip of the encoders. A subfilter without a drone gives no weight to its beacon. A subfilter without the
-encoders adds an unknown change of their error before every sighting, and likewise without the ship's attitude. It still
-uses the rotation that the excluded source measures between two sightings, because there is no pointing without it. A
-source that fault detection has excluded is used by no subfilter.
+There is one subfilter for each source except the telescope, because a mounting shift of the telescope has the same
+effect on beacons as a slip of the encoders. The subfilter without a drone gives no weight to the drone's beacon. The
+subfilters without encoders or ship's attitude add an unknown change of the excluded source's error before every
+sighting. They still use the rotation that this source measures between two sightings, because there is no pointing
+without this rotation. No subfilter uses a source that fault detection has excluded.
 
-Subfilters have no error budget: each covariance is one matrix, and one sighting updates all subfilters in one step.
+Subfilters have no error budget. Each covariance is one matrix, and one sighting updates all subfilters in one step.
 """
 
 from collections.abc import Set
@@ -36,8 +36,8 @@ AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
 _UNKNOWN_CHANGE_SIGMA = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
 """Standard deviation of the unknown change of an error between two sightings, rad.
 
-It covers encoders that stood still while the axis turned, a ship's attitude that drifted (its rates reveal a larger
-step), and a telescope that shifted on the main axis."""
+It covers stuck encoders of a rotating axis, a drift of the ship's attitude (its rates reveal a larger step), and a
+shift of the telescope on the main axis."""
 
 _ONLY_SOURCE = 0
 """Index of the only error source in the covariance of a subfilter."""
@@ -45,13 +45,13 @@ _ONLY_SOURCE = 0
 
 @dataclass(frozen=True)
 class SubfilterStates:
-    """States of h subfilters, each of which excludes one source; n states.
+    """States of h subfilters of n errors; each subfilter excludes one source.
 
     Attributes:
         time_ns: time of all subfilters; None before the first sighting.
         mean: estimated errors, shape (h, n).
-        covariances: covariances; the second axis is that of error sources, with a single one, shape (h, 1, n, n).
-        ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+        covariances: covariances, shape (h, 1, n, n); the second axis is for error sources and has one entry.
+        ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if the messages state none.
     """
 
     time_ns: int | None
@@ -62,7 +62,7 @@ class SubfilterStates:
 
 @dataclass(frozen=True)
 class SubfilterInnovations:
-    """Innovations of one sighting in the subfilters; h subfilters, l beacons.
+    """Innovations of one sighting of l beacons in h subfilters.
 
     Attributes:
         accepted: True for each subfilter in which the sighting passes the gate, shape (h,).
@@ -78,14 +78,14 @@ class SubfilterInnovations:
 
 
 class _MeasurementPattern(NamedTuple):
-    """Components of a sighting that each subfilter uses; h subfilters, l beacons, m = 2 l components.
+    """Components of a sighting of l beacons, m = 2 l, that each of h subfilters uses.
 
     Attributes:
         uses: components that each subfilter uses, shape (h, m).
-        conditioning: components of the other beacons on which the innovation of one beacon is conditioned, in the main
-            filter and in every subfilter, shape (l, h + 1, m). Without encoders or ship the attitude of the telescope
-            is unknown, so a beacon is consistent or not only relative to the other beacons.
-        updated_states: states that are updated: True for all, shape (h, n).
+        conditioning: components of other beacons that condition the innovation of each beacon, in the main filter and
+            in every subfilter, shape (l, h + 1, m). Without encoders or ship the attitude of the telescope is unknown,
+            so a beacon can be consistent only relative to the other beacons.
+        updated_states: states that are updated, True for all states, shape (h, n).
         gates: gate for the components that each subfilter uses, shape (h,).
     """
 
@@ -96,7 +96,7 @@ class _MeasurementPattern(NamedTuple):
 
 
 class SubfilterSet:
-    """Subfilters of a configuration: initial states, time and measurement update.
+    """Subfilters of a configuration: initial states, propagation and measurement update.
 
     Args:
         config: parameters of the node.
@@ -127,13 +127,13 @@ class SubfilterSet:
         return np.concatenate([np.empty(0, dtype=np.intp), *found])
 
     def initial_states(self, mean: FloatArray, covariance: FloatArray) -> SubfilterStates:
-        """Return all subfilters, equal to the main filter."""
+        """Return the initial states of all subfilters, equal to the state of the main filter."""
         return self.restart_from_estimate(SubfilterStates(None, mean, covariance), mean, covariance)
 
     def restart_from_estimate(
         self, subfilters: SubfilterStates, mean: FloatArray, covariance: FloatArray
     ) -> SubfilterStates:
-        """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
+        """Restart all subfilters from one mean, shape (n,), and covariance, shape (n, n)."""
         count = len(self.sources)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(subfilters, mean=np.tile(mean, (count, 1)), covariances=parts)
@@ -141,7 +141,7 @@ class SubfilterSet:
     def propagate(
         self, subfilters: SubfilterStates, time_ns: int, new_ship_covariance_n: FloatArray | None
     ) -> SubfilterStates:
-        """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
+        """Propagate the subfilters to a later time; for the arguments see ``CalibrationFilter.propagate``."""
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
         mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
@@ -156,13 +156,13 @@ class SubfilterSet:
     def inflate_covariance(
         self, subfilters: SubfilterStates, states: NDArray[np.intp], covariance: FloatArray
     ) -> SubfilterStates:
-        """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
+        """Inflate the covariance of some states in every subfilter by the covariance of a jump."""
         parts = subfilters.covariances.copy()
         parts[..., states[:, None], states] += covariance
         return replace(subfilters, covariances=parts)
 
     def add_unknown_errors(self, subfilters: SubfilterStates, excluded: Set[str]) -> SubfilterStates:
-        """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
+        """Add the unknown error changes of the sources excluded by all or by one subfilter, before a sighting."""
         parts = subfilters.covariances.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
@@ -177,7 +177,7 @@ class SubfilterSet:
         return parts
 
     def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
-        """Return the pattern for beacons with these names; computed once for all their sightings."""
+        """Return the pattern for beacons with these names, which is created once."""
         key = names, excluded, probability
         if key not in self._patterns:
             self._patterns[key] = self._new_pattern(names, excluded, probability)
@@ -191,7 +191,7 @@ class SubfilterSet:
         uses = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
         for light, name in enumerate(names):
             uses[1 + self.sources.index(BEACON_PREFIX + name), 2 * light : 2 * light + 2] = False
-        # Components of the other beacons, for each beacon: shape (l, 1, m).
+        # Components of the other beacons for each beacon, shape (l, 1, m).
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
         conditioning = uses & np.array(has_unknown_states)[:, None] & others
         degrees = np.count_nonzero(uses[1:], axis=1).tolist()
@@ -211,12 +211,12 @@ class SubfilterSet:
         excluded: Set[str],
         probability: float,
     ) -> tuple[SubfilterStates, SubfilterInnovations]:
-        """Update the subfilters with a sighting of beacons; return them with their innovations.
+        """Update the subfilters with a sighting of beacons; return the new subfilters and their innovations.
 
         Args:
             subfilters: subfilters, propagated to the time of the sighting.
-            names: beacons, none of them of an excluded drone.
-            measurement: two components for each beacon; the residual is that of the main filter.
+            names: names of the beacons, without beacons of excluded drones.
+            measurement: measurement with two components for each beacon and the residual of the main filter.
             main_filter: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
             excluded: excluded sources, which no subfilter uses.
             probability: probability of the gate.
@@ -260,22 +260,22 @@ class SubfilterSet:
         rotation_jacobian: FloatArray,
         probability: float,
     ) -> SubfilterStates:
-        """Update the subfilters with an exposure of stars; a subfilter in whose gate it fails is not updated.
+        """Update each subfilter with an exposure of stars if the exposure passes the gate of that subfilter.
 
-        No subfilter excludes the stars: an exposure has many stars, which check one another.
+        No subfilter excludes the stars, because the many stars of an exposure are checked against one another.
 
         Args:
             subfilters: subfilters, propagated to the time of the exposure.
-            measurement: stars; the residual is that of the main filter.
+            measurement: measurement of the stars with the residual of the main filter.
             main_mean: propagated mean of the main filter, shape (n,).
-            rotation_jacobian: derivative of the residual by a rotation of the camera, shape (m, 3).
+            rotation_jacobian: derivative of the residual with respect to a rotation of the camera, shape (m, 3).
             probability: probability of the gate.
         """
         stack = subfilters.covariances[:, 0]
         innovations = subfilter_innovations(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
         accepted = innovations.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is rejected
         updated_states = np.repeat(accepted[:, None], self._model.size, axis=1)
-        # Subfilters have no budget: all noise is one source.
+        # Subfilters have no error budget, so all noise is assigned to one source.
         without_budget = LinearMeasurement(
             measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise}
         )
@@ -286,8 +286,8 @@ class SubfilterSet:
 def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
     """Add an unknown change of some states since the last sighting to a covariance by source, shape (n_sources, n, n).
 
-    The change is added to the state, and the correlations with the other states are kept. Independent states at every
-    sighting would be wrong: a constant error would seem known to sigma / sqrt(sightings).
+    Correlations with the other states are kept. Independent errors at every sighting would be wrong, because a constant
+    error would then seem known to sigma / sqrt(sightings).
     """
     parts[source_index, states, states] += sigma_rad**2
 
@@ -296,7 +296,7 @@ def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: Float
     """Return the innovation of one beacon in one filter; the whitened innovation is along the axes of the detector.
 
     Args:
-        residual: shape (2,).
+        residual: residual of the beacon's point, m, shape (2,).
         covariance: covariance of the residual, shape (2, 2).
         noise: part of ``covariance`` from the noise of the sighting, shape (2, 2).
     """
@@ -316,7 +316,7 @@ def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: Float
 
 
 def _whitening_matrix(covariance: FloatArray) -> FloatArray:
-    """Return the inverse of the symmetric root of covariances of two components, shape (..., 2, 2)."""
+    """Return the inverse symmetric root of covariances of two components, shape (..., 2, 2)."""
     first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
     area = np.sqrt(first * second - mixed * mixed)
     scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))

@@ -1,8 +1,8 @@
 """Check of the beacons of an exposure for misidentification, by their angles and by a prior attitude.
 
-The angle between two beacons does not depend on the attitude: it checks baselines, identification and scale. If two
-beacons exchange names, the angle stays and the image rotates by half a turn; only a prior attitude or a third beacon
-can reveal that. An error of the principal point N' shifts all beacons equally, and no check here can find it.
+The angle between two beacons does not depend on the attitude, so it is a check of baselines, identification and scale.
+If two beacons exchange names, the angle stays and the image rotates by half a turn. Only a prior attitude or a third
+beacon can reveal this exchange. An error of the principal point N' shifts all beacons equally and is not detected.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from theodolite_calib.lights.telescope_attitude import (
 )
 
 _MAX_BEACONS = 4
-"""Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""
+"""Maximum number of beacons for which exchanged names are tried; the number of exchanges grows as the factorial."""
 
 
 class BeaconCheckResult(Enum):
@@ -32,11 +32,11 @@ class BeaconCheckResult(Enum):
 
     CONSISTENT = "consistent"
     SWAPPED = "swapped"
-    """Inconsistent as named, and clearly more consistent with exchanged names, in one way only."""
+    """The beacons are inconsistent as named, and significantly more consistent with exactly one exchange of names."""
     CONFLICT = "conflict"
     """The angles are consistent with no exchange of names, or with several: a beacon is not at its stated position."""
     PRIOR_CONFLICT = "prior_conflict"
-    """The angles are consistent with some names, but the attitude then disagrees with the prior."""
+    """The angles are consistent as named or with exchanged names, but the attitude then disagrees with the prior."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,11 @@ class BeaconCheck:
     """Result of the check of the beacons of one exposure.
 
     Attributes:
-        result: as :class:`BeaconCheckResult` explains.
+        result: consistent, swapped or in conflict.
         order: the point ``order[i]`` of the image is beacon i; as named unless SWAPPED.
-        attitude: attitude of the telescope from the beacons alone in that order.
-        prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.
+        attitude: attitude of the telescope from the beacons alone in this order.
+        prior_chi2: chi-square of the difference between this attitude and the prior, 3 degrees of freedom; None without
+            a prior.
     """
 
     result: BeaconCheckResult
@@ -58,12 +59,12 @@ class BeaconCheck:
 
 @dataclass(frozen=True)
 class AngleResiduals:
-    """Angles between beacons on the detector minus those between their lines of sight.
+    """Angles between beacons on the detector minus angles between their lines of sight.
 
     Attributes:
-        pairs: indices of the beacons, shape (P, 2).
-        residual: rad, shape (..., P).
-        sigma: rad, shape (..., P); includes the error of the focal length.
+        pairs: indices of the two beacons of each pair, shape (P, 2).
+        residual: residual of each angle, rad, shape (..., P).
+        sigma: standard deviation of each residual, error of the focal length included, rad, shape (..., P).
         chi2: (residual / sigma)², one degree of freedom each, shape (..., P).
     """
 
@@ -103,8 +104,8 @@ def check_beacons(
     Args:
         image: beacons on the detector, shape (N, 2).
         camera: geometry of the telescope.
-        lines: lines of sight of the same names, in the same order.
-        probability: that right beacons pass each of the two tests.
+        lines: lines of sight to the beacons of the same names, in the same order.
+        probability: probability that correct beacons pass each of the two tests.
         prior: prior attitude.
     """
     count = lines.direction_n.shape[-2]
@@ -117,7 +118,7 @@ def check_beacons(
     )
     trials = [_trial(image, camera, lines, order, prior) for order in exchanged_orders]
     consistent_trials = [trial for trial in trials if _is_consistent(trial, probability)]
-    # The improvement must be significant: without a prior two beacons fit equally well both ways.
+    # The improvement must be significant, because without a prior two beacons fit equally well in both orders.
     if len(consistent_trials) == 1 and named_trial.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
         return consistent_trials[0].check(BeaconCheckResult.SWAPPED)
     angles_fit = any(_are_angles_consistent(trial.attitude, probability) for trial in [named_trial, *trials])
@@ -134,7 +135,7 @@ class _Trial:
 
     @property
     def chi2(self) -> float:
-        """Chi-square of angles and prior; infinite if there is no solution."""
+        """Chi-square of angles and prior; infinite without a solution."""
         chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
         return chi2 if np.isfinite(chi2) else np.inf
 
@@ -154,7 +155,7 @@ def _trial(
 
 
 def _are_angles_consistent(attitude: TelescopeAttitude, probability: float) -> bool:
-    # An attitude that is not solved has chi2 NaN, which is not consistent.
+    # An attitude that is not solved has the chi-square NaN, which compares as not consistent.
     return bool(attitude.chi2 <= chi_square_gate(probability, attitude.degrees))
 
 
@@ -169,13 +170,13 @@ def _angles(direction: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
 
 
 def _angle_gradients(direction: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
-    """Return the derivative of each pair's angle by each direction, shape (..., P, N, 3)."""
+    """Return the derivative of each pair's angle with respect to each direction, shape (..., P, N, 3)."""
     gradients = np.zeros((*direction.shape[:-2], len(pairs), *direction.shape[-2:]))
     for p, (i, j) in enumerate(pairs):
         first, second = direction[..., i, :], direction[..., j, :]
         cosine = np.sum(first * second, axis=-1, keepdims=True)
         sine = np.linalg.norm(np.cross(first, second), axis=-1, keepdims=True)
-        # Along the arc, away from the other beacon; undefined for beacons in the same direction.
+        # The gradient is along the arc, away from the other beacon; undefined for beacons in the same direction.
         sine = np.where(sine > 0.0, sine, np.nan)
         gradients[..., p, i, :] = (first * cosine - second) / sine
         gradients[..., p, j, :] = (second * cosine - first) / sine

@@ -2,7 +2,7 @@
 
 The camera relates a detector point to a direction in the telescope frame t (forward, up, right). A point is (x, z) in
 metres along the telescope's right and up axes. The image is inverted, [W18] (12)(13): a light to the right of and above
-the axis has x < 0 and z < 0, so with the principal point (x0, z0)
+the axis has x < 0 and z < 0. With the principal point (x0, z0) the direction is
 
     V ∝ [f, -(z - z0), -(x - x0)]
 
@@ -24,10 +24,10 @@ class Camera:
     """Geometry of the telescope's camera.
 
     Attributes:
-        focal_length_m: shape (...), one for each exposure.
-        focal_length_sigma_m: its standard deviation, shape (...); zero if it is fixed.
-        principal_point_m: detector point (x0, z0) of the telescope's axis, shape (..., 1, 2) or (2,). It has no error
-            of its own, because it defines the telescope's axis; the angles from there to the main axis have errors.
+        focal_length_m: focal length for each exposure, shape (...).
+        focal_length_sigma_m: standard deviation of the focal length, shape (...); zero if it is fixed.
+        principal_point_m: detector point (x0, z0) of the telescope's axis, shape (..., 1, 2) or (2,). The point has no
+            error, because it defines the telescope's axis; the angles from this axis to the main axis have errors.
     """
 
     focal_length_m: FloatArray | float
@@ -35,19 +35,19 @@ class Camera:
     principal_point_m: FloatArray
 
     def directions(self, point_m: FloatArray) -> FloatArray:
-        """Return unit vectors in the telescope frame, shape (..., N, 3), of detector points."""
+        """Return the directions of detector points, unit vectors in the telescope frame, shape (..., N, 3)."""
         ray = self._rays(point_m)
         direction_t: FloatArray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
         return direction_t
 
     def points(self, direction_t: FloatArray) -> FloatArray:
-        """Return detector points, shape (..., N, 2), of directions of any length; NaN behind the telescope."""
+        """Return the detector points of vectors of any length, shape (..., N, 2); NaN behind the telescope."""
         forward = _forward_component(direction_t)
         scale = -_per_beacon(self.focal_length_m) / forward
         return self.principal_point_m + scale[..., None] * direction_t[..., [2, 1]]
 
     def direction_by_point(self, point_m: FloatArray) -> FloatArray:
-        """Return the derivative of the direction by the detector point, rad/m, shape (..., N, 3, 2).
+        """Return the derivative of the direction with respect to the detector point, rad/m, shape (..., N, 3, 2).
 
         The derivative with respect to the principal point has the opposite sign.
         """
@@ -55,15 +55,15 @@ class Camera:
         return -across[..., [2, 1]]
 
     def direction_by_focal_length(self, point_m: FloatArray) -> FloatArray:
-        """Return the derivative of the direction by the focal length, rad/m, shape (..., N, 3)."""
+        """Return the derivative of the direction with respect to the focal length, rad/m, shape (..., N, 3)."""
         return self._direction_by_ray(point_m)[..., 0]
 
     def direction_covariance(self, point_m: FloatArray, sigma_m: FloatArray | float) -> FloatArray:
-        """Return the covariance of directions in the telescope frame, rad², shape (..., N, 3, 3), singular along them.
+        """Return the covariance of directions in the telescope frame, zero along each direction, rad², (..., N, 3, 3).
 
         Args:
             point_m: detector points, shape (..., N, 2).
-            sigma_m: their standard deviation in x and in z, shape (..., N).
+            sigma_m: standard deviation of the points in x and in z, shape (..., N).
         """
         jacobian = self.direction_by_point(point_m) * np.asarray(sigma_m, dtype=float)[..., None, None]
         covariance: FloatArray = jacobian @ np.swapaxes(jacobian, -1, -2)
@@ -75,7 +75,7 @@ class Camera:
         return np.stack([focal_length_m, -offset[..., 1], -offset[..., 0]], axis=-1)
 
     def _direction_by_ray(self, point_m: FloatArray) -> FloatArray:
-        """Return the derivative of the unit vector by its ray, 1/m, shape (..., N, 3, 3)."""
+        """Return the derivative of the unit vector with respect to its ray, 1/m, shape (..., N, 3, 3)."""
         return unit_vector_jacobian(self._rays(point_m))
 
 
@@ -84,9 +84,9 @@ class Image:
     """Beacons detected on the detector at the middle of an exposure.
 
     Attributes:
-        point_m: (x right, z up), shape (..., N, 2).
-        sigma_m: standard deviation of x and of z, each above zero, shape (..., N).
-        smear_m2: covariance added by the motion during the exposure, shape (..., N, 2, 2); None if there is none.
+        point_m: detector points (x right, z up), shape (..., N, 2).
+        sigma_m: standard deviation of x and of z, above zero, shape (..., N).
+        smear_m2: covariance added by the motion during the exposure, m², shape (..., N, 2, 2); None if not known.
     """
 
     point_m: FloatArray
@@ -95,13 +95,13 @@ class Image:
 
     @property
     def covariance_m2(self) -> FloatArray:
-        """Covariance of all points as detected, shape (..., 2 N, 2 N)."""
+        """Joint covariance of all points, m², shape (..., 2 N, 2 N)."""
         variance = np.repeat(np.asarray(self.sigma_m, dtype=float) ** 2, 2, axis=-1)
         covariance: FloatArray = variance[..., None] * np.eye(variance.shape[-1])
         return covariance if self.smear_m2 is None else covariance + block_diagonal(self.smear_m2)
 
     def select(self, rows: Sequence[int]) -> "Image":
-        """Return some of the beacons, or all of them in another order."""
+        """Return the image with some of its beacons, or with all beacons in another order."""
         chosen = list(rows)
         smear_m2 = None if self.smear_m2 is None else self.smear_m2[chosen]
         return Image(self.point_m[chosen], np.asarray(self.sigma_m)[chosen], smear_m2)
@@ -112,7 +112,7 @@ class PredictedPoints:
     """Predicted detector points of beacons; NaN behind the telescope.
 
     Attributes:
-        point_m: shape (..., N, 2).
+        point_m: predicted points (x right, z up), shape (..., N, 2).
         by_attitude_n: derivative with respect to the telescope's rotation vector in n, m/rad, shape (..., N, 2, 3).
         by_direction_n: derivative with respect to the beacon's unit direction in n, m/rad, shape (..., N, 2, 3).
         by_focal_length: derivative with respect to the focal length, m/m, shape (..., N, 2).
@@ -125,15 +125,15 @@ class PredictedPoints:
 
 
 def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatArray) -> PredictedPoints:
-    """Return the detector points of beacons in the directions ``direction_n`` for a telescope's attitude.
+    """Return the detector points of beacons for an attitude of the telescope.
 
-    R is the attitude "horizon from telescope", and R_true = exp(δ) R. A beacon in the direction w (in n) is at Rᵀ w in
-    the telescope, and δ moves it there by Rᵀ (w × δ).
+    R is the attitude "horizon from telescope", and R_true = exp(δ) R. A beacon in the direction w in n has the
+    direction Rᵀ w in the telescope, which δ changes by Rᵀ (w × δ).
 
     Args:
-        camera: its geometry.
+        camera: geometry of the telescope.
         rotation_nt: horizon from telescope, shape (..., 3, 3).
-        direction_n: unit vectors, shape (..., N, 3).
+        direction_n: unit vectors to the beacons, shape (..., N, 3).
     """
     leading, count = direction_n.shape[:-2], direction_n.shape[-2]
     principal_point_m = np.asarray(camera.principal_point_m, dtype=float)
@@ -149,11 +149,11 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
 
 
 def flatten_exposures(values: FloatArray | float, leading: tuple[int, ...], item_shape: tuple[int, ...]) -> FloatArray:
-    """Flatten the leading axes of all exposures to one axis; values common to all are repeated.
+    """Flatten the leading axes of all exposures to one axis; values common to all exposures are repeated.
 
     Args:
-        values: shape (..., *item_shape), whose leading axes broadcast to ``leading``.
-        leading: shape of the exposures; empty for one.
+        values: array of shape (..., *item_shape), whose leading axes broadcast to ``leading``.
+        leading: shape of the exposures; empty for one exposure.
         item_shape: shape of the values of one exposure.
     """
     array: FloatArray = np.asarray(values, dtype=float)
@@ -166,19 +166,19 @@ class BeaconStreaks:
     """N detected beacons, and the motion of telescope and beacons over the exposure.
 
     A detected point is the mean of the beacon's path over the detector. The path is computed from encoders, ship and
-    baselines, and with it the difference between its mean and the point at the middle of the exposure. The variance of
-    the light along a streak of length L is s² + L²/12, with s² that of a light at rest. The variance of the point along
-    the streak grows by the same factor, to σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
+    baselines; it gives the difference between the mean and the point at the middle of the exposure. The variance of the
+    light along a streak of length L is s² + L²/12, with s the spread of a light at rest. The variance of the point
+    along the streak grows by the same factor, to σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
 
     Attributes:
         image: detected image.
         camera: geometry of the telescope.
-        psf_sigma_m: spread of the image of a light at rest, each axis.
-        nodes: the m nodes of the exposure.
+        psf_sigma_m: spread s of the image of a light at rest, each axis.
+        nodes: m times over the exposure, with weights.
         rotation_nt: horizon from telescope at the nodes, shape (m, 3, 3).
         middle_nt: horizon from telescope at the middle, shape (3, 3).
         path_n: vectors from the telescope to the beacons at the middle, m, shape (N, 3).
-        displacement_n: vectors to the beacons at the nodes minus those at the middle, m, shape (m, N, 3).
+        displacement_n: vectors to the beacons at the nodes minus ``path_n``, m, shape (m, N, 3).
     """
 
     image: Image
@@ -193,7 +193,7 @@ class BeaconStreaks:
     def image_at_middle(self) -> Image:
         """Return the points at the middle of the exposure, with the errors added by their streaks."""
         image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
-        # The direction at the middle is that of the detected point; the motion is that of the vectors to the beacons.
+        # The direction at the middle is taken from the detected point, and the motion from the vectors to the beacons.
         seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
         path_m = self.camera.points((seen_n + self.displacement_n) @ self.rotation_nt)
         offset_m = self.nodes.mean(path_m) - image.point_m
@@ -201,7 +201,7 @@ class BeaconStreaks:
         return Image(image.point_m - offset_m, image.sigma_m, smear_m2)
 
     def select(self, rows: list[int], image_rows: list[int]) -> "BeaconStreaks":
-        """Return some beacons, possibly with exchanged points: beacon ``rows[i]`` gets the point ``image_rows[i]``."""
+        """Return some beacons, possibly with exchanged points; beacon ``rows[i]`` gets the point ``image_rows[i]``."""
         return replace(
             self,
             image=self.image.select(image_rows),
@@ -211,7 +211,7 @@ class BeaconStreaks:
 
 
 def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
-    """Return the derivative of v / |v| by v, (I - u uᵀ) / |v| with u = v / |v|, shape (..., 3, 3)."""
+    """Return the derivative of u = v / |v| with respect to v, (I - u uᵀ) / |v|, shape (..., 3, 3)."""
     length = np.linalg.norm(vector, axis=-1)[..., None, None]
     unit = vector[..., None] / length
     jacobian: FloatArray = (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
@@ -228,7 +228,7 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
 
 
 def _per_beacon(value: FloatArray | float) -> FloatArray:
-    """Return a quantity of the exposure, shape (...), with an axis for its beacons, shape (..., 1)."""
+    """Return a quantity of each exposure, shape (...), with an additional axis for the beacons, shape (..., 1)."""
     return np.asarray(value, dtype=float)[..., None]
 
 

@@ -1,14 +1,15 @@
 """Directions to the beacons from baselines and attitudes, with their errors.
 
-[W18] (3)-(11) with the corrections of docs/explanation/errata.md. The path from the telescope to the light, in n:
+The equations are [W18] (3)-(11) with the corrections of docs/explanation/errata.md. The path from the telescope to the
+light, in n, is
 
     W = baseline + rotation_nb · light lever - rotation_nd · (theodolite lever + rotation_dm · N')
 
 with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). Terrestrial
-refraction raises the light by the angle k/(2 R) times the *horizontal* distance: for a level path of length d by
-k d²/(2 R) in height. It vanishes at the zenith, since layers of air do not bend a vertical ray.
+refraction raises the light by the angle k/(2 R) times the *horizontal* distance; on a level path of length d this is
+k d²/(2 R) in height. Refraction vanishes at the zenith, because layers of air do not bend a vertical ray.
 
-Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filter can keep it as a state.
+Each error is a named :class:`ErrorTerm` in its natural axes, so that it can be a state of a filter.
 """
 
 from collections.abc import Iterable
@@ -22,7 +23,7 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.lights.image import block_diagonal, flatten_exposures
 
 EARTH_RADIUS_M = 6_371_000.0
-"""Mean radius of the Earth, m; its error is negligible against that of the refraction coefficient."""
+"""Mean radius of the Earth, m; its error is negligible against the error of the refraction coefficient."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ class LeverArm:
     """A surveyed vector in the axes of the device that carries it.
 
     Attributes:
-        vector_m: shape (3,), or (N, 3) for one at each light.
-        sigma_m: standard deviation of each component, same shape or (3,).
+        vector_m: vector, shape (3,), or vectors for N lights, shape (N, 3).
+        sigma_m: standard deviation of each component, shape of ``vector_m`` or (3,).
     """
 
     vector_m: FloatArray
@@ -43,9 +44,9 @@ class BeaconPoses:
     """Measured poses of N beacons at the middle of an exposure.
 
     Attributes:
-        baseline_n: from the ship's antenna to the drone's, m, shape (..., N, 3).
-        baseline_covariance_n: covariance of the white error of the baseline, independent between beacons, m², shape
-            (..., N, 3, 3).
+        baseline_n: vectors from the ship's antenna to the drones' antennas, m, shape (..., N, 3).
+        baseline_covariance_n: covariance of each baseline's white error, which is independent of other beacons, m²,
+            shape (..., N, 3, 3).
         rotation_nb: horizon from drone, shape (..., N, 3, 3).
         attitude_covariance_n: covariance of the drone's attitude, rotation vector in n, rad², shape (..., N, 3, 3).
     """
@@ -76,15 +77,15 @@ class Survey:
     """Surveyed quantities and their errors, which are constant or correlated in time.
 
     Attributes:
-        theodolite_lever: from the ship's antenna to the intersection of the theodolite's axes, in the deck frame.
-        principal_point: from that intersection to the principal point N' of the telescope's lens, in the main frame.
-            Its error shifts all beacons equally, so that no residual shows it.
-        beacon_lever: from the drone's antenna to its light, in the drone's frame.
-        rtk_base_sigma_m: error of the baselines (N, U, E) common to all: the ship's antenna, shape (3,).
-        rtk_bias_sigma_m: correlated error of each single baseline (N, U, E), shape (3,).
-        refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each beacon, shape (..., N).
-        refraction_sigma: error of k common to all beacons.
-        refraction_beacon_sigma: further error of k on the path to each beacon; one, or shape (..., N).
+        theodolite_lever: vector from the ship's antenna to the intersection of the theodolite's axes, in the deck.
+        principal_point: vector from this intersection to the principal point N' of the telescope's lens, in the main
+            frame. Its error shifts all beacons equally and appears in no residual.
+        beacon_lever: vector from the drone's antenna to its light, in the drone's frame.
+        rtk_base_sigma_m: sigma of the error common to all baselines (N, U, E), due to the ship's antenna, shape (3,).
+        rtk_bias_sigma_m: sigma of the correlated error of each single baseline (N, U, E), shape (3,).
+        refraction_coefficient: k of the air near the sea, about 0.13, common or for each beacon, shape (..., N).
+        refraction_sigma: sigma of the error of k common to all beacons.
+        refraction_beacon_sigma: sigma of the further error of k on the path to each beacon, common or shape (..., N).
     """
 
     theodolite_lever: LeverArm
@@ -101,16 +102,16 @@ class Survey:
 class ErrorTerm:
     """One error of the lines of sight: true value minus used value, in the natural axes of the quantity.
 
-    The true direction is the one used plus ``jacobian_n`` times the error.
+    The true direction is the used direction plus ``jacobian_n`` times the error.
 
     Attributes:
         name: name of the error.
-        source: its source in the error budget.
-        is_common: True if one error moves all beacons; False if each beacon has its own.
+        source: source of the error in the error budget.
+        is_common: True if one error moves all beacons; False if each beacon has an independent error.
         is_correlated: True if the error is correlated in time; False if it is white.
-        jacobian_n: derivative of the unit directions by the error, rad per unit, shape (..., N, 3, k).
-        covariance: covariance of the error, shape (..., k, k) if common, (..., N, k, k) if not; or (k, k) in either
-            case.
+        jacobian_n: derivative of the unit directions with respect to the error, rad per unit, shape (..., N, 3, k).
+        covariance: covariance of the error, shape (..., k, k) if common, (..., N, k, k) if not; or (k, k) in both
+            cases.
     """
 
     name: str
@@ -121,7 +122,7 @@ class ErrorTerm:
     covariance: FloatArray
 
     def direction_covariance_n(self) -> FloatArray:
-        """Return the covariance of all directions, rad², shape (..., 3 N, 3 N), beacon after beacon."""
+        """Return the joint covariance of all directions, in the order of the beacons, rad², shape (..., 3 N, 3 N)."""
         beacon_count = self.jacobian_n.shape[-3]
         leading = self.jacobian_n.shape[:-3]
         if self.is_common:
@@ -148,7 +149,7 @@ TERM_COLUMNS = {
     "refraction": REFRACTION,
     "light_refraction": REFRACTION,
 }
-"""Error term → its columns in :attr:`LinesOfSight.jacobian_n`."""
+"""Columns of each error term in :attr:`LinesOfSight.jacobian_n`."""
 
 
 @dataclass(frozen=True)
@@ -157,9 +158,9 @@ class LinesOfSight:
 
     Attributes:
         direction_n: unit vectors from the telescope, refraction included, shape (..., N, 3).
-        distance_m: to the beacons, shape (..., N).
-        jacobian_n: derivative of the unit directions by the errors of :data:`TERM_COLUMNS`, rad per unit, shape (...,
-            N, 3, 19).
+        distance_m: distances to the beacons, shape (..., N).
+        jacobian_n: derivative of the unit directions with respect to the errors of :data:`TERM_COLUMNS`, rad per unit,
+            shape (..., N, 3, 19).
         beacons: poses of the beacons.
         ship: attitude of ship and theodolite.
         survey: surveyed quantities.
@@ -174,7 +175,7 @@ class LinesOfSight:
 
     @cached_property
     def terms(self) -> tuple[ErrorTerm, ...]:
-        """Errors of the directions, independent of one another."""
+        """Independent errors of the directions."""
         beacons, ship, survey = self.beacons, self.ship, self.survey
         own, common = False, True
         white, slow = False, True
@@ -217,7 +218,7 @@ def lines_of_sight(beacons: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfS
 
 
 def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:
-    """Return the joint covariance of the directions of all beacons by source, rad², shape (..., 3 N, 3 N) each."""
+    """Return the joint covariance of all directions by error source, rad², shape (..., 3 N, 3 N) each."""
     parts: dict[str, FloatArray] = {}
     for term in terms:
         covariance = term.direction_covariance_n()

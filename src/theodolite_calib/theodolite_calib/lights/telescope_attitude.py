@@ -1,14 +1,14 @@
 """Attitude of the telescope from the image of N beacons: maximum likelihood, with covariance and error budget.
 
-Unknown are the attitude (a rotation vector of three), the focal length and the errors of the lines of sight; the last
-two have priors. The image is practically linear in all but the attitude. The focal length and the errors of the lines
-of sight are therefore marginalised exactly: with their priors they are part of the covariance of the points' residuals,
+The unknowns are the attitude (a rotation vector), the focal length and the errors of the lines of sight. Focal length
+and line errors have priors, and the image is practically linear in them. They are therefore marginalised exactly, as
+part of the covariance of the points' residuals,
 
     S = σ² I  +  F Σ_w Fᵀ  +  σ_f² p_f p_fᵀ          detection, joint errors of the directions, focal length
 
-A prior attitude is one more measurement, of three components. Gauss–Newton in the attitude alone minimises rᵀ S⁻¹ r:
-the optimum and the covariance (Hᵀ S⁻¹ H)⁻¹ are those of the full problem. The estimate is linear in each error, with
-the gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
+A prior attitude is one more measurement, of three components. Gauss–Newton in the attitude alone minimises rᵀ S⁻¹ r.
+Optimum and covariance (Hᵀ S⁻¹ H)⁻¹ equal the results for all unknowns. The estimate is linear in each error, with the
+gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ SOURCE_IMAGE = "image"
 SOURCE_FOCAL_LENGTH = "focal_length"
 
 _MAX_STEPS = 20
-# Each step is less than a thousandth of the one before: the remainder after such a step (rad) is below rounding.
+# Each step is less than a thousandth of the previous step, so that the error after such a step (rad) is below rounding.
 _CONVERGED = 1e-9
 
 
@@ -34,12 +34,13 @@ _CONVERGED = 1e-9
 class AttitudePrior:
     """Prior of the telescope's attitude, without the beacons.
 
-    Its errors are treated as independent of those of the lines of sight. The ship's attitude is in both, but with a
-    lever of 10 m at 2 km its effect on the latter is 200 times smaller.
+    The errors of prior and lines of sight are assumed to be independent. An error of the ship's attitude is in both,
+    but for a lever of 10 m and beacons at 2 km its effect on the lines of sight is 200 times smaller.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
-        covariance_by_source_n: covariance of its rotation vector in n by source, rad², shape (..., 3, 3) each.
+        covariance_by_source_n: covariance of the attitude's rotation vector in n by source, rad², shape (..., 3, 3)
+            each.
     """
 
     rotation_nt: FloatArray
@@ -53,13 +54,13 @@ class AttitudePrior:
 
 @dataclass(frozen=True)
 class Equations:
-    """Linearised equations residual = jacobian @ δ + noise: points (2 N rows), then a prior attitude (3 rows), if any.
+    """Linearised equations residual = jacobian @ δ + noise, with 2 N rows for points and 3 rows for a prior attitude.
 
     Attributes:
-        residual: shape (..., m).
-        jacobian: H by the attitude, shape (..., m, 3).
-        by_directions: derivative of the points' rows by all directions, shape (..., 2 N, 3 N).
-        by_focal_length: derivative of the points' rows by the focal length, shape (..., 2 N).
+        residual: residuals r, shape (..., m).
+        jacobian: derivative H with respect to the attitude, shape (..., m, 3).
+        by_directions: derivative of the points' rows with respect to all directions, shape (..., 2 N, 3 N).
+        by_focal_length: derivative of the points' rows with respect to the focal length, shape (..., 2 N).
         inverse: S⁻¹, shape (..., m, m).
         weighted_jacobian: Hᵀ S⁻¹, shape (..., 3, m).
     """
@@ -78,13 +79,13 @@ class TelescopeAttitude:
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
-        covariance_by_source_n: covariance of its rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape
+        covariance_by_source_n: covariance of the rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape
             (..., 3, 3) each.
-        focal_length_m: estimate from the angles between the beacons and its prior, shape (...).
-        focal_length_sigma_m: shape (...).
+        focal_length_m: focal length estimated from the angles between beacons and its prior, shape (...).
+        focal_length_sigma_m: standard deviation of the focal length, shape (...).
         chi2: rᵀ S⁻¹ r of the residuals after the fit, shape (...).
-        degrees: its degrees of freedom: 2 N - 3, and 3 more with a prior attitude.
-        solved: shape (...).
+        degrees: degrees of freedom of chi2: 2 N - 3, and 3 more with a prior attitude.
+        solved: True for solved attitudes, shape (...).
     """
 
     rotation_nt: FloatArray
@@ -106,8 +107,8 @@ def solve_attitude(
 ) -> TelescopeAttitude:
     """Return the maximum-likelihood attitude of the telescope.
 
-    The attitude is not solved (NaN) if the information is insufficient. Without a prior this is the case for beacons so
-    close together that the rotation of the image has a sigma of more than a degree
+    The attitude is not solved (NaN) if the information is insufficient. Without a prior this is the case if the beacons
+    are so close together that the rotation of the image has a sigma of more than a degree
     (:data:`ship_geometry.wahba.WORST_SIGMA`).
 
     Args:
@@ -131,7 +132,7 @@ def solve_attitude(
         step = (gain @ equations.residual[..., None])[..., 0]
         rotation_nt = exp_rotation(step) @ rotation_nt
         converged = np.all(np.abs(step) < _CONVERGED, axis=-1)
-        # A step of NaN, not solved, never becomes small.
+        # An attitude that is not solved has steps of NaN, which never become small.
         if np.all(converged | np.isnan(step[..., 0])):
             break
     misfit = equations.residual - (equations.jacobian @ step[..., None])[..., 0]
@@ -155,9 +156,9 @@ def solve_attitude(
 def _initial_attitude(
     image: Image, camera: Camera, lines: LinesOfSight, line_covariance: FloatArray, prior: AttitudePrior | None
 ) -> FloatArray:
-    """Return the initial attitude: Wahba's solution of the beacons, or the prior if that is not solved."""
+    """Return the initial attitude: Wahba's solution of the beacons, or the prior without such a solution."""
     diagonal = np.einsum("...ii->...i", line_covariance).reshape(*line_covariance.shape[:-2], -1, 3)
-    # Two components across the line of sight share the trace.
+    # The trace is the sum for two components across the line of sight.
     line_variance = 0.5 * diagonal.sum(axis=-1)
     image_variance = (image.sigma_m / np.asarray(camera.focal_length_m, dtype=float)[..., None]) ** 2
     solution = wahba.solve(lines.direction_n, camera.directions(image.point_m), np.sqrt(line_variance + image_variance))
@@ -169,12 +170,12 @@ def _initial_attitude(
 def _focal_length(
     equations: Equations, camera: Camera, gain: FloatArray, misfit: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return focal length and standard deviation, from its prior and the residuals after the fit of the attitude."""
+    """Return the focal length and its standard deviation, from prior and residuals after the fit of the attitude."""
     variance = np.asarray(camera.focal_length_sigma_m, dtype=float) ** 2
     rows = equations.by_focal_length.shape[-1]
     weighted = (equations.by_focal_length[..., None, :] @ equations.inverse[..., :rows, :])[..., 0, :]
     change = variance * np.einsum("...i,...i", weighted, misfit)
-    # pᵀ (S⁻¹ - S⁻¹ H K) p: the information left after the fit of the attitude.
+    # The information left after the fit of the attitude is pᵀ (S⁻¹ - S⁻¹ H K) p.
     kept = (gain[..., :rows] @ equations.by_focal_length[..., None])[..., 0]
     through_attitude = (weighted[..., None, :] @ equations.jacobian @ kept[..., None])[..., 0, 0]
     left = np.einsum("...i,...i", weighted[..., :rows], equations.by_focal_length) - through_attitude
@@ -228,8 +229,8 @@ def linearise(
         image: N beacons on the detector.
         camera: geometry of the telescope.
         direction_n: unit vectors to the same beacons, shape (..., N, 3).
-        line_covariance: joint covariance of these directions, rad², shape (..., 3 N, 3 N).
-        rotation_nt: the trial, shape (..., 3, 3).
+        line_covariance: joint covariance of the unit vectors, rad², shape (..., 3 N, 3 N).
+        rotation_nt: trial attitude, horizon from telescope, shape (..., 3, 3).
         prior: prior attitude.
     """
     predicted = predict_points(camera, rotation_nt, direction_n)
@@ -245,7 +246,7 @@ def linearise(
     covariance = covariance + image.covariance_m2
     inverse = np.asarray(np.linalg.inv(covariance), dtype=float)
     if prior is not None:
-        # log(exp(δ) R R_priorᵀ) = d + J⁻¹ δ is an error drawn from the prior's covariance.
+        # log(exp(δ) R R_priorᵀ) = d + J⁻¹ δ is the error of the prior attitude, with the prior's covariance.
         prior_difference = log_rotation(rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2))
         residual = np.concatenate([residual, -prior_difference], axis=-1)
         jacobian = np.concatenate([jacobian, np.linalg.inv(left_jacobian(prior_difference))], axis=-2)
@@ -255,7 +256,7 @@ def linearise(
 
 
 def _join_diagonally(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the block diagonal of two matrices of different size."""
+    """Return the block-diagonal matrix of two matrices of different size."""
     m, n = first.shape[-1], second.shape[-1]
     matrix = np.zeros((*first.shape[:-2], m + n, m + n))
     matrix[..., :m, :m] = first

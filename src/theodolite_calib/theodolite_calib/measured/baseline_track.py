@@ -1,10 +1,10 @@
 """Track of the baselines to one drone: interpolation between valid baselines, and detection of jumps.
 
-A receiver with wrong ambiguities still reports FIXED, with an error of decimetres. The change between the right and the
-wrong solution is a step in an otherwise smooth path: over one or two seconds the path of a drone is a cubic polynomial.
-The step is estimated by least squares: cubics are fitted to the last solutions, without a step and with a step at each
-solution. The noise is the larger of the solutions' scatter about the cubic and their stated noise. In gusts a step may
-therefore be missed, but gusts are not reported as a step.
+A receiver with wrong ambiguities still reports FIXED, with an error of decimetres. A change to or from such a solution
+is a step in an otherwise smooth path. Over one or two seconds the path of a drone is a cubic polynomial. Cubics are
+fitted to the last solutions by least squares, with a step at each solution in turn. The noise is the larger of the
+solutions' scatter about the cubic and their stated noise. In gusts a step may therefore be missed, but gusts are not
+reported as a step.
 """
 
 import math
@@ -20,15 +20,15 @@ from theodolite_calib.measured import compiled_cubics
 from theodolite_calib.measured.samples import BaselineSample
 
 _MAX_SOLUTIONS, _MIN_BEFORE_STEP = 14, 5
-"""Maximum number of solutions in the fit, and minimum number of them before a step."""
+"""Maximum number of solutions in the fit, and minimum number of solutions before a step."""
 _MAX_SPAN_NS = 2 * SECOND_NS
 """Maximum time over which the path of a drone is a cubic, ns."""
 _JUMP_SIGMAS = 7.0
-"""Threshold of a jump in standard deviations: less than one false jump per voyage at ten solutions a second with ten
-candidate steps."""
+"""Threshold of a jump in standard deviations. With ten solutions a second and ten candidate steps, less than one false
+jump per voyage exceeds it."""
 _CUBIC, _COMPONENTS = 3, 3
 _MIN_DEGREES = 9
-"""Minimum degrees of freedom of the scatter for a jump to be tested."""
+"""Minimum degrees of freedom of the scatter for the test of a jump."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class BaselineJump:
 
 
 class BaselineTrack(VectorTrack[BaselineSample]):
-    """Baselines to one drone, valid and rejected; rejected ones are not used and not interpolated across."""
+    """Baselines to one drone, valid and rejected; rejected baselines are not used, nor interpolated across."""
 
     history_ns = _MAX_SPAN_NS
 
     def baseline_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Rejection:
-        """Return the baseline at a time (N, U, E), m, with the covariance of its white error, m²; or the rejection."""
+        """Return the baseline at a time (N, U, E), m, and the covariance of its white error, m²; or a rejection."""
         interval = self._interval(time_ns)
         if interval is None:
             return Rejection(Reason.GAP, "no baselines on both sides of the exposure")
@@ -78,10 +78,10 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return velocity
 
     def latest_jump(self, time_ns: int) -> BaselineJump | None:
-        """Return the most significant jump among the last solutions; None if there is none.
+        """Return the most significant jump among the last solutions; None without a jump.
 
-        The newest of these solutions is the first one at or after ``time_ns``. Later solutions are not used, so that
-        the result does not depend on when they arrive.
+        The newest of these solutions is the first solution at or after ``time_ns``. Later solutions are not used, so
+        that the result does not depend on their arrival.
         """
         interval = self._interval(time_ns)
         if interval is None:

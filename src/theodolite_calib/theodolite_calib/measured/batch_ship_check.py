@@ -1,9 +1,9 @@
 """Check of the ship's attitudes, one by one or in batches announced beforehand.
 
-Offline the attitudes of some seconds are read before they are used. Regular ones are checked together, as the samples
-of an INS are (:meth:`ship_estimation.ins_check.InsCheck.check_block`), and each result is returned when its attitude
-comes. If another attitude comes than was announced, the check returns to its state before the batch and continues one
-by one. A live node announces nothing.
+Offline the attitudes of some seconds are read before they are used. Regular attitudes are checked together
+(:meth:`ship_estimation.ins_check.InsCheck.check_block`), and each result is returned when its attitude comes. If an
+attitude comes that was not announced, the check returns to its state before the batch and continues one by one. A live
+node announces no attitudes.
 """
 
 import copy
@@ -21,14 +21,14 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
 
 _STATED_STEP_SIGMAS = 5.0
-"""Factor on the change of the stated standard deviation by which the source may step."""
+"""Size of the source's possible step, in multiples of the change of its stated standard deviation."""
 
 _SINGLE_CHECKS = 8
 """Number of attitudes that are checked one by one after an irregular one."""
 
 
 class BatchShipCheck:
-    """Check of the ship's attitudes, announced or not; the results are the same.
+    """Check of the ship's attitudes, with equal results whether attitudes are announced or not.
 
     Args:
         config: noise of the attitudes, and number of rejections after which a jump is accepted.
@@ -41,15 +41,15 @@ class BatchShipCheck:
 
     def _clear_batch(self) -> None:
         self._batch: list[ShipSample] = []
-        # Those of them that came, each with the step reported by the source; the check before the first.
+        # Received attitudes of the batch, each with the step reported by the source; the check before the batch.
         self._checked: list[tuple[ShipSample, float]] = []
         self._check_before_batch: InsCheck | None = None
-        # Those that were checked in a block, and the index of the first of them.
+        # Result for the attitudes that were checked as a block, and the index of the first of these attitudes.
         self._checked_block: CheckedBlock | None = None
         self._first = self._single_checks_left = 0
 
     def reconfigure(self, config: CheckedInsConfig) -> None:
-        """Apply another noise."""
+        """Apply a changed noise."""
         self._discard_checked_block()
         self._clear_batch()
         self._ins_check.reconfigure(config)
@@ -60,7 +60,7 @@ class BatchShipCheck:
         return self._ins_check.rate_status if self._checked_block is None else RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
-        """Announce the next attitudes, as far as they are known."""
+        """Announce the next attitudes."""
         if self._checked or not self._batch:
             self._discard_checked_block()
             self._clear_batch()
@@ -74,7 +74,7 @@ class BatchShipCheck:
         Args:
             sample: the attitude.
             accepted_track: accepted attitudes so far.
-            reported_step_rad: step with it that the source itself reports, rad.
+            reported_step_rad: possible step to this attitude that the source reports, rad.
         """
         place = len(self._checked)
         if place == len(self._batch) or sample is not self._batch[place]:
@@ -95,15 +95,15 @@ class BatchShipCheck:
         return CheckedInsSample(sample) if checked.last is None else checked.last
 
     def _check_block(self, place: int, reported_step_rad: float) -> None:
-        """Check the attitudes from one on as a block, as long as they are regular."""
+        """Check the regular attitudes from the index ``place`` on as a block."""
         if self._single_checks_left:
             self._single_checks_left -= 1
             return
         times_ns, least_rad = self._block.times_ns, self._ins_check.least_step_rad
-        # Written so that NaN is checked one by one.
+        # The condition is written so that attitudes with NaN are checked one by one.
         if not (self._ins_check.can_check_block(int(times_ns[place])) and reported_step_rad <= least_rad):
             return
-        # Not beyond a gap, nor where a reported step exceeds the noise.
+        # The block ends before a gap, and before a reported step that exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
         is_regular = (
             (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
@@ -116,7 +116,7 @@ class BatchShipCheck:
             self._single_checks_left = _SINGLE_CHECKS
 
     def _discard_checked_block(self) -> None:
-        """Check the received attitudes one by one if a block holds some that did not come."""
+        """Discard a block with attitudes that did not come, and check the received attitudes one by one."""
         if self._checked_block is None:
             return
         assert self._check_before_batch is not None
@@ -126,14 +126,14 @@ class BatchShipCheck:
 
 
 def stated_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
-    """Return the possible step of the source from the change of its stated covariance, rad."""
+    """Return the source's possible step from the change of its stated covariance, rad."""
     if covariance_n is None or before_n is None:
         return 0.0
     return _STATED_STEP_SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
 
 
 def _arrays(samples: Sequence[ShipSample]) -> tuple[SampleBlock, FloatArray]:
-    """Return attitudes with rates and covariances, and the possible step of the source with each, rad, shape (N,)."""
+    """Return attitudes with rates as arrays, and the source's possible step to each attitude, rad, shape (N,)."""
     block = SampleBlock(
         np.array([sample.time_ns for sample in samples]),
         np.array([sample.rotation_nd for sample in samples]),

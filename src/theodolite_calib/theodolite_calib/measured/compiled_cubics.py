@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Least-squares cubics through a few times, compiled: their values at zero, and steps in addition to them.
+"""Least-squares cubics through a few values, compiled: the cubic at zero, and a step in addition to the cubic.
 
-This is the only source. It is Python with C types for its numbers, compiled by Cython when the package is built. The
-powers of the times are made orthonormal one after another, so that no matrix is inverted.
+This file is the only source: Python with C types, compiled by Cython when the package is built. The powers of the times
+are made orthonormal one after another, so that no matrix is inverted.
 """
 
 import cython
@@ -22,7 +22,7 @@ from cython.cimports.libc.math import sqrt
 def _orthonormal(
     since: cython.p_double, count: cython.Py_ssize_t, basis: cython.p_double, at_zero: cython.p_double
 ) -> cython.void:
-    """Compute four orthonormal cubics: their values at some times, one cubic a row, and at zero."""
+    """Compute four orthonormal polynomials up to the cubic: values at some times, one polynomial a row, and at zero."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -31,7 +31,7 @@ def _orthonormal(
         at_zero[j] = 1.0 if j == 0 else 0.0
         for i in range(count):
             basis[j * count + i] = 1.0 if j == 0 else basis[(j - 1) * count + i] * since[i]
-        # Twice, against rounding. A cubic times the time spans the next power as well as the power does.
+        # Each polynomial starts as the previous one times the time, and is orthogonalised twice, against rounding.
         for _ in range(2):
             for k in range(j):
                 product = 0.0
@@ -50,10 +50,10 @@ def _orthonormal(
 
 
 def weights_at_zero(since: cython.double[::1]) -> FloatArray:
-    """Return the weights of values at some times in the value at zero of the cubic through them, shape (N,).
+    """Return the weight of each value in the least-squares cubic at zero, shape (N,).
 
     Args:
-        since: the times, at least four different ones, of order one, shape (N,).
+        since: times of the values, at least four different times, of order one, shape (N,).
     """
     count: cython.Py_ssize_t = since.shape[0]
     basis: cython.double[:, ::1] = np.empty((4, count))
@@ -73,16 +73,16 @@ def weights_at_zero(since: cython.double[::1]) -> FloatArray:
 def clearest_step(
     since: cython.double[::1], values: cython.double[:, ::1], before: cython.Py_ssize_t
 ) -> tuple[cython.Py_ssize_t, FloatArray, cython.double, cython.double]:
-    """Return the step in addition to a cubic that explains most of the residuals of some vectors.
+    """Return the step that, in addition to a cubic, most reduces the squared residuals of some vectors.
 
     Args:
-        since: their times, of order one, in ascending order, shape (N,).
+        since: times of the vectors, of order one, in ascending order, shape (N,).
         values: the vectors, shape (N, 3).
         before: minimum number of vectors before a step; fewer than N.
 
     Returns:
-        Index of the first vector after the step; the step, shape (3,); its least-squares weight in vectors; and the sum
-            of squared residuals of cubic and step.
+        Index of the first vector after the step; the step, shape (3,); the ratio of a vector's noise variance to the
+            step's variance; and the sum of squared residuals with cubic and step.
     """
     count: cython.Py_ssize_t = since.shape[0]
     check("vectors", values.shape[0] == count and values.shape[1] == 3 and 0 < before < count)
@@ -114,7 +114,7 @@ def clearest_step(
         for i in range(count):
             squares += left[i, k] * left[i, k]
     for first in range(before, count):
-        # Unit step minus its projection on the cubics: its square, and its product with the residuals.
+        # Unit step minus its projection on the polynomials: the square, then the product with the residuals.
         weight = count - first
         for j in range(4):
             product = 0.0

@@ -1,11 +1,11 @@
 """Check of the encoders: reject implausible readings, accept a persistent jump, and mark readings as unconfirmed.
 
-A theodolite at rest repeats its readings for hours, and so does one whose encoders are stuck. Beacons distinguish the
-two: the encoders are stuck if the telescope has rotated in the deck. Readings that stop during a motion are
-unconfirmed. A reading that would need more acceleration than the mount has is rejected; a few such readings that are
-consistent among themselves are a slip of the encoders. A smaller step (:mod:`theodolite_calib.measured.encoder_steps`)
-is unconfirmed until beacons confirm it. It is a slip if the mount could not have moved and stopped between two
-readings.
+A theodolite at rest repeats its readings for hours, and so does a theodolite with stuck encoders. Beacons show the
+difference: the encoders are stuck if the telescope has rotated in the deck. Readings that stop during a motion are
+unconfirmed. A reading is rejected if it would need more acceleration than the mount has. A few such readings that are
+consistent with one another are a slip of the encoders. After a smaller step
+(:mod:`theodolite_calib.measured.encoder_steps`) readings are unconfirmed until beacons confirm them. The step is a slip
+if the mount could not have moved and stopped between two readings.
 """
 
 import math
@@ -34,24 +34,24 @@ from theodolite_calib.measured.samples import EncoderSample
 _BEACONS = "lights"
 """Name of the beacons as a motion reference."""
 _MOTION_SIGMAS = 5.0
-"""Change between two readings that is a motion, in standard deviations of a reading."""
+"""Minimum change between two readings that counts as a motion, in standard deviations of a reading."""
 _MAX_INTERVAL_S = 1.0
 """Maximum interval between readings that are compared, s."""
 _LARGEST_ELEVATION = 3.0 * np.pi
-"""Largest elevation reading in radians: half a turn plus one turn. Azimuths are taken modulo a turn."""
+"""Largest elevation reading, rad, one and a half turns; azimuth readings are used modulo a turn."""
 _UNIT_READINGS = 20
-"""Number of consecutive readings beyond the largest elevation after which the unit is wrong, or within it after which
-it is right."""
+"""Number of consecutive readings beyond the largest elevation after which the unit counts as wrong; the same number
+within the limit ends this state."""
 
 
 @dataclass(frozen=True)
 class EncoderJump:
-    """Permanent slip of the encoders: from then on they read differently for the same axis.
+    """Permanent slip of the encoders, after which the reading for each direction of the axis differs.
 
     Attributes:
-        time_ns: just before the first reading after the slip.
+        time_ns: time just before the first reading after the slip.
         jump: change of azimuth and elevation, rad, shape (2,).
-        sigma_rad: standard deviation of each of the two.
+        sigma_rad: standard deviation of each change.
     """
 
     time_ns: int
@@ -63,8 +63,8 @@ class CheckedReading(NamedTuple):
     """Result of the check of a reading.
 
     Attributes:
-        rejection: reason of its rejection; None if it is accepted.
-        jump: slip that is accepted with this reading, whether the reading is used or not; None if there is none.
+        rejection: rejection of the reading; None if it is accepted.
+        jump: slip that is accepted with this reading, even if the reading is rejected; None without a slip.
     """
 
     rejection: Rejection | None = None
@@ -75,7 +75,7 @@ class EncoderCheck:
     """Check of the encoder readings of one run, in the order of their stamps.
 
     Args:
-        sigma_rad: noise of a reading; an arcsecond if it is less.
+        sigma_rad: noise of a reading, rad; at least an arcsecond is used.
         max_acceleration: maximum acceleration of the mount, rad/s².
     """
 
@@ -85,8 +85,8 @@ class EncoderCheck:
             JumpCheck(),
             PredictionBound(sigma_rad),
         )
-        # Two readings predict the next: the last two accepted, and the last two accepted or not. Without rejections
-        # these are the same.
+        # Two readings predict the next reading: the last two accepted readings, or the last two of all readings.
+        # Without rejections both are equal.
         self._last_accepted: tuple[EncoderSample, ...] = ()
         self._last_readings: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None
@@ -101,13 +101,13 @@ class EncoderCheck:
         self.reconfigure(sigma_rad, max_acceleration)
 
     def reconfigure(self, sigma_rad: float, max_acceleration: float) -> None:
-        """Apply another noise and another mount."""
+        """Apply a changed noise and maximum acceleration."""
         self._prediction_bound.sigma_rad = self._sigma_rad = max(sigma_rad, ARCSEC)
         self._max_acceleration = max_acceleration
 
     @property
     def unconfirmed_reason(self) -> str:
-        """Reason why the readings are unconfirmed until the next beacon; empty if they are confirmed."""
+        """Reason why the readings are unconfirmed until the next beacons; empty if confirmed."""
         if self._unconfirmed_jump is not None:
             return self._unconfirmed_jump.text
         if self._halted_since_ns is not None:
@@ -122,7 +122,7 @@ class EncoderCheck:
 
     @property
     def unconfirmed_sigma_rad(self) -> float:
-        """Standard deviation of the readings about each axis while unconfirmed, in addition to their noise, rad."""
+        """Standard deviation about each axis of unconfirmed readings, in addition to their noise, rad."""
         return math.hypot(
             self._step_detector.pending_step_rad, 0.0 if self._unconfirmed_step is None else self._unconfirmed_step[1]
         )
@@ -134,8 +134,8 @@ class EncoderCheck:
 
         Args:
             sample: the reading.
-            track: accepted readings so far, against which a reading that comes after later ones is checked.
-            late: rejection of a reading that comes too late; None if it does not. Its unit is checked in any case.
+            track: accepted readings so far, for the check of a reading that comes out of order.
+            late: rejection if the reading comes too late, else None; the unit is checked in both cases.
         """
         rejection = self._units_rejection(sample, counts=late is None) or late
         if rejection is not None:
@@ -157,7 +157,7 @@ class EncoderCheck:
             result = self._check_step(step)
         self._check_motion(sample)
         if self._stuck_check.observe(sample.time_ns, sample.vector, self._sigma_rad, self._motion_references):
-            # Stuck readings cannot be extrapolated.
+            # Stuck readings do not predict the next reading.
             self._last_accepted = self._last_readings = ()
             self._step_detector.restart()
             self._unconfirmed_jump = UnconfirmedStep(sample.time_ns, "the encoders were stuck", "lights")
@@ -166,8 +166,8 @@ class EncoderCheck:
         return result
 
     def record_beacon_attitude(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
-        """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
-        # Rotations before the readings stood still do not count.
+        """Record the telescope's attitude in the deck from beacons, shape (3, 3), with sigma about its worst axis."""
+        # Rotations before the readings stopped do not count.
         if self._unchanged_since_ns is not None and time_ns >= self._unchanged_since_ns:
             self._motion_references[_BEACONS] = MotionReference(time_ns, telescope_dt, sigma_rad)
 
@@ -180,14 +180,15 @@ class EncoderCheck:
         self.set_encoder_offset_from_beacons(time_ns)
 
     def set_encoder_offset_from_beacons(self, time_ns: int) -> None:
-        """Record that beacons have determined the encoders' offset, consistent or not: earlier steps are known."""
+        """Record that beacons have determined the encoders' offset, which includes all earlier steps."""
         if self._unconfirmed_step is not None and time_ns > self._unconfirmed_step[0]:
             self._unconfirmed_step = None
 
     def _units_rejection(self, sample: EncoderSample, counts: bool) -> Rejection | None:
-        """Return the rejection of a reading that cannot be in radians; None if it can.
+        """Return the rejection of a reading that cannot be in radians; None otherwise.
 
-        A run of such readings shows that the unit is wrong: then all are rejected until a run of valid ones.
+        A run of such readings shows that the unit is wrong. All readings are then rejected until a run of valid
+        readings.
         """
         azimuth, elevation = sample.vector.tolist()
         beyond = not abs(elevation) <= _LARGEST_ELEVATION
@@ -201,7 +202,7 @@ class EncoderCheck:
         return Rejection(Reason.UNITS, text)
 
     def _check_jump(self, sample: EncoderSample) -> CheckedReading:
-        """Check a reading later than all before against the prediction from the two readings before."""
+        """Check the latest reading against the prediction from the two readings before it."""
         match = self._match(self._last_accepted, sample)
         step = match if self._last_readings is self._last_accepted else self._match(self._last_readings, sample)
         fits = match is None or (match.fits if step is None else match.is_consistent_with(step))
@@ -229,7 +230,7 @@ class EncoderCheck:
     def _check_step(self, step: EncoderStep) -> CheckedReading:
         """Check the reading that proves a step."""
         step_rad = vector_length(step.step)
-        # From rest to rest: half of the way with maximum acceleration, half of it braking.
+        # The mount goes from rest to rest, half of the way with maximum acceleration and half of it braking.
         reached_rad = 0.25 * self._max_acceleration * step.interval_s**2
         if not step.lower_bound_rad > reached_rad:
             before_rad = 0.0 if self._unconfirmed_step is None else self._unconfirmed_step[1]
@@ -240,7 +241,7 @@ class EncoderCheck:
         return CheckedReading(Rejection(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 
     def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> PredictionMatch | None:
-        """Compare a reading with the prediction from two before it; None without two, or if they are too old."""
+        """Compare a reading with the prediction from two readings before it; None if these are missing or too old."""
         if len(before) < 2:
             return None
         first, second = before
@@ -253,7 +254,7 @@ class EncoderCheck:
         return self._prediction_bound.match(difference, step)
 
     def _check_motion(self, sample: EncoderSample) -> None:
-        """Mark readings as unconfirmed after one equal to the last although that one had moved."""
+        """Mark readings as unconfirmed after two equal readings in a motion."""
         if self._last is None:
             self._last, self._unchanged_since_ns = (sample, np.zeros(2)), sample.time_ns
             return
@@ -268,7 +269,7 @@ class EncoderCheck:
 
 
 def _readings_before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
-    """Return up to two readings before a time."""
+    """Return the last two readings before a time, or fewer."""
     found: tuple[EncoderSample, ...] = ()
     while len(found) < 2:
         sample = track.last_before(time_ns - 1)
@@ -282,7 +283,7 @@ def _readings_before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[E
 def _extrapolate_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
     """Return the reading extrapolated back from ``sample`` to the time of ``second``.
 
-    The axis moves as it did from ``first`` to ``second``. After a slip, the next reading is predicted with it.
+    The rate is taken from ``first`` to ``second``. After a slip the extrapolated reading predicts the next reading.
     """
     ratio = (sample.time_ns - second.time_ns) / (second.time_ns - first.time_ns)
     return replace(second, vector=sample.vector - ratio * wrap_angles(second.vector - first.vector))

@@ -1,9 +1,9 @@
-"""Detection of encoder steps: from one reading to the next the encoders are elsewhere, and move on as before.
+"""Detection of encoder steps: from one reading to the next the angles change by an offset, and move on as before.
 
 A reading is predicted by a cubic through the readings before it, which a rotating or roll-compensating mount follows. A
-prediction error far outside its noise, which is estimated, is a pending step. The next reading decides. If its error
-equals that of the reading before, the encoders have slipped, or the mount has moved and stopped between two readings.
-If it is larger, a motion has begun or ended. If it is small, one reading was wrong.
+prediction error far outside its estimated noise is a pending step, which the error of the next reading resolves. If
+both errors are equal, the encoders have slipped, or the mount has moved and stopped between two readings. If the second
+error is larger, a motion has begun or ended. If it is small, one reading was wrong.
 """
 
 import math
@@ -19,22 +19,22 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured import compiled_cubics
 
 _FIT_READINGS = 12
-"""Number of readings in the cubic."""
+"""Maximum number of readings in the fit of a cubic."""
 _MIN_READINGS = 7
-"""Minimum number of readings in the cubic."""
+"""Minimum number of readings in the fit of a cubic."""
 _DETECTION_SIGMAS = 6.5
-"""Threshold of a pending step in standard deviations: at fifty readings a second at most one false one in some
-hours."""
+"""Threshold of a pending step in standard deviations; at fifty readings a second at most one false step in some hours
+exceeds it."""
 _LOWER_BOUND_SIGMAS = 3.0
 _NOISE_READINGS = 200
 """Number of readings over which the noise is averaged."""
 _WARM_UP_READINGS = 50
 """Number of readings before the noise is known and steps are detected."""
 _MAX_NOISE_RATIO = 3.0
-"""Maximum prediction error that enters the noise estimate, in multiples of the noise."""
+"""Limit to which prediction errors are reduced in the noise estimate, in multiples of the noise."""
 _MIN_PERSISTENCE, _MAX_PERSISTENCE = 0.5, 1.25
-"""Least and greatest ratio of the second prediction error to the first for a step. A motion that begins after the
-reading before the last gives at least 1.5."""
+"""Least and greatest ratio of the second prediction error to the first for a step. If a motion has begun, the ratio is
+at least 1.5."""
 
 _FULL_TURN = 2.0 * np.pi
 
@@ -43,11 +43,11 @@ class EncoderStep(NamedTuple):
     """Step of the encoders.
 
     Attributes:
-        time_ns: just before the first reading after it.
+        time_ns: time just before the first reading after the step.
         step: step of azimuth and elevation, rad, shape (2,).
-        sigma_rad: standard deviation of each of the two.
-        lower_bound_rad: lower bound of the step about the larger axis, three standard deviations, rad.
-        interval_s: interval between the readings before and after it.
+        sigma_rad: standard deviation of each component.
+        lower_bound_rad: lower bound of the larger component, three standard deviations below the estimate, rad.
+        interval_s: interval between the readings before and after the step.
     """
 
     time_ns: int
@@ -58,14 +58,14 @@ class EncoderStep(NamedTuple):
 
 
 class _PredictionError(NamedTuple):
-    """Prediction error of a reading against the cubic.
+    """Prediction error of a reading relative to the cubic.
 
     Attributes:
         time_ns: stamp of the reading.
         error: error of azimuth and elevation, rad, shape (2,).
-        gain: sigma of each per sigma of one reading.
-        sigma_rad: standard deviation of each by noise.
-        bound_rad: bound for a valid reading.
+        gain: sigma of each component per sigma of a reading.
+        sigma_rad: standard deviation of each component due to noise, rad.
+        bound_rad: bound of the error without a step, rad.
     """
 
     time_ns: int
@@ -76,7 +76,7 @@ class _PredictionError(NamedTuple):
 
     @property
     def exceeds_bound(self) -> bool:
-        """True if the error exceeds its bound: a pending step."""
+        """True if the error exceeds its bound, which makes it a pending step."""
         azimuth, elevation = self.error.tolist()
         return not (abs(azimuth) <= self.bound_rad and abs(elevation) <= self.bound_rad)
 
@@ -102,12 +102,12 @@ class EncoderStepDetector:
     def observe(
         self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float, max_gap_ns: int = SECOND_NS
     ) -> EncoderStep | None:
-        """Add the next reading; return the step that it proves, or None.
+        """Add the next reading; return the pending step if this reading confirms it, else None.
 
         Args:
-            time_ns: its stamp.
+            time_ns: stamp of the reading.
             angles: azimuth and elevation, rad, shape (2,).
-            sigma_rad: stated noise of each.
+            sigma_rad: stated noise of each angle.
             coarseness_rad: resolution of the printed values; 0 if every value is new.
             max_gap_ns: maximum interval between readings that are compared.
         """
@@ -119,7 +119,7 @@ class EncoderStepDetector:
         prediction_error = self._prediction_error(time_ns, angles, sigma_rad, coarseness_rad)
         first, self._pending_step = self._pending_step, None
         if first is not None:
-            assert prediction_error is not None  # by the same readings as the first
+            assert prediction_error is not None  # predicted from the same readings as the first error
             return self._resolve_step(*first, prediction_error, angles)
         if prediction_error is not None and self._count >= _WARM_UP_READINGS and prediction_error.exceeds_bound:
             self._pending_step = prediction_error, angles
@@ -144,11 +144,11 @@ class EncoderStepDetector:
     def _resolve_step(
         self, first: _PredictionError, angles: FloatArray, prediction_error: _PredictionError, now: FloatArray
     ) -> EncoderStep | None:
-        """Resolve a pending step by the reading after it; the readings are ``angles`` and ``now``."""
+        """Resolve a pending step at the reading ``angles`` by the next reading, ``now``."""
         axis = int(np.argmax(np.abs(first.error)))
         ratio, before_ns = prediction_error.error[axis] / first.error[axis], self._previous[-1][0]
         if ratio > _MIN_PERSISTENCE:
-            # The readings before the change do not predict the following ones.
+            # The readings before the change do not predict the readings after it.
             self._previous.clear()
             self._previous.append((first.time_ns, angles))
         self._previous.append((prediction_error.time_ns, now))
@@ -161,7 +161,7 @@ class EncoderStepDetector:
         return EncoderStep(first.time_ns - 1, first.error, first.sigma_rad, lower_bound_rad, within_s)
 
     def _update_noise(self, prediction_error: _PredictionError) -> None:
-        """Update the noise estimate of one reading of one axis with a prediction error."""
+        """Update the estimated noise of a reading, each axis, with a prediction error."""
         self._count = min(self._count + 1, _NOISE_READINGS)
         one = 0.5 * float(prediction_error.error @ prediction_error.error) / prediction_error.gain**2
         if self._count > _WARM_UP_READINGS:
@@ -171,10 +171,9 @@ class EncoderStepDetector:
 
 @lru_cache(maxsize=64)
 def _weights_at_zero(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
-    """Return the least-squares weights of values at some times in the value at zero of the cubic through them.
+    """Return the weights of earlier values in the least-squares prediction at zero, and the gain of its error.
 
-    The second result is the standard deviation of a further value relative to that one, per standard deviation of a
-    value.
+    The gain is the standard deviation of value minus prediction per standard deviation of a value.
     """
     seconds = np.array(since_ns) / SECOND_NS
     weights = compiled_cubics.weights_at_zero(seconds / np.max(np.abs(seconds)))
@@ -182,6 +181,6 @@ def _weights_at_zero(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
 
 
 def wrap_angles(angles: FloatArray) -> FloatArray:
-    """Return angles wrapped to half a turn."""
+    """Return angles wrapped to at most half a turn, rad."""
     wrapped: FloatArray = angles - _FULL_TURN * np.rint(angles / _FULL_TURN)
     return wrapped

@@ -22,7 +22,7 @@ StampArray = NDArray[np.int64]
 
 
 class Mode(enum.IntEnum):
-    """Source of the pointing; the values are those of ship_msgs/OpticalAxisPointing."""
+    """Source of the pointing, with the values of ship_msgs/OpticalAxisPointing."""
 
     TWO_LIGHTS = 0
     ONE_LIGHT = 1
@@ -33,10 +33,10 @@ class Mode(enum.IntEnum):
 
 @dataclass(frozen=True)
 class EncoderSample(VectorSample):
-    """One reading of both encoders: ``vector`` is (azimuth, elevation), rad.
+    """One reading of both encoders; ``vector`` is (azimuth, elevation), rad.
 
     Attributes:
-        sigma: noise of each reading, rad.
+        sigma: noise of each angle, rad.
     """
 
     sigma: float
@@ -52,10 +52,10 @@ class EncoderSeries:
     """N encoder readings with the result of their check.
 
     Attributes:
-        time_ns: in ascending order, shape (N,).
+        time_ns: stamps in ascending order, shape (N,).
         angles: azimuth and elevation, rad, shape (N, 2).
-        variance: variance of each of the two, from noise and unconfirmed steps, rad², shape (N,).
-        unconfirmed_reasons: reason why each is unconfirmed; empty if it is confirmed.
+        variance: variance of each angle due to noise and unconfirmed steps, rad², shape (N,).
+        unconfirmed_reasons: reason why each reading is unconfirmed; empty if it is confirmed.
     """
 
     time_ns: StampArray
@@ -89,8 +89,8 @@ class ShipSample(AttitudeSample):
     """Ship's attitude at one time.
 
     Attributes:
-        correlated_covariance_n: covariance of the correlated part of its error, rotation vector in n, rad², shape (3,
-            3); None if the configuration states it.
+        correlated_covariance_n: covariance of the correlated error, rotation vector in n, rad², shape (3, 3); None if
+            the configuration states it.
         status: status stated by the source.
     """
 
@@ -105,12 +105,12 @@ class ShipSample(AttitudeSample):
 
 @dataclass(frozen=True)
 class BaselineSample(VectorSample):
-    """Baseline from the ship's antenna to a drone's: ``vector`` is in (North, Up, East), m.
+    """Baseline from the ship's antenna to a drone's antenna; ``vector`` is in (North, Up, East), m.
 
     Attributes:
-        covariance_n: covariance of its white error, m², shape (3, 3).
-        rejection: reason why it must not be used; None if it may. A rejected baseline is kept, so that no exposure
-            waits for a better one of its time.
+        covariance_n: covariance of the baseline's white error, m², shape (3, 3).
+        rejection: rejection of the baseline; None if it can be used. A rejected baseline is kept, so that no exposure
+            waits for another baseline at its time.
     """
 
     covariance_n: FloatArray
@@ -118,7 +118,7 @@ class BaselineSample(VectorSample):
 
     @cached_property
     def variance_m2(self) -> float:
-        """Variance of all three components together; cached because several exposures use each sample."""
+        """Sum of the variances of all components; cached because several exposures use each sample."""
         return float(self.covariance_n.trace())
 
     def content(self) -> bytes:
@@ -131,8 +131,8 @@ class DetectedBeacon:
     """Beacon detected on the detector.
 
     Attributes:
-        beacon_id: its name.
-        point_m: (x right, z up), shape (2,).
+        beacon_id: name of the beacon.
+        point_m: detector point (x right, z up), shape (2,).
         sigma_m: standard deviation of x and of z.
     """
 
@@ -148,13 +148,12 @@ class Exposure:
     Attributes:
         time_ns: middle of the exposure.
         beacons: beacons in the order of their names, each name once.
-        exposure_s: duration; 0 if the message does not state it.
+        exposure_s: duration of the exposure; 0 if unknown.
     """
 
     source: ClassVar[str] = "beacons"
     covariance_known: ClassVar[bool] = True
-    """True for every exposure: each beacon has its sigma from the message or the configuration, which is counted on
-    reception."""
+    """True for every exposure; ``ReadMessage`` records on reception if the message lacks a sigma."""
 
     time_ns: int
     beacons: tuple[DetectedBeacon, ...]
@@ -162,7 +161,7 @@ class Exposure:
 
     @cached_property
     def nodes(self) -> Nodes | None:
-        """Times over which a mean over the exposure is formed; None if its duration is unknown."""
+        """Times for means over the exposure; None if its duration is unknown."""
         return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
 
     @cached_property
@@ -171,7 +170,7 @@ class Exposure:
         return 0 if self.nodes is None else self.nodes.reach_ns
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to detect repeated messages and to order conflicting messages."""
         lights = b"".join(
             light.beacon_id.encode() + light.point_m.tobytes() + np.float64(light.sigma_m).tobytes()
             for light in self.beacons
@@ -190,18 +189,18 @@ class TargetSample:
 
     Attributes:
         time_ns: middle of the exposure.
-        target_id: its name.
-        point_m: (x right, z up), shape (2,).
+        target_id: name of the target.
+        point_m: detector point (x right, z up), shape (2,).
         sigma_m: standard deviation of x and of z.
-        exposure_s: duration; 0 if the message does not state it.
+        exposure_s: duration of the exposure; 0 if unknown.
         detector_rotation: rotation of the detector relative to the main frame, right side down, rad.
-        range_m: from the theodolite's centre; NaN if unknown.
-        range_sigma_m: its standard deviation; NaN if unknown.
+        range_m: distance from the theodolite's centre; NaN if unknown.
+        range_sigma_m: standard deviation of the distance; NaN if unknown.
     """
 
     source: ClassVar[str] = "target"
     covariance_known: ClassVar[bool] = True
-    """True: the covariance of its noise is known, as for :class:`Exposure`."""
+    """True for every image, as in :class:`Exposure`."""
 
     time_ns: int
     target_id: str
@@ -214,7 +213,7 @@ class TargetSample:
 
     @cached_property
     def nodes(self) -> Nodes | None:
-        """Times over which a mean over the exposure is formed; None if its duration is unknown."""
+        """Times for means over the exposure; None if its duration is unknown."""
         return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
 
     @property
@@ -224,11 +223,11 @@ class TargetSample:
 
     @property
     def has_range(self) -> bool:
-        """True if range and sigma are both known."""
+        """True if the range and its standard deviation are known."""
         return self.range_m > 0.0 and self.range_sigma_m > 0.0
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to detect repeated messages and to order conflicting messages."""
         numbers = self.sigma_m, self.exposure_s, self.detector_rotation, self.range_m, self.range_sigma_m
         return self.target_id.encode() + self.point_m.tobytes() + np.array(numbers).tobytes()
 
@@ -239,13 +238,13 @@ class TargetEstimate:
 
     Attributes:
         time_ns: time of the image.
-        target_id: the target.
-        direction_n: unit vector to it from the theodolite's centre, shape (3,).
-        covariance_n: covariance of its total error, zero along it, shape (3, 3).
-        position_n: from the ship's antenna, m, shape (3,).
-        position_covariance_n: covariance of its total error, m², shape (3, 3).
+        target_id: name of the target.
+        direction_n: unit vector from the theodolite's centre to the target, shape (3,).
+        covariance_n: covariance of the direction's total error, zero along the direction, rad², shape (3, 3).
+        position_n: position from the ship's antenna, m, shape (3,).
+        position_covariance_n: covariance of the position's total error, m², shape (3, 3).
         status: status of the direction.
-        text: reason if it is not VALID.
+        text: reason if the status is not VALID.
     """
 
     time_ns: int
@@ -262,14 +261,14 @@ class TargetEstimate:
 class ExposureDecision(MeasurementDecision[AnyExposure]):
     """Decision about an exposure.
 
-    ``residual`` and ``sigma`` are angles on the sky: of each beacon to the right and up, of each star up and to the
-    right. ``rejected_parts`` are beacons or stars. An exposure whose beacons had exchanged names is accepted, with the
+    ``residual`` and ``sigma`` are angles on the sky, to the right and up for each beacon, up and to the right for each
+    star. ``rejected_parts`` are beacons or stars. An exposure whose beacons had exchanged names is accepted, with the
     reason LIGHT_CONFLICT.
 
     Attributes:
         telescope_dt: deck from telescope by the beacons, shape (3, 3), and the standard deviation about its worst axis,
             rad; None if not determined.
-        excluded_sources: sources that are excluded after it.
+        excluded_sources: sources that are excluded after the exposure.
     """
 
     telescope_dt: tuple[FloatArray, float] | None = None
@@ -284,17 +283,17 @@ class PointingEstimate:
         time_ns: time of validity.
         rotation_nm: horizon from main frame, shape (3, 3).
         covariance_by_source_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
-        covariance_n: total covariance, with the inflation by solution separations, shape (3, 3).
-        covariance_without_separation_n: total covariance without that inflation, for the protection levels.
+        covariance_n: total covariance, with the inflation by solution separations, rad², shape (3, 3).
+        covariance_without_separation_n: total covariance without this inflation, for the protection levels.
         rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
         mode: source of the pointing.
         status: status of the pointing.
         light_count: number of beacons used.
-        state: state of the filter on which it rests.
-        text: reason if it is not VALID.
+        state: state of the filter from which the pointing was computed.
+        text: reason if the status is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the axis geometry, shape (3, k).
-        rotation_dm: deck from main frame, with the deck as tf2 interpolates it between two ship/attitude (with that
-            deck it is ``rotation_nm``), shape (3, 3); NaN without ship/attitude.
+        rotation_dm: deck from main frame, shape (3, 3), so that tf2's interpolated deck gives ``rotation_nm``; NaN
+            without ship/attitude.
     """
 
     time_ns: int
@@ -314,10 +313,10 @@ class PointingEstimate:
 
 @dataclass(frozen=True)
 class PointingSeries:
-    """Pointings of the main axis at N times, by one state; each field is that of :class:`PointingEstimate`.
+    """Pointings of the main axis at N times from one state; the fields have the meaning of :class:`PointingEstimate`.
 
     Attributes:
-        time_ns: in ascending order, shape (N,).
+        time_ns: stamps in ascending order, shape (N,).
         rotation_nm: shape (N, 3, 3).
         covariance_by_source_n: shape (N, n_sources, 3, 3).
         covariance_n: shape (N, 3, 3).
@@ -377,7 +376,7 @@ class PointingOutcome(Outcome[Any, PointingEstimate]):
     Decisions are about exposures of beacons and stars, and about images of targets.
 
     Attributes:
-        targets: directions of targets; INVALID for each image without a pointing, which a decision rejects.
+        targets: directions of targets. An image without a pointing gives an INVALID direction and a rejection.
     """
 
     targets: list[TargetEstimate] = field(default_factory=list)

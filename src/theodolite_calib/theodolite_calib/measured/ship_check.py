@@ -1,7 +1,7 @@
 """Check of the ship's attitude.
 
-The rates that come with its attitudes check these and are checked by them, with the INS alone as well as with
-``ship/attitude``. Rates of the INS alone are not used further: the pointing then uses its attitudes only.
+Attitudes and the rates in the same messages are checked against each other, both with the INS alone and with
+``ship/attitude``. With the INS alone the rates have no other use, because the pointing uses only its attitudes.
 """
 
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ from theodolite_calib.measured.samples import ShipSample
 class ShipCheck:
     """Check of the ship's attitudes of one run, in the order of their stamps.
 
-    An attitude with a stated covariance may step by the change of that covariance: a fused attitude that was corrected
-    by stars has a smaller covariance than the one before.
+    An attitude with a stated covariance may step as far as the change of this covariance allows. For example, a
+    correction of the fused attitude by stars reduces the covariance.
 
     Args:
-        config: ship and INS.
+        config: parameters of the node.
         shift_ns: offset of the time of validity from the stamps, ns.
     """
 
@@ -34,18 +34,18 @@ class ShipCheck:
         self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
         check_config = _check_config(config)
         self._batch_check, self._shift_ns = BatchShipCheck(check_config), shift_ns
-        # Accepted samples with their rates: a sample that comes after later ones is checked by these.
+        # Accepted samples with their rates, for the check of samples that come out of order.
         self._accepted = AttitudeTrack(round(check_config.max_gap_s * SECOND_NS))
         self._stated_covariance_n: FloatArray | None = None
         self._unconfirmed: UnconfirmedStep | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Apply another noise."""
+        """Apply a changed noise."""
         self._batch_check.reconfigure(_check_config(config))
 
     @property
     def has_measured_rates(self) -> bool:
-        """True if the rates are measured: every step of some standard deviations of a sample is then detected."""
+        """True if the rates are measured, so that every step of some standard deviations of a sample is detected."""
         return self._batch_check.rate_status is RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
@@ -53,7 +53,7 @@ class ShipCheck:
         self._batch_check.expect(samples)
 
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
-        """Check a sample; none before ``oldest_ns`` will come."""
+        """Check a sample; later samples will not be older than ``oldest_ns``."""
         self._accepted.drop_before(oldest_ns)
         result = self._batch_check.check(
             sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n)
@@ -83,7 +83,7 @@ class ShipCheck:
 
 
 def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
-    """Return the configuration of the check: that of the INS, or of the fused attitude in its place."""
+    """Return the configuration of the check, for the INS or for the fused attitude."""
     if config.ship.source == "ins/imu":
         return config.ins
     return CheckedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)

@@ -1,4 +1,4 @@
-"""Sighting: one exposure of beacons with all samples that it is compared with, at the middle of the exposure."""
+"""Sighting: one exposure of beacons with all samples for its comparison, at the middle of the exposure."""
 
 from dataclasses import dataclass, replace
 
@@ -20,17 +20,17 @@ from theodolite_calib.measured.tracks import BeaconAt, EncoderAt, MeasuredTracks
 
 @dataclass(frozen=True)
 class Sighting:
-    """Exposure with the samples of its time.
+    """Exposure of beacons with the samples at its middle.
 
     Attributes:
         time_ns: middle of the exposure.
         names: names of the N beacons.
-        image: points on the detector.
+        image: points of the beacons on the detector.
         beacons: baselines and drone attitudes; the covariance of the drones' attitudes is not used.
         ship: ship's attitude.
         encoder: encoder angles.
-        streaks: beacons as detected and their motion, from which ``image`` was computed; None if the length of the
-            exposure is not known: ``image`` is as detected then.
+        streaks: beacons as detected and their motion, from which ``image`` was computed. None if the duration of the
+            exposure is not known; ``image`` then has the detected points.
     """
 
     time_ns: int
@@ -42,7 +42,7 @@ class Sighting:
     streaks: BeaconStreaks | None = None
 
     def deck_from_telescope(self, rotation_nt: FloatArray) -> FloatArray:
-        """Return deck from telescope, by the ship's attitude, shape (3, 3)."""
+        """Return deck from telescope, from horizon from telescope and the ship's attitude, shape (3, 3)."""
         rotation_dt: FloatArray = self.ship.rotation_nd.T @ rotation_nt
         return rotation_dt
 
@@ -70,9 +70,9 @@ class AssembledSighting:
     """Result of assembling a sighting.
 
     Attributes:
-        sighting: beacons with complete data; None if there is none.
-        rejection: reason if there is none.
-        rejected_beacons: the other beacons, by name.
+        sighting: sighting of the beacons with complete data; None if no beacon has complete data.
+        rejection: reason if there is no sighting.
+        rejected_beacons: rejections of beacons without complete data, by name.
         jumps: baseline jumps of the sighting's beacons, by name.
     """
 
@@ -138,8 +138,8 @@ class SightingAssembler:
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
         """Return a sighting with its points at the middle of the exposure; None if samples are missing.
 
-        The detected points are means over the exposure. Ship and encoders of the sighting are those of the middle, with
-        the noise of the means over the exposure.
+        The detected points are means over the exposure. Ship and encoders of the sighting have their values at the
+        middle, and the noise of their means over the exposure.
         """
         tracks, lever_m, telescope = self._tracks, self._lever_m, self._telescope
         times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
@@ -167,7 +167,7 @@ class SightingAssembler:
         return replace(sighting, image=streaks.image_at_middle(), streaks=streaks, ship=ship, encoder=encoder)
 
     def _rotation_dt(self, azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
-        """Return deck from telescope as configured, shape (..., 3, 3); an accuracy of one degree suffices."""
+        """Return deck from telescope from the configuration, shape (..., 3, 3); an accuracy of one degree suffices."""
         rotation_dm = main_axis_rotation(self._axes, azimuth, elevation)
         rotation_dt: FloatArray = rotation_dm @ rotation_from_angles(*self._telescope.parallelism).T
         return rotation_dt

@@ -1,4 +1,4 @@
-"""Star sighting: one exposure of a camera on the theodolite with all samples of its middle."""
+"""Star sighting: one exposure of a camera on the theodolite with all samples for its comparison, at its middle."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class StarSighting:
 
     Attributes:
         camera_id: id of the camera.
-        exposure: stars at their points at its middle.
+        exposure: exposure with the stars' points at its middle.
         ship: ship's attitude.
         encoder: encoder angles.
     """
@@ -37,10 +37,9 @@ class StarSighting:
 def star_sighting(
     exposure: StarExposure, config: OpticalAxisConfig, tracks: MeasuredTracks
 ) -> StarSighting | Rejection:
-    """Return the samples at the middle of an exposure, or the rejection that names what is missing.
+    """Return an exposure with the samples at its middle, or a rejection that names the missing samples.
 
-    If the duration is known, the stars are compared with the mean over the exposure: the noise of encoders and ship is
-    that of the mean.
+    If the duration is known, encoders and ship have the noise of their means over the exposure.
 
     Args:
         exposure: exposure as the camera recorded it.

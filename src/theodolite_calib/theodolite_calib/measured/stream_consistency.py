@@ -1,12 +1,11 @@
 """Consistency of the encoder and ship attitude streams around the time at which beacons began to contradict them.
 
-For the beacons a slip of the encoders, a step of the ship's attitude and a mounting shift of the telescope have the
-same effect. The first two are visible in their own streams. A polynomial through the readings, or a line through the
-residuals of the attitudes against the rates, is fitted to some samples before and after each time. A step is allowed
-between them. If neither stream has stepped by the offset of the beacons, the telescope has shifted.
+A slip of the encoders, a step of the ship's attitude and a mounting shift of the telescope have the same effect on the
+beacons. The slip and the step are visible in their own streams. A polynomial through the readings, or a line through
+the residuals of attitudes against rates, is fitted to some samples before and after each time, with a step at that
+time. If neither stream has stepped by the offset of the beacons, the telescope has shifted.
 
-A drift has no step. A drifting ship's attitude departs from the integral of its own rates; for encoders there is no
-such reference.
+A drift has no step. A drifting ship's attitude departs from the integral of its rates. Encoders have no such reference.
 """
 
 import itertools
@@ -28,35 +27,35 @@ _MAX_SIDE_SAMPLES = 8
 _MIN_SIDE_SAMPLES = 6
 """Minimum number of samples on either side of a step."""
 _MOTION_DEGREES: tuple[int, ...] = (2, 4)
-"""Degrees of the polynomials through a motion; the one with the smallest step sigma is used."""
+"""Degrees of the polynomials through a motion; the polynomial with the smallest step sigma is used."""
 _RATE_DEGREES: tuple[int, ...] = (1,)
 """Degrees of the polynomials through the residuals against rates."""
 _STEP_SIGMAS = 5.5
 """Threshold of a step in standard deviations."""
 _UNDERESTIMATE_SIGMAS = 3.0
-"""Maximum amount by which a step is underestimated, in standard deviations."""
+"""Assumed maximum underestimate of a step, in standard deviations."""
 
 _MEAN_WINDOW_S = 0.5
-"""Length of the means in which a drift of the ship's attitude is evaluated, s."""
+"""Duration of each mean in the evaluation of a drift of the ship's attitude, s."""
 _MIN_DRIFT_S = 3.0
 """Minimum time span for evaluating a drift, s."""
 _DRIFT_SIGMAS = 8.0
 """Difference between two means above which the attitude has drifted, in standard deviations of an attitude."""
 _TRAPEZOID_ERROR_RATIO = 2.0 / 3.0
-"""Error of the trapezoidal rule, twice, per difference to steps of double length: these have four times the error, so
-that the difference is three times the error."""
+"""Twice the error of the trapezoidal rule, per difference from the rule with steps of double length. Double steps have
+four times the error, so that the difference is three times the error."""
 _NO_DRIFT_SIGMAS = 5.0
 """Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
 _STATED_CHANGE_SIGMAS = 5.0
-"""Factor on the change of the stated standard deviation by which the attitude may move, as after a star correction."""
+"""Possible change of the attitude, as by a star correction, in multiples of the change of its standard deviation."""
 
 
 class LargestStep(NamedTuple):
     """Largest possible step of a stream.
 
     Attributes:
-        size_rad: size of its largest component.
-        sigma_rad: standard deviation of that component.
+        size_rad: size of the step's largest component.
+        sigma_rad: standard deviation of this component.
     """
 
     size_rad: float
@@ -94,13 +93,13 @@ def stream_consistency(
     gaps_ns: tuple[int, int],
     ship_sigma_rad: float,
 ) -> StreamConsistency:
-    """Return the consistency of the streams since a time, from samples since then and one second before.
+    """Return the consistency of the streams since a time, from samples since one second before that time.
 
     Args:
-        since_ns: the time.
+        since_ns: time since which steps are searched.
         encoder: readings, in the order of their stamps.
-        ship: attitudes, in the order of their stamps, in the time of the readings.
-        gaps_ns: maximum intervals of readings, and of attitudes; larger ones are gaps.
+        ship: attitudes, in the order of their stamps, which are in the time scale of the readings.
+        gaps_ns: maximum intervals of readings and of attitudes; larger intervals are gaps.
         ship_sigma_rad: noise of an attitude about each axis.
     """
     is_ship_unreliable = _has_gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
@@ -108,7 +107,7 @@ def stream_consistency(
     if encoder and not _has_gap(encoder, gaps_ns[0]):
         turns = wrap_angles(np.diff(np.array([sample.vector for sample in encoder]), axis=0))
         cumulative_angles = np.vstack([np.zeros(2), np.cumsum(turns, axis=0)])
-        # Exactly repeated readings among others that moved may be stuck: no test then.
+        # There is no test if some readings repeat exactly and others do not, because the encoders may be stuck.
         is_unchanged = np.all(turns == 0.0, axis=1)
         if np.all(is_unchanged) or not np.any(is_unchanged):
             by_encoder = _find_largest_step(
@@ -121,11 +120,11 @@ def stream_consistency(
 
 
 def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
-    """True if a ship's attitude has departed from the integral of its own rates; None if unknown.
+    """True if the ship's attitude has departed from the integral of its rates; None if unknown.
 
     Args:
         ship: attitudes, in the order of their stamps.
-        longest_gap_ns: maximum interval of attitudes; a larger one is a gap.
+        longest_gap_ns: maximum interval of attitudes; a larger interval is a gap.
         sigma_rad: noise of an attitude about each axis.
     """
     usable = [sample for sample in ship if sample.status is not Status.DEGRADED]
@@ -152,12 +151,12 @@ def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: flo
 
 
 def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:
-    """Return horizon from deck, shape (k, 3, 3), and rates in the deck, rad/s, (k, 3), of samples that have rates."""
+    """Return horizon from deck, shape (k, 3, 3), and rates in the deck, rad/s, (k, 3), of samples with rates."""
     return np.array([sample.rotation_nd for sample in ship]), np.array([sample.rate_d for sample in ship])
 
 
 def _rate_residuals(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatArray) -> FloatArray:
-    """Return the residuals of attitudes against their integrated rates: rotation vectors in n, rad, shape (k, 3)."""
+    """Return the residuals of attitudes against their integrated rates, rotation vectors in n, rad, shape (k, 3)."""
     rate_n = (rotation_nd @ rate_d[..., None])[..., 0]
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
     turns_n = turns_n - 0.5 * (rate_n[1:] + rate_n[:-1]) * np.diff(seconds)[:, None]
@@ -178,13 +177,13 @@ def _ship_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> Large
 def _find_largest_step(
     seconds: FloatArray, values: FloatArray, sigma_rad: float, degrees: Sequence[int]
 ) -> LargestStep | None:
-    """Return the largest step between two consecutive values in addition to a polynomial; None if there are too few.
+    """Return the largest step between two consecutive values, in addition to a polynomial; None if values are too few.
 
     Args:
         seconds: times relative to the start of the search, shape (k,).
-        values: shape (k, c).
-        sigma_rad: noise of each value; larger residuals replace it.
-        degrees: degrees of the polynomials; the one with the smallest step sigma is used.
+        values: values at these times, rad, shape (k, c).
+        sigma_rad: noise of each value; a larger scatter of the residuals replaces it.
+        degrees: degrees of the polynomials; the polynomial with the smallest step sigma is used.
     """
     largest: LargestStep | None = None
     for first_after in range(_MIN_SIDE_SAMPLES, len(seconds) - _MIN_SIDE_SAMPLES + 1):
@@ -200,7 +199,7 @@ def _find_largest_step(
 
 
 def _step(since_s: FloatArray, values: FloatArray, sigma_rad: float, degree: int) -> LargestStep:
-    """Return the step of some values at time zero in addition to a polynomial."""
+    """Return the step of values at time zero, in addition to a polynomial."""
     design = np.column_stack([(since_s >= 0.0).astype(float), np.vander(since_s / np.ptp(since_s), degree + 1)])
     found = np.linalg.lstsq(design, values, rcond=None)[0]
     left = values - design @ found

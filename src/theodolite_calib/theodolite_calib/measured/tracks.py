@@ -1,7 +1,7 @@
-"""Tracks of the measured samples, one per source, and their values at one time.
+"""Tracks of the measured samples, one per source, and interpolated values at one time.
 
 The encoders, the ship, the baseline to each drone and the attitude of each drone have their own stamps and rates. Each
-is interpolated at the requested time, with its noise at that time.
+source is interpolated at the requested time, with the noise at that time.
 """
 
 from collections.abc import Sequence
@@ -29,10 +29,10 @@ _FULL_TURN = 2.0 * np.pi
 _STREAM_WINDOW_NS = 3 * SECOND_NS
 """Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
 _LEAD_IN_NS = SECOND_NS
-"""Additional time before the checked range whose samples are used too, ns."""
+"""Time before the checked range from which samples are used too, ns."""
 
 _DRIFT_WINDOW_NS = 60 * SECOND_NS
-"""Time range in which the ship's attitude is compared with its own rates, ns."""
+"""Time range in which the ship's attitude is compared with its rates, ns."""
 
 _DROP_EVERY_NS = SECOND_NS // 10
 """Period in which old samples are dropped, ns."""
@@ -46,9 +46,9 @@ class ShipAt:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         correlated_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
-        noise: variance of each component of the white error and of interpolation, rad².
-        status: status stated by the source; between two attitudes the worse of the two.
-        chord_nd: horizon from deck as interpolated by tf2: with a constant rate between two messages of ship/attitude.
+        noise: variance of each component due to white error and interpolation, rad².
+        status: status stated by the source; between two attitudes the worse status.
+        chord_nd: horizon from deck, interpolated as in tf2 with a constant rate between two messages of ship/attitude;
             None if the source is ins/imu.
     """
 
@@ -62,7 +62,7 @@ class ShipAt:
 
 @dataclass(frozen=True)
 class ShipSeries:
-    """Ship's attitude at N times; each field is that of :class:`ShipAt`.
+    """Ship's attitude at N times; the fields have the meaning of :class:`ShipAt`.
 
     Attributes:
         rotation_nd: shape (N, 3, 3).
@@ -82,7 +82,7 @@ class ShipSeries:
 
     @classmethod
     def from_ships(cls, ships: Sequence[ShipAt]) -> "ShipSeries":
-        """Return the series of some attitudes from one source, either all or none with a stated covariance."""
+        """Return the series of attitudes from one source, which all have a stated covariance, or all have none."""
         slow_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
         chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
         return cls(
@@ -100,8 +100,8 @@ class EncoderAt:
     """Encoders at one time.
 
     Attributes:
-        azimuth: rad.
-        elevation: rad.
+        azimuth: azimuth reading, rad.
+        elevation: elevation reading, rad.
         noise: variance of each angle, interpolation included, rad².
     """
 
@@ -115,10 +115,10 @@ class BeaconAt:
     """Pose of a beacon at one time.
 
     Attributes:
-        baseline_n: from the ship's antenna to the drone's, m, shape (3,).
-        covariance_n: covariance of its white error and of interpolation, m², shape (3, 3).
+        baseline_n: vector from the ship's antenna to the drone's antenna, m, shape (3,).
+        covariance_n: covariance of the baseline's error due to noise and interpolation, m², shape (3, 3).
         rotation_nb: horizon from drone, shape (3, 3); the identity if the light is at the drone's antenna.
-        jump: jump of the baseline among its last solutions; None if there is none.
+        jump: jump among the last baselines; None without a jump.
     """
 
     baseline_n: FloatArray
@@ -136,9 +136,9 @@ class MeasuredTracks:
     Attributes:
         encoder: encoder readings.
         ship: attitudes of the ship, with the stamps of their source.
-        baselines: baselines from the ship's antenna to each drone's, by beacon_id.
-        drones: attitudes of the drones whose light is not at their antenna, by beacon_id.
-        ship_shift_ns: offset of the ship attitudes' time of validity from their stamps, ns.
+        baselines: baselines from the ship's antenna to each drone's antenna, by beacon_id.
+        drones: attitudes of the drones whose light is not at the antenna, by beacon_id.
+        ship_shift_ns: time of validity minus stamp of the ship's attitudes, ns.
         reach_ns: maximum time between an exposure and the data with which it is compared, ns.
     """
 
@@ -166,7 +166,7 @@ class MeasuredTracks:
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the samples that no exposure at or after ``time_ns`` needs, at most once in a period."""
+        """Drop the samples that no exposure at or after ``time_ns`` needs; skipped if the last call is recent."""
         if time_ns < self._dropped_until_ns + _DROP_EVERY_NS:
             return
         self._dropped_until_ns, keep_from_ns = time_ns, time_ns - abs(self.ship_shift_ns)
@@ -174,8 +174,8 @@ class MeasuredTracks:
             track.drop_before(keep_from_ns)
 
     def is_waiting_for_data(self, exposure: AnyExposure) -> bool:
-        """True while data still to come may belong to an exposure."""
-        # The slowest sources first: most often one of these is awaited.
+        """True if data at the time of an exposure may still come."""
+        # The slowest sources are tested first, because data of these sources are missing most often.
         for light in exposure.beacons if isinstance(exposure, Exposure) else ():
             if not self.baselines[light.beacon_id].is_final_at(exposure.time_ns):
                 return True
@@ -185,12 +185,12 @@ class MeasuredTracks:
         return not self.are_axes_final_at(exposure.time_ns + exposure.reach_ns)
 
     def are_axes_final_at(self, time_ns: int) -> bool:
-        """True if no data still to come, in order, can change encoders and ship at a time."""
+        """True if later data, received in order, can no longer change encoders and ship at a time."""
         return self.encoder.is_final_at(time_ns) and self.ship.is_final_at(time_ns - self.ship_shift_ns)
 
     @property
     def ship_final_until_ns(self) -> int | None:
-        """Latest time at which later samples can no longer change the ship's attitude; None if there is none."""
+        """Latest time at which later samples can no longer change the ship's attitude; None without such a time."""
         until_ns = self.ship.final_until_ns
         return None if until_ns is None else until_ns + self.ship_shift_ns
 
@@ -198,9 +198,9 @@ class MeasuredTracks:
         """Return the ship's attitude at a time; None in a gap.
 
         Args:
-            time_ns: the time.
-            nodes: times within an exposure around ``time_ns``, all within the track. If given, the noise is that of the
-                mean attitude over the exposure.
+            time_ns: time of the attitude.
+            nodes: times within an exposure around ``time_ns``, all within the track. If given, the noise of the mean
+                attitude over the exposure is returned.
         """
         attitude = self.ship.at(time_ns - self.ship_shift_ns)
         if attitude is None:
@@ -211,7 +211,7 @@ class MeasuredTracks:
         if nodes is not None:
             gain = self.ship.noise_gain_of_mean(nodes.times_and_weights(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
-        # Between two attitudes the worse status applies: the source may have jumped there.
+        # Between two attitudes the worse status applies, because the source may have jumped in between.
         after = attitude.next_sample
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
         status = Status.DEGRADED if degraded else sample.status
@@ -240,7 +240,7 @@ class MeasuredTracks:
         return np.array(rotations_nm) if len(rotations_nm) == len(times_ns) else None
 
     def stream_consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
-        """Return the consistency of the encoder and ship streams between two times; None if that is too long ago."""
+        """Return the consistency of the encoder and ship streams between two times; None if the range is too long."""
         if until_ns - since_ns > _STREAM_WINDOW_NS:
             return None
         first_ns, shift_ns = since_ns - _LEAD_IN_NS, self.ship_shift_ns
@@ -254,9 +254,9 @@ class MeasuredTracks:
         )
 
     def has_ship_drifted(self, time_ns: int) -> bool | None:
-        """True if the ship's attitude departed from its rates; None if unknown.
+        """True if the ship's attitude departed from the integral of its rates; None if unknown.
 
-        The compared time is the last minute, or the time since the last jump of the attitude if that is shorter.
+        The last minute is compared, or the time since the last jump of the attitude if it is shorter.
         """
         until_ns = time_ns - self.ship_shift_ns
         first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)
@@ -265,7 +265,7 @@ class MeasuredTracks:
         return has_ship_drifted(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
     def beacon_at(self, beacon_id: str, time_ns: int) -> BeaconAt | Rejection:
-        """Return the pose of a beacon at a time, or the rejection."""
+        """Return the pose of a beacon at a time, or a rejection."""
         baseline = self.baselines[beacon_id].baseline_at(time_ns)
         if isinstance(baseline, Rejection):
             return baseline

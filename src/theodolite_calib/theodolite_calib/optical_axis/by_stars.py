@@ -1,7 +1,7 @@
 """Pointing from the stars of one exposure alone, if the ship's attitude or the encoders are missing.
 
-At least three stars must be identified and verify one another, because there is no prediction of the camera's attitude.
-The main axis follows by the estimated parallelism: R_main = R_camera · R(azimuth, elevation, roll).
+At least three stars must be identified and consistent with one another, because the camera's attitude is not predicted.
+The main axis follows from the estimated parallelism: R_main = R_camera · R(azimuth, elevation, roll).
 """
 
 import numpy as np
@@ -19,8 +19,8 @@ from theodolite_calib.filter.model import SOURCE_PARALLELISM, axis_state_indices
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
 _STAR_NOISE_TERMS = ("installation", "catalogue")
-"""Terms of a solution without a source of their own in the filter: a single camera has no installation besides its
-parallelism, and its catalogue error is part of the star noise."""
+"""Error terms of a solution that count as star noise, because the filter has no source for them. A single camera has
+no installation besides its parallelism, and the filter has catalogue errors in the star noise."""
 
 
 def pointing_by_stars(
@@ -31,7 +31,7 @@ def pointing_by_stars(
     state: CalibrationState,
     text: str,
 ) -> PointingEstimate | None:
-    """Return the main axis at the middle of an exposure; None if its stars do not give a verified attitude.
+    """Return the pointing at the middle of an exposure; None if the stars do not give a verified attitude.
 
     Args:
         exposure: exposure as the camera recorded it.
@@ -48,7 +48,7 @@ def pointing_by_stars(
     if solution.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
         return None
     if exposure.length is not None:
-        # The rotation of the camera during the exposure is not measured.
+        # Noise is added, because the rotation of the camera during the exposure is not measured.
         unmeasured_acceleration = np.deg2rad(config.ins.untold_acceleration_deg_per_s2)
         solution = solution.with_added_noise(exposure.length.unmeasured_turn_variance(float(unmeasured_acceleration)))
     model, camera_id = filter_.model, exposure.source.partition(".")[2]

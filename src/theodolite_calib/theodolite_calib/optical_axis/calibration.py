@@ -1,8 +1,8 @@
-"""Calibration from the filter's state: values for the calibration topic, and the start of the next session.
+"""Calibration from the filter's state: values for the calibration topic, and a prior for the next session.
 
 :class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation; with star
-cameras also N' and the parallelism of the main axis in each camera. :class:`CalibrationPrior` is saved: the constants.
-The deformation is not saved, because it will have changed.
+cameras also N' and the parallelism of the main axis in each camera. :class:`CalibrationPrior` has the constants, which
+are saved. The deformation is not saved, because it will have changed at the next session.
 """
 
 from collections.abc import Mapping
@@ -21,11 +21,11 @@ from theodolite_calib.filter.observability import DEFORMATION_NAMES, LENS_NAMES
 
 SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
 SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
-"""Names that are always saved, in the order of the states' blocks. The angles of star cameras follow these."""
+"""Names that are always saved, in the order of the state blocks; angles of star cameras are saved after them."""
 
 _TELESCOPE_NAMES = SAVED_NAMES[len(NAMES) :]
 _REMOUNTED_SIGMAS = 6.0
-"""Difference of saved and configured angles, in sigmas of both, above which a camera has been remounted."""
+"""Difference between saved and configured angles, in joint sigmas, above which a camera counts as remounted."""
 
 
 def camera_names(id_: str) -> tuple[str, str, str]:
@@ -34,7 +34,7 @@ def camera_names(id_: str) -> tuple[str, str, str]:
 
 
 def camera_of(name: str) -> str:
-    """Return the camera that a saved quantity belongs to; empty if it belongs to none."""
+    """Return the id of the star camera of a saved quantity; empty if the quantity is not an angle of a star camera."""
     return name.removeprefix("telescopes.").rpartition(".")[0] if name.startswith("telescopes.") else ""
 
 
@@ -43,14 +43,14 @@ class Calibration:
     """Named quantities with their joint covariance.
 
     Attributes:
-        time_ns: time of the last accepted sighting; 0 if there was none yet.
-        names: as in ship_msgs/TheodoliteCalibration.
-        values: rad or m, shape (n,).
+        time_ns: time of the last accepted sighting; 0 before the first sighting.
+        names: names as in ship_msgs/TheodoliteCalibration.
+        values: values, rad or m, shape (n,).
         covariance: covariance of the values, shape (n, n).
         units: "rad" or "m" for each value.
         unobservable: combinations of names that the sightings so far cannot separate.
         sighting_count: number of accepted sightings.
-        residual_rms: RMS of beacons and stars on the sky, rad; NaN before the first sighting.
+        residual_rms: RMS of the residuals of beacons and stars on the sky, rad; NaN before the first sighting.
     """
 
     time_ns: int
@@ -68,12 +68,12 @@ class CalibrationPrior:
     """Content of a saved calibration.
 
     Attributes:
-        time_ns: time of its data.
+        time_ns: time of the last sighting in the calibration.
         serial: serial number of the theodolite.
         telescope_id: id of the telescope.
         values: values in the order of ``names``, rad or m, shape (n,).
-        covariance: joint covariance, shape (n, n).
-        names: SAVED_NAMES, and :func:`camera_names` of each star camera.
+        covariance: joint covariance of the values, shape (n, n).
+        names: SAVED_NAMES, then :func:`camera_names` of each star camera.
     """
 
     time_ns: int
@@ -84,7 +84,7 @@ class CalibrationPrior:
     names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations by name, with the serial of theodolite and telescope, rad or m, (1,) each."""
+        """Return standard deviations, rad or m, shape (1,), by name with serial number and, if needed, telescope id."""
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {
@@ -96,7 +96,7 @@ class CalibrationPrior:
 def calibration_from_state(
     filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
 ) -> Calibration:
-    """Return the named values of a state; a flexure with zero value and sigma is omitted."""
+    """Return the named values of a state; the flexure is omitted if its value and sigma are zero."""
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
     variance = np.diagonal(state.covariance)
@@ -125,7 +125,7 @@ def calibration_from_state(
 
 
 class _CalibrationValue(NamedTuple):
-    """One state of the calibration topic: name, index, value and unit."""
+    """One value of the calibration topic, with the index ``row`` of its state."""
 
     name: str
     row: int
@@ -136,13 +136,13 @@ class _CalibrationValue(NamedTuple):
 def _star_values(
     filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
 ) -> list[_CalibrationValue]:
-    """Return the values that stars add, if they are estimated: N' and the parallelism of each camera."""
+    """Return the estimated values that only stars determine: N' and the parallelism of each camera."""
     if not config.telescopes:
         return []
     model, telescope = filter_.model, config.telescope
     reported = {"parallelism": (SAVED_NAMES[-3:], telescope.parallelism, "rad")}
     for id_, camera in config.telescopes.items():
-        # The calibration telescope has one parallelism for beacons and stars, already listed.
+        # The parallelism of the calibration telescope is already listed, because beacons and stars share it.
         reported.setdefault(parallelism_block(id_, config), (camera_names(id_), camera.parallelism, "rad"))
     reported["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
     return [
@@ -157,7 +157,7 @@ def _star_values(
 def prior_from_state(
     filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
 ) -> CalibrationPrior:
-    """Return the prior to save, from a state that rests on sightings."""
+    """Return the prior to save, from a state after at least one sighting."""
     assert state.last_update_ns is not None
     saved = _saved_quantities(filter_, config)
     rows = [one.row for one in saved]
@@ -176,9 +176,9 @@ def state_from_prior(
 ) -> tuple[CalibrationState, list[str]]:
     """Return the initial state of a session with a saved calibration, and remarks for the operator.
 
-    A calibration of another theodolite is not used. One of another telescope is used without focal length and
-    parallelism. The angles of a camera that is not configured, or was remounted, are not used. A calibration older than
-    ``calibration_max_age_d`` keeps its values, and the configured uncertainty is added to its own.
+    A calibration of another theodolite is not used. A calibration of another telescope is used without focal length and
+    parallelism. The angles of a camera that is not configured, or was remounted, are not used. For a calibration older
+    than ``calibration_max_age_d`` the configured uncertainty is added to the saved uncertainty.
     """
     initial = filter_.initial_state()
     if prior.serial != config.serial:
@@ -220,25 +220,25 @@ def state_from_prior(
 
 
 class _SavedQuantity(NamedTuple):
-    """Saved quantity: name, index of its state, and configured value."""
+    """Saved quantity: its name, the index ``row`` of its state, and its configured value."""
 
     name: str
     row: int
     configured: float
 
     def total_value(self, correction: float) -> float:
-        """Return the total value from the correction to the configured one."""
+        """Return the configured value plus a correction."""
         value = float(self.configured + correction)
         return float(wrap_pi(value)) if camera_of(self.name) else value
 
     def correction(self, total_value: float) -> float:
-        """Return the correction of a total value to the configured one."""
+        """Return a total value minus the configured value."""
         difference = float(total_value - self.configured)
         return float(wrap_pi(difference)) if camera_of(self.name) else difference
 
 
 def _saved_quantities(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_SavedQuantity]:
-    """Return all saved quantities: SAVED_NAMES, and the angles of each star camera."""
+    """Return all saved quantities: SAVED_NAMES, then the angles of each star camera."""
     model, telescope = filter_.model, config.telescope
     names, configured = [*SAVED_NAMES], [*config.axes.values, telescope.focal_length_m, *telescope.parallelism]
     blocks = [*SAVED_BLOCKS]
@@ -257,7 +257,7 @@ def _camera_refusal_reason(
     saved: Mapping[str, _SavedQuantity],
     initial: CalibrationState,
 ) -> str:
-    """Return the reason why the saved angles of a camera are not used; empty if they are."""
+    """Return the reason why the saved angles of a camera are not used; empty if they are used."""
     for place in np.flatnonzero(of_camera):
         one = saved.get(prior.names[place])
         if one is None:

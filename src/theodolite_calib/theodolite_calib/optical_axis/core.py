@@ -1,10 +1,10 @@
-"""Core of ``optical_axis``, shared by node and replay: encoders, ship, baselines and beacons in, the main axis out.
+"""Core of ``optical_axis``, shared by node and replay: estimates the main axis from all measurements.
 
 The core has no ROS, files or clock. It combines the calibration filter and the tracks of measured samples with the
-time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when an exposure is applied and
-which pointing may follow. This module adds the checks of encoders and INS, and the readings that wait for the ship's
-attitude. A pointing is published at the stamp of each encoder reading, as soon as the ship's attitude of that time is
-available.
+time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which applies exposures and publishes pointings
+in the order of their stamps. This module adds the checks of encoders and ship's attitude, and the queue of readings
+that wait for the ship's attitude. A pointing is published at the stamp of each encoder reading, as soon as the ship's
+attitude of that time is available.
 """
 
 import math
@@ -74,9 +74,9 @@ if TYPE_CHECKING:
     from theodolite_calib.optical_axis.escort_advisor import EscortAdvisor
 
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
-"""Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
+"""Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
 _MAX_JUMPS = 100
-"""Maximum number of jumps stored until :meth:`OpticalAxisCore.take_jumps`, which is called once a second."""
+"""Maximum number of jumps stored until the next :meth:`OpticalAxisCore.take_jumps`, called once a second."""
 _REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
 
 
@@ -97,7 +97,7 @@ class OpticalAxisCore:
         on_commit: callback for states that can no longer change, in order; None if unused.
 
     Attributes:
-        pending: offline, pointings that are computed together on request; None if each is computed at once.
+        pending: offline, pointings that are computed together on request; None if each pointing is computed at once.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter
@@ -134,10 +134,10 @@ class OpticalAxisCore:
         return self.reset()
 
     def reset(self, clock_jumped: bool = False) -> list[str]:
-        """Discard all measurements. After a jump of the clock, outputs may start again at earlier times.
+        """Discard all measurements; outputs may restart at earlier times if the clock has jumped.
 
         Returns:
-            Remarks about the saved calibration that the filter starts from, if there is one.
+            Remarks about the saved calibration, if the filter starts from a saved calibration.
         """
         initial = self.filter.initial_state()
         remarks: list[str] = []
@@ -150,11 +150,11 @@ class OpticalAxisCore:
         return remarks
 
     def step_time_base(self, step_ns: int, state: CalibrationState) -> None:
-        """Continue after a step of all clocks: no time has passed for the calibration.
+        """Continue after a step of all clocks, during which no time has passed for the calibration.
 
         Args:
             step_ns: step, ns.
-            state: state before it.
+            state: state before the step.
         """
         self._estimator.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
         if self._sky is not None:
@@ -162,7 +162,7 @@ class OpticalAxisCore:
         self._start_without_samples()
 
     def _start_without_samples(self) -> None:
-        """Start without samples."""
+        """Discard all samples, checks of streams and pending outputs."""
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._encoder_check = EncoderCheck(*_encoder_limits(self.config))
@@ -183,7 +183,7 @@ class OpticalAxisCore:
         self._ship_final_until_ns: int | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Apply other noise and gates; geometry and the set of beacons stay."""
+        """Apply changed noise and gates; geometry and the set of beacons must not change."""
         self._build_models(config)
         self._tracks.reconfigure(config)
         self._sightings = SightingAssembler(config, self._tracks)
@@ -194,7 +194,7 @@ class OpticalAxisCore:
             self._escort.reconfigure(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add an encoder reading; the pointing of its time follows.
+        """Add an encoder reading; the pointing at its stamp follows.
 
         Args:
             sample: the reading.
@@ -248,19 +248,19 @@ class OpticalAxisCore:
         self._ship_check.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
-        """Add a baseline to a drone. An unusable one is rejected, and no exposure waits for a better one."""
+        """Add a baseline to a drone; an unusable baseline is rejected, and no exposure waits for another."""
         outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
         if outcome.rejection is None:
             outcome.rejection = sample.rejection
         return outcome
 
     def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> PointingOutcome:
-        """Add an attitude of a drone; it is not needed if the light is at the drone's antenna."""
+        """Add an attitude of a drone; a drone with its light at the antenna needs no attitudes."""
         track = self._tracks.drones.get(beacon_id)
         return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 
     def add_surroundings(self, given: SkyInput) -> PointingOutcome:
-        """Add the ship's position, or the air; stars that were compared with another sky are compared again."""
+        """Add the ship's position, or the air; stars compared with other values are compared again."""
         assert self._sky is not None
         surroundings, outcome = self._sky.surroundings, PointingOutcome()
         outcome.rejection = surroundings.rejection(given)
@@ -275,14 +275,14 @@ class OpticalAxisCore:
         return outcome
 
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
-        """Add beacons on the detector, one or more."""
+        """Add an exposure with one or more beacons."""
         outcome = PointingOutcome(self._estimator.window.late_rejection(exposure.time_ns))
         if outcome.rejection is None:
             self._estimator.add(exposure, outcome)
         return outcome
 
     def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add stars in a camera; for the arrival see :meth:`add_encoder`."""
+        """Add an exposure of stars; for the arrival see :meth:`add_encoder`."""
         outcome = PointingOutcome(self._estimator.window.late_rejection(exposure.time_ns))
         if outcome.rejection is None and self._estimator.add(exposure, outcome):
             arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
@@ -291,9 +291,9 @@ class OpticalAxisCore:
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add an image of a target; its direction follows at once, or when the pointing of its time has been published.
+        """Add an image of a target; its direction follows at once, or when a pointing after it has been published.
 
-        An image changes neither the state nor the window: all pointings are as without it.
+        Images of targets do not affect the pointings.
         """
         outcome = PointingOutcome(self._estimator.window.late_rejection(sample.time_ns))
         if outcome.rejection is None:
@@ -303,14 +303,14 @@ class OpticalAxisCore:
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        """Set that two publishers send on one source; an empty text ends it."""
+        """Set the text of a conflict of two publishers on one source; an empty text ends the conflict."""
         stamp_conflicts = (
             self._target_stamp_conflicts if source == TargetSample.source else self._estimator.stamp_conflicts
         )
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Publish the pointing from stars alone if an input has timed out, and INVALID once a second if there is none.
+        """Publish a pointing from stars alone if an input has timed out, or INVALID once a second without recent stars.
 
         Args:
             now_ns: current time.
@@ -329,22 +329,22 @@ class OpticalAxisCore:
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
-        """Return an INVALID output with the given reason."""
+        """Return an INVALID pointing with a given reason."""
         return invalid_pointing(self.filter, self.state, now_ns, text)
 
     def compute_pending(self) -> list[tuple[slice, PointingSeries | Rejection]]:
-        """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
+        """Compute and return the pending pointings; see :meth:`PointingOutput.compute_pending`."""
         pending, self.pending = self.pending or [], []
         return self._pointing.compute_pending(pending)
 
     def calibration(self) -> Calibration:
-        """Return the estimated axis errors, focal length and deformation; cached per state for several topics."""
+        """Return the calibration from the present state; cached per state, because several topics need it."""
         if self._calibration is None or self._calibration[0] is not self.state:
             self._calibration = self.state, calibration_from_state(self.filter, self.config, self.state)
         return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
-        """Return the prior for the next session; None if there is no sighting and no saved calibration."""
+        """Return the prior for the next session; None without sightings and saved calibration."""
         if self.state.last_update_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -354,16 +354,16 @@ class OpticalAxisCore:
         return self._pointing.integrity(estimate)
 
     def escort(self, estimate: PointingEstimate) -> "EscortAdvice | None":
-        """Return the advised positions of the drones for the latest pointing; None if disabled or not due yet."""
+        """Return the advised positions of the drones for the latest pointing; None if disabled or not yet due."""
         return None if self._escort is None else self._escort.advice(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
-        """Return an exposure within ``lag_s`` with the samples of its time; None if they are missing."""
+        """Return an exposure within ``lag_s`` with the samples of its time; None if samples are missing."""
         return self._sightings.assemble(exposure).sighting
 
     @property
     def state(self) -> CalibrationState:
-        """State of the filter after the last exposure applied."""
+        """State of the filter after the last applied exposure."""
         return self._estimator.state
 
     # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
@@ -375,7 +375,7 @@ class OpticalAxisCore:
 
     @property
     def is_consistent(self) -> bool:
-        """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
+        """True after sightings of beacons or stars if no source is excluded, contradictory or unconfirmed."""
         now_ns = self._estimator.window.newest_ns
         unconfirmed_reason = (
             self._encoder_check.unconfirmed_reason
@@ -386,14 +386,14 @@ class OpticalAxisCore:
 
     @property
     def has_unresolved_fault(self) -> bool:
-        """True if beacons contradict encoders and ship in more than one or two sightings, and no source is isolated."""
+        """True if beacons contradict encoders and ship in several sightings, and the faulty source is not isolated."""
         conflict = self.state.fault_state.unresolved_fault
         return conflict is not None and conflict.is_persistent
 
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
-        """Return another estimator that starts from a stored state, else from the saved calibration or the prior.
+        """Return another estimator that starts from a stored state, or else from the saved calibration or the prior.
 
-        With a stored state it also starts with the current position and air data.
+        If it starts from a stored state, it also gets the current position and air data.
         """
         second = type(self)(self.config, None if self._sky is None else self._sky.clone(memory is not None))
         second._start = self._start
@@ -411,11 +411,11 @@ class OpticalAxisCore:
         return jumps
 
     def propagate_memory(self, memory: CalibrationState, jumps: Sequence[StreamJump]) -> CalibrationState:
-        """Return a stored state propagated to the oldest time that measurements may still have."""
+        """Return a stored state propagated to the oldest time of measurements that may still come."""
         return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
-        """Return the residuals of the last evaluated beacons against a stored state, by source."""
+        """Return the residuals of the beacons of an exposure against a stored state, by source."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
@@ -425,7 +425,7 @@ class OpticalAxisCore:
     def largest_difference_sigmas(
         self, state: CalibrationState, memory: CalibrationState, is_later: bool = False
     ) -> float:
-        """Return the largest difference from a stored state, in standard deviations of both."""
+        """Return the largest difference from a stored state, in joint standard deviations of both states."""
         time_ns = state.time_ns
         ship = None if time_ns is None else self._tracks.ship_at(time_ns)
         encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
@@ -434,7 +434,7 @@ class OpticalAxisCore:
         return largest_difference_sigmas(self.filter, state, memory, ship, encoder, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return those of the sources of which no measurement was accepted recently."""
+        """Return the beacons among some sources whose measurements were not accepted recently."""
         means, since_ns = (
             self.state.fault_state.innovation_means,
             self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS,
@@ -444,7 +444,7 @@ class OpticalAxisCore:
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
-        """Continue the outputs of another estimator, which ends and has no pending output."""
+        """Continue the outputs of the estimator ``live``, which ends and has no pending output."""
         self._estimator.continue_outputs(live._estimator)
         self._target_stamp_conflicts = live._target_stamp_conflicts
         self._targets.take_over(live._targets)
@@ -464,10 +464,10 @@ class OpticalAxisCore:
         self._calibration = None
 
     def _make_escort_advisor(self) -> "EscortAdvisor | None":
-        """Return the advisor for the drones; None if it is disabled."""
+        """Return the advisor for the drones; None if advice is disabled."""
         if not self.config.escort.enabled:
             return None
-        # Imported here: loading scipy's optimisers takes longer than the rest of the node.
+        # Imported here, because loading scipy's optimisers takes longer than the rest of the node.
         from theodolite_calib.optical_axis.escort_advisor import EscortAdvisor
 
         return EscortAdvisor(self.config, self.filter, self._tracks)
@@ -479,10 +479,10 @@ class OpticalAxisCore:
         return outcome
 
     def _check_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
-        """Check an attitude of the ship; return its rejection or None, and the attitude as it may be used."""
+        """Check an attitude of the ship; return its rejection or None, and the usable part of the attitude."""
         result = self._ship_check.check(sample, self._estimator.window.oldest_ns)
         if result.rates_wrong_after_ns is not None:
-            # Exposures compared with these rates are compared again without them.
+            # Exposures compared with wrong rates are compared again without rates.
             changed_after_ns = self._tracks.ship.drop_rates(result.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._estimator.rewind_after(changed_after_ns + self._tracks.ship_shift_ns)
@@ -493,14 +493,14 @@ class OpticalAxisCore:
         for jump in result.jumps:
             self._record_stream_fault(SHIP, jump.time_ns, None, jumped=True)
             changed_after_ns = self._tracks.ship.add_cut(jump.time_ns)
-            time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
+            time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time scale of the exposures
             if changed_after_ns is not None:
                 changed_after_ns += self._tracks.ship_shift_ns
             jump = replace(jump, time_ns=time_ns)
             self._stream_jumps.append(StreamJump(jump))
             self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(result.sample, ShipSample)
-        # With the INS alone the pointing uses its attitudes only, so that no wrong rate can affect it.
+        # With the INS alone the pointing uses only attitudes, so that no wrong rate can affect the pointing.
         by_ins = self.config.ship.source == "ins/imu"
         return result.rejection, replace(result.sample, rate_d=None) if by_ins else result.sample
 
@@ -541,7 +541,7 @@ class OpticalAxisCore:
         return self._tracks.stream_consistency(since_ns, until_ns)
 
     def _has_ship_drifted(self, time_ns: int) -> bool | None:
-        """True if the ship's attitude departed from its own rates before a time; None if unknown."""
+        """True if the ship's attitude departed from the integral of its rates before a time; None if unknown."""
         return self._tracks.has_ship_drifted(time_ns)
 
     def _record_stream_fault(
@@ -561,18 +561,18 @@ class OpticalAxisCore:
         self._is_stuck = is_stuck
 
     def _stream_faults(self, time_ns: int) -> set[str]:
-        """Return those of encoders and ship whose stream had a fault of its own shortly before a time."""
+        """Return which of the encoder and ship streams had a fault shortly before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
         return {source for source, fault_ns in self._stream_fault_ns.items() if fault_ns >= since_ns}
 
     def _drop_before(self, time_ns: int) -> None:
-        """Drop the data that no exposure at or after a stamp is compared with."""
+        """Drop the data that no exposure at or after a stamp needs."""
         self._tracks.drop_before(time_ns)
         if self._sky is not None:
             self._sky.surroundings.drop_before(time_ns)
 
     def _update_checks(self, decision: ExposureDecision) -> None:
-        """Pass the result of an exposure to the checks of the encoders and of the INS."""
+        """Pass the result of an exposure to the checks of encoders and ship's attitude."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
             self._encoder_check.record_beacon_attitude(time_ns, *decision.telescope_dt)
@@ -589,7 +589,7 @@ class OpticalAxisCore:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        """Publish pointings whose ship attitude is final, or will never come, and the targets that wait for them."""
+        """Publish pointings whose ship's attitude can no longer change or come, and then directions of targets."""
         if self._waiting_readings:
             self._publish_waiting(outcome, waiting_ns)
         self._publish_targets(outcome)
@@ -617,7 +617,7 @@ class OpticalAxisCore:
                 self._add_pointing(outcome, pending, waiting_ns)
 
     def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
-        """Publish a pointing at once, or queue it if pointings are computed on request."""
+        """Publish a pointing at once, or queue the pointing if pointings are computed on request."""
         if self.pending is None:
             follows = self._estimator.can_publish(pending.time_ns)
             self._estimator.add_output(
@@ -650,7 +650,7 @@ class OpticalAxisCore:
         self._estimator.add_output(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _check_repeated_time(self) -> None:
-        """Compare beacons again if rejections show that encoders and ship repeat a time."""
+        """Compare beacons again if rejections show that encoders and ship both repeat a range of stamps."""
         before = self._repeated_time_ns
         together = self._estimator.stamp_conflicts.common_interval({ENCODER, self.config.ship.source})
         if together is None:
@@ -663,12 +663,12 @@ class OpticalAxisCore:
             self._estimator.rewind_after(before[1])
 
     def _contradiction_text(self, time_ns: int) -> str:
-        """Return the text of a source that contradicted itself at a time; empty if none did."""
+        """Return the text about sources with recent conflicting samples at a time; empty without conflicts."""
         return self._estimator.stamp_conflicts.text(self._estimator.stamp_conflicts.active_at(time_ns))
 
 
 def _is_timed_out(arrival_ns: int | None, waiting_ns: int) -> bool:
-    """True if an input has timed out: none received, or the last one more than a second ago."""
+    """True if an input has timed out: no data yet, or the last data more than a second ago."""
     return arrival_ns is None or waiting_ns - arrival_ns > SECOND_NS
 
 

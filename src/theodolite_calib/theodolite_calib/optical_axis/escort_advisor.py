@@ -1,4 +1,4 @@
-"""Advice for the drones of a run, from the pose of the latest pointing, at most once in a period.
+"""Advised positions for the drones of a run, at the latest pointing, at most once in a period.
 
 Only a node that gives advice imports this module, because loading scipy's optimisers takes long.
 """
@@ -17,7 +17,7 @@ from theodolite_calib.measured.tracks import MeasuredTracks
 
 
 class EscortAdvisor:
-    """Advisor for the drones of one run.
+    """Computes advised positions for the drones of one run.
 
     Args:
         config: parameters of the node.
@@ -33,11 +33,11 @@ class EscortAdvisor:
         self.reconfigure(config, filter_)
 
     def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
-        """Apply other noise."""
+        """Apply changed noise."""
         self._config, self._filter = config, filter_
 
     def advice(self, estimate: PointingEstimate) -> EscortAdvice | None:
-        """Return the advised positions of the drones; None before the period ends, or if no drone is usable.
+        """Return the advised positions of the drones; None before the period has ended, or without usable drones.
 
         Args:
             estimate: latest pointing that is not INVALID.
@@ -77,7 +77,7 @@ class EscortAdvisor:
         )
 
     def _newest_baseline(self, name: str, time_ns: int) -> BaselineSample | None:
-        """Return the newest baseline to a drone; None if it is rejected or old."""
+        """Return the newest baseline to a drone; None if the baseline is rejected or old."""
         sample = self._tracks.baselines[name].newest
         if sample is None or sample.rejection is not None:
             return None

@@ -1,7 +1,7 @@
 """Integrity of the pointing: protection levels of its angles.
 
-The solution separations of the subfilters (:mod:`theodolite_calib.filter.subfilters`) give protection levels by
-:mod:`ship_estimation.protection_levels`.
+The module :mod:`ship_estimation.protection_levels` computes the protection levels from the solution separations of the
+subfilters (:mod:`theodolite_calib.filter.subfilters`).
 """
 
 import math
@@ -22,11 +22,11 @@ QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 
 
 class PointingLevels:
-    """Protection levels of the pointings by one state of the filter; computed once per state.
+    """Protection levels of pointings from one state of the filter; created once per state.
 
     Args:
         filter_: filter with its model.
-        config: its configuration.
+        config: parameters of the node.
         state: state of the filter.
 
     Attributes:
@@ -51,8 +51,8 @@ class PointingLevels:
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         to_angles[0] *= math.cos(elevation)
-        # The separations are in the levels already. What a pointing adds to the error of the state,
-        # such as the noise of the encoders, is the same in every subfilter.
+        # The levels already include the separations. The errors of a pointing besides the state, such as the
+        # noise of the encoders, are equal in every subfilter.
         result = protection_levels(
             self._multipliers,
             self._subfilter_indices,
@@ -63,7 +63,7 @@ class PointingLevels:
             self.state.covariance_by_source,
             self.state.subfilters.covariances[:, 0],
         )
-        # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
+        # Encoders and ship's attitude are unchecked without beacons and stars, and so are stars alone.
         is_stars_only = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
         is_unchecked = (
             self._has_unresolved_fault

@@ -1,7 +1,7 @@
-"""Remembered calibration: restart from it, and residuals and differences of beacons and states from it.
+"""Remembered calibration: restart from this state, and its differences from beacons and from other states.
 
-The rules that use these functions are in :mod:`ship_estimation.recovery`. Stars are not compared with it: an excluded
-source is reinstated by beacons.
+The rules that use these functions are in :mod:`ship_estimation.recovery`. Stars are not compared with a remembered
+state, because beacons reinstate excluded sources.
 """
 
 from collections.abc import Sequence
@@ -20,34 +20,34 @@ from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 _STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
-"""Standard deviation of each zero point of encoders that stood still while the axis turned, rad."""
+"""Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""
 
 
 @dataclass(frozen=True)
 class StreamJump:
-    """Jump that the encoder or ship stream showed by itself.
+    """Jump that was detected in the encoder or ship stream itself.
 
     Attributes:
-        jump: the jump.
+        jump: jump of the encoders or of the ship's attitude.
     """
 
     jump: Jump
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Covariance of the change in the directions to beacons, to the right and up, rad², shape (2, 2)."""
+        """Covariance of the change of directions to beacons, to the right and up, rad², shape (2, 2)."""
         if isinstance(self.jump, EncoderJump):
             return float(self.jump.jump @ self.jump.jump + self.jump.sigma_rad**2) * np.eye(2)
         return float(np.trace(self.jump.covariance_n)) * np.eye(2)
 
 
 def stuck_encoder_jump(time_ns: int) -> StreamJump:
-    """Return the jump that stuck encoders may have missed until a time."""
+    """Return the possible jump of encoders that were stuck until a time."""
     return StreamJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
 
 
 def is_consistent(state: CalibrationState) -> bool:
-    """True if a state rests on beacons or stars, and no source is excluded or inconsistent."""
+    """True if a state has used beacons or stars, and no source is excluded or inconsistent."""
     fault_state = state.fault_state
     return state.last_update_ns is not None and not (
         state.consecutive_rejections or fault_state.excluded_sources or fault_state.unresolved_fault is not None
@@ -70,7 +70,7 @@ def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> C
 def propagate_memory(
     filter_: CalibrationFilter, memory: CalibrationState, jumps: Sequence[StreamJump], time_ns: int
 ) -> CalibrationState:
-    """Return the remembered state propagated to a time, with a covariance inflated by jumps."""
+    """Return the remembered state propagated to a time, with its covariance inflated for jumps."""
     for stream_jump in jumps:
         memory = filter_.inflate_covariance(memory, stream_jump.jump)
     return filter_.propagate(memory, time_ns, memory.ship_covariance_n)
@@ -79,7 +79,7 @@ def propagate_memory(
 def memory_residuals(
     filter_: CalibrationFilter, memory: CalibrationState, sighting: Sighting
 ) -> dict[str, MemoryResidual]:
-    """Return the residual of each beacon against a remembered state, rotations of its direction right and up."""
+    """Return each beacon's residual against a remembered state: rotations of its direction to the right and up."""
     state = filter_.propagate(memory, sighting.time_ns, sighting.ship.correlated_covariance_n)
     drift, prediction = _growth_per_second(filter_, state), filter_.sightings.predict(state.mean, sighting)
     noise_m2 = sum(prediction.noise_by_source.values(), np.zeros((2 * len(sighting.names),) * 2))
@@ -109,19 +109,19 @@ def largest_difference_sigmas(
     encoder: EncoderAt,
     is_later: bool = False,
 ) -> float:
-    """Return the largest difference from a remembered state, in standard deviations of both.
+    """Return the largest difference from a remembered state, in joint standard deviations of both states.
 
-    Constant states are compared one by one. Their effect on the telescope, together with that of the other states, is
-    compared about North, Up and East, because it is known better than any of them.
+    Constant states are compared one by one. The effect of all states on the telescope is compared about North, Up and
+    East, because it is known better than the single states.
 
     Args:
         filter_: filter of the estimator.
-        state: its state.
+        state: state of the filter.
         memory: the remembered state.
-        ship: ship's attitude at the time of the state.
+        ship: ship's attitude at the time of ``state``.
         encoder: encoders at that time.
-        is_later: True for a later state of the same estimator, which contains the information of the remembered one;
-            the standard deviations are then those of the latter.
+        is_later: True if ``state`` is a later state of the same estimator, with all information of ``memory``; the
+            standard deviations of ``memory`` are then used.
     """
     assert state.time_ns is not None
     memory = filter_.propagate(memory, state.time_ns, ship.correlated_covariance_n)
@@ -137,13 +137,13 @@ def largest_difference_sigmas(
     difference = np.abs(compared @ (state.mean - memory.mean))
     covariance = memory.covariance if is_later else state.covariance + memory.covariance
     variance = np.diagonal(compared @ covariance @ compared.T)
-    # States without variance do not differ. Written so that NaN is compared.
+    # States without variance do not differ. The condition is written so that a variance of NaN is used.
     varies = variance != 0.0
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
 def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
-    """Return the rotation vectors that move a direction to the right and up by 1 rad, as columns, shape (3, 2)."""
+    """Return the rotation vectors that move a direction to the right and up, per rad, as columns, shape (3, 2)."""
     north, up, east = direction_n
     level = np.hypot(north, east)
     right_n = np.array([-east, 0.0, north]) / level
@@ -152,7 +152,7 @@ def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
 
 
 def _growth_per_second(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
-    """Return the covariance added to a state within one second, shape (n, n)."""
+    """Return the covariance that propagation adds to a state in one second, shape (n, n)."""
     assert state.time_ns is not None
     before = replace(
         state, time_ns=state.time_ns - SECOND_NS, covariance_by_source=np.zeros_like(state.covariance_by_source)

@@ -1,6 +1,6 @@
-"""Pointing at encoder readings, from one state of the filter and the ship's attitude at their times.
+"""Pointings at encoder readings, from one state of the filter and the ship's attitude at the readings.
 
-One function serves the single reading of a live node and the many of a batch.
+One function computes both the single pointing of a live node and the pointings of a batch.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
 
 _NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
-"""Arrays for no step of the ship's error: factors and added covariances."""
+"""Empty factors and added covariances, if the ship's error has no step."""
 
 _TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
 _STARS, _STARS_AND_LIGHTS = int(Mode.STARS), int(Mode.STARS_AND_LIGHTS)
@@ -53,7 +53,7 @@ class AxesAt(NamedTuple):
 
     Attributes:
         rotation_nm: horizon from main frame, shape (N, 3, 3).
-        by_error_n: rotation vector of the main axis in n per state that turns it, shape (N, 3, k).
+        by_error_n: rotation vector of the main axis in n per state in ``AXIS_STATES``, shape (N, 3, k).
         covariance_by_source_n: error covariance of the main axis by source, rotation vector in n, rad², shape (N,
             n_sources, 3, 3).
     """
@@ -64,14 +64,13 @@ class AxesAt(NamedTuple):
 
 
 class CorrectedAxis:
-    """Main axis corrected by one filter state; computed once per state, used at the encoder's rate.
+    """Main axis corrected by one filter state; created once per state, used at the encoder's rate.
 
-    Only the states that turn the main axis are propagated: the columns are those of
-    :data:`theodolite_calib.axis_geometry.axes.AXIS_STATES`.
+    Only the states that rotate the main axis (:data:`theodolite_calib.axis_geometry.axes.AXIS_STATES`) are propagated.
 
     Args:
         filter_: filter with its model.
-        state: its state after the last sighting.
+        state: state of the filter after the last sighting.
 
     Attributes:
         state: state of the filter after the last sighting.
@@ -101,10 +100,10 @@ class CorrectedAxis:
         )
 
     def axes(self, ship: ShipSeries, encoders: EncoderSeries) -> AxesAt:
-        """Return the main axis at N readings; before the state's time it is not propagated.
+        """Return the main axis at N readings; for readings before the state's time, the state is not propagated.
 
-        The result depends on the arguments and the state alone. A single time gives, to the last bit, the same result
-        as among others.
+        The result depends only on the arguments and the state. A reading alone and a reading of a series give equal
+        results to the last bit.
 
         Args:
             ship: ship's attitude at the readings.
@@ -138,10 +137,10 @@ class PendingPointing(NamedTuple):
 
     Attributes:
         sample: the reading.
-        ship: ship's attitude at its time.
-        unconfirmed_reason: reason why the encoders are unconfirmed; empty if they are confirmed.
+        ship: ship's attitude at the time of the reading.
+        unconfirmed_reason: reason why encoders or ship's attitude are unconfirmed; empty if both are confirmed.
         unconfirmed_sigma_rad: additional standard deviation of each angle while unconfirmed, rad.
-        state: state of the filter after the last exposure applied.
+        state: state of the filter after the last applied exposure.
     """
 
     sample: EncoderSample
@@ -157,7 +156,7 @@ class PendingPointing(NamedTuple):
 
 
 class PointingOutput:
-    """Computes pointings from states of a filter; a pointing depends on its arguments alone.
+    """Computes pointings from states of a filter; each pointing depends only on the arguments of the call.
 
     Args:
         config: parameters of the node.
@@ -173,7 +172,7 @@ class PointingOutput:
         self._disagreement_source = filter_.model.sources.index(SOURCE_SHIP)
 
     def compute_pending(self, pending: Sequence[PendingPointing]) -> list[tuple[slice, PointingSeries | Rejection]]:
-        """Compute pending pointings; return slices of them, each with its series or its failure."""
+        """Compute pending pointings; return slices of ``pending``, each with its series or its failure."""
         found: list[tuple[slice, PointingSeries | Rejection]] = []
         for _, group in groupby(pending, key=lambda one: (id(one.state), one.ship.correlated_covariance_n is None)):
             group_pointings, start = list(group), found[-1][0].stop if found else 0
@@ -181,7 +180,7 @@ class PointingOutput:
             if isinstance(series, PointingSeries):
                 found.append((slice(start, start + len(group_pointings)), series))
             else:
-                # One by one, so that those that can be computed are published.
+                # Each pointing is computed singly, so that a failure affects no other pointing.
                 single_pointings = enumerate(map(self._series_or_failure, ([one] for one in group_pointings)), start)
                 found += [(slice(number, number + 1), one) for number, one in single_pointings]
         return found
@@ -205,12 +204,12 @@ class PointingOutput:
         )
 
     def estimates(self, encoders: EncoderSeries, ship: ShipSeries, state: CalibrationState) -> PointingSeries:
-        """Return the pointings at N readings; a single reading gives, to the last bit, the same as among others.
+        """Return the pointings at N readings; see :meth:`CorrectedAxis.axes` for single readings.
 
         Args:
-            encoders: readings, none before the state.
-            ship: ship's attitude at their times.
-            state: state after the last exposure applied before them.
+            encoders: readings, not earlier than the state.
+            ship: ship's attitude at the readings.
+            state: state after the last exposure applied before the readings.
         """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
@@ -271,7 +270,7 @@ class PointingOutput:
         return self._levels.integrity_of(estimate)
 
     def _degrade_above_limit(self, series: PointingSeries) -> None:
-        """Set pointings to DEGRADED whose protection level exceeds the alert limit."""
+        """Set pointings to DEGRADED if their protection level exceeds the alert limit."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(self.integrity(series.estimate(number)), QUANTITIES)
@@ -281,7 +280,7 @@ class PointingOutput:
     def _pointing_statuses(
         self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], unconfirmed_reasons: list[str]
     ) -> list[tuple[Status, str]]:
-        """Return status and reason of each pointing; the reason is empty if it is VALID."""
+        """Return status and reason of each pointing; the reason of a VALID pointing is empty."""
         known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
         statuses = []
         for kind in zip(modes, ship_statuses, unconfirmed_reasons, strict=True):
@@ -294,7 +293,7 @@ class PointingOutput:
     def _pointing_status(
         self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str
     ) -> tuple[Status, str]:
-        """Return status and reason of a pointing; the reason is empty if it is VALID."""
+        """Return status and reason of a pointing; the reason of a VALID pointing is empty."""
         if unconfirmed_reason:
             return Status.DEGRADED, unconfirmed_reason
         if state.consecutive_rejections:

@@ -1,7 +1,7 @@
-"""Direction of a target at the middle of its exposure, from the main axis at that time, between two encoder readings.
+"""Direction of a target at the middle of its exposure, from the main axis at that time.
 
-A direction depends on published pointings: those at the readings before and after it. Its status is the worst of these
-two and of the pointing at its own time.
+The status of a direction is the worst status of three pointings: the published pointings before and after the middle,
+and the pointing at the middle.
 """
 
 from collections import deque
@@ -37,7 +37,7 @@ from theodolite_calib.target.pending_targets import PendingTargets
 
 
 class TargetProcessor:
-    """Target images of one run; each gives one direction, or INVALID and a rejection.
+    """Target images of one run; each image gives one direction, or an INVALID direction and a rejection.
 
     Args:
         config: parameters of the node.
@@ -61,13 +61,13 @@ class TargetProcessor:
         self.reconfigure(config, filter_, pointing)
 
     def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter, pointing: PointingOutput) -> None:
-        """Apply other noise."""
+        """Apply changed noise."""
         self._config, self._pointing = config, pointing
         self._directions = TargetOutput(config, filter_)
         self._axes = AxisErrors.from_vector(config.axes.values)
 
     def take_over(self, before: "TargetProcessor") -> None:
-        """Take over the images and pointings of another estimator that ends."""
+        """Take over the images and pointings of the processor ``before``, whose estimator ends."""
         self._pending, self._published = before._pending, before._published
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
@@ -78,22 +78,22 @@ class TargetProcessor:
             outcome.decisions.append(_rejection(overflowing, Rejection(Reason.OVERFLOW, text)))
 
     def record_output(self, pointing: PendingPointing, oldest_ns: int) -> None:
-        """Record a published pointing; images may come for times from ``oldest_ns`` on."""
+        """Record a published pointing; later images are not older than ``oldest_ns``."""
         self._published.append(pointing)
-        # The last one before that time stays, for the first image that may come.
+        # The last pointing before that time stays, because the oldest possible image needs it.
         while len(self._published) > 1 and self._published[1].time_ns <= oldest_ns:
             self._published.popleft()
 
     def publish_ready(
         self, outcome: PointingOutcome, waiting_ns: int | None, oldest_ns: int, state: Callable[[], CalibrationState]
     ) -> None:
-        """Publish the directions of images whose pointing is final, or will never come.
+        """Publish the directions of images whose pointing can no longer change or come.
 
         Args:
             outcome: receives the directions and the rejections.
-            waiting_ns: time by the timeout clock at a tick; None with a message, because a rejected one must not
+            waiting_ns: time by the timeout clock at a tick; None at a message, because a rejected message must not
                 trigger directions.
-            oldest_ns: data before it can no longer come.
+            oldest_ns: time before which data can no longer come.
             state: returns the current state of the filter, for outputs.
         """
         if not len(self._pending):
@@ -106,7 +106,7 @@ class TargetProcessor:
                 self._publish_direction(sample, outcome, state())
 
     def _is_covered(self, sample: TargetSample) -> bool:
-        """True if no later data can change the direction, and a pointing after it has been published."""
+        """True if later data cannot change the direction, and a pointing after the image has been published."""
         if not (self._published and self._published[-1].time_ns >= sample.time_ns):
             return False
         return self._tracks.are_axes_final_at(sample.time_ns + sample.reach_ns)
@@ -123,7 +123,7 @@ class TargetProcessor:
         outcome.targets.append(found)
 
     def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Rejection:
-        """Return the direction of a target, or the reason why there is no pointing for it."""
+        """Return the direction of a target, or the rejection if there is no pointing at the image."""
         adjacent = self._adjacent_pointings(sample.time_ns)
         tracks, nodes = self._tracks, sample.nodes
         ship, encoder = tracks.ship_at(sample.time_ns), tracks.encoder_at(sample.time_ns)
@@ -142,7 +142,7 @@ class TargetProcessor:
                 return Rejection(Reason.GAP, text)
             path_m = self._directions.image_path_m(sample, rotations_nm, rotations_nm[nodes.offset_ns.index(0)])
             point_m = point_m - (nodes.mean(path_m) - point_m)
-            # The point is the mean over the exposure, so the noise of encoders and ship is that of their means.
+            # The point is a mean over the exposure, so encoders and ship have the noise of their means.
             ship, encoder = tracks.ship_at(sample.time_ns, nodes), tracks.encoder_at(sample.time_ns, nodes)
             assert ship is not None  # as at the nodes
             assert encoder is not None
@@ -164,7 +164,7 @@ class TargetProcessor:
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
     def _adjacent_pointings(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
-        """Return the last published pointing up to a time and the first from then on; None if one is missing."""
+        """Return the last published pointing up to a time and the first from then on; None if either is missing."""
         before = [due for due in self._published if due.time_ns <= time_ns]
         after = [due for due in self._published if due.time_ns >= time_ns]
         if not (before and after):
@@ -193,15 +193,15 @@ class TargetOutput:
         )
 
     def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
-        """Return the detector path of a target with constant direction while the main frame turns, m, shape (m, 2).
+        """Return the path on the detector of a target with constant direction in n, m, shape (m, 2).
 
-        For a target with a steadily rotating direction the mean is the same, except for the product of its rotation and
-        the mount's.
+        If the target's direction rotates steadily, the mean of the path differs only by products of this rotation and
+        the mount's rotation.
 
         Args:
             sample: image of the target.
             rotations_nm: horizon from main frame at m times, shape (m, 3, 3).
-            middle_nm: horizon from main frame at the middle, where the target is at its image point, shape (3, 3).
+            middle_nm: horizon from main frame at the middle, when the target is at its image point, shape (3, 3).
         """
         camera = self._detector.camera
         rotation_mv = rotation_main_from_detector(sample.detector_rotation)
@@ -220,12 +220,12 @@ class TargetOutput:
         """Return the direction of a target.
 
         Args:
-            sample: its image.
+            sample: image of the target.
             point_m: detector point at the middle of the exposure, shape (2,).
             pending: inputs of the pointing at that time.
             pointing: pointing at that time.
             status: status of the direction.
-            text: reason if it is not VALID.
+            text: reason if the status is not VALID.
         """
         seen = observed_direction(
             self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
@@ -250,7 +250,7 @@ class TargetOutput:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the position of a target from the ship's antenna, m, and its covariance, m².
 
-        Ship, lever and air are states of the pointing, so the position uses their joint covariance.
+        Errors of ship, lever and air are states of the filter, so their joint covariance is used.
         """
         model, ship = self._filter.model, pending.ship
         state = self._filter.propagate(pointing.state, sample.time_ns, ship.correlated_covariance_n)
@@ -276,7 +276,7 @@ class TargetOutput:
         if "refraction" in model.slices:
             by_state_n[:, model.slices["refraction"]] = place.by_coefficient_n[:, None]
 
-        # Covariance of the pointing besides the states: noise of encoders and ship, unconfirmed steps, separations.
+        # Covariance of the pointing minus the states' part: noise of encoders and ship, unconfirmed steps, separations.
         of_states_n = pointing.by_error_n @ state.covariance[np.ix_(axis_indices, axis_indices)] @ pointing.by_error_n.T
         other_n = pointing.covariance_n - of_states_n
         by_ship_noise_n = by_turn_n + lever_by_turn_n

@@ -1,4 +1,4 @@
-"""File of the saved calibration: readable YAML, written atomically, with a version."""
+"""File of the saved calibration: readable YAML with a version, written atomically."""
 
 import re
 from typing import Any
@@ -14,7 +14,7 @@ _FOCAL_LENGTH = "focal_length"
 _OF_CAMERA = re.compile(r"(telescopes\..+\.(?:azimuth|elevation|roll))_arcsec")
 
 _HALF_TURN = np.pi * (1.0 + 1e-12)
-"""Half a turn with margin for rounding: a camera may look backward."""
+"""Maximum angle: half a turn, because a camera may look backward, with a margin for rounding."""
 
 
 def _key(name: str) -> str:
@@ -44,7 +44,11 @@ def _values_in_file_units(names: tuple[str, ...], values: FloatArray) -> dict[st
 
 
 def _prior(document: dict[str, Any]) -> CalibrationPrior:
-    """Return the content of the document; a ValueError names the section that cannot be used."""
+    """Return the content of the document.
+
+    Raises:
+        ValueError: a section cannot be used; names the section.
+    """
     names = section(document, "values", _names)
     covariance = section(document, "covariance", lambda rows: joint_covariance(rows, len(names)))
     has_value = np.diagonal(covariance) > 0.0
@@ -59,13 +63,13 @@ def _prior(document: dict[str, Any]) -> CalibrationPrior:
 
 
 def _names(given: dict[str, Any]) -> tuple[str, ...]:
-    """Return the saved names: the constants, and the angles of cameras, in the order of the file."""
+    """Return the names of the saved values: ``SAVED_NAMES``, then angles of cameras in the order of the file."""
     found = map(_OF_CAMERA.fullmatch, map(str, given.keys()))
     return (*SAVED_NAMES, *(match[1] for match in found if match is not None))
 
 
 def _values(given: dict[str, Any], names: tuple[str, ...], has_value: NDArray[np.bool_]) -> FloatArray:
-    """Return the values; a focal length without a sigma is not given and may be 0."""
+    """Return the values in SI units; the focal length may be 0 if it has no variance."""
     numbers = finite_numbers({key: given[key] for key in map(_key, names)})
     key_of_length = _key(_FOCAL_LENGTH)
     focal_length_m, has_focal_length = numbers[key_of_length], has_value[names.index(_FOCAL_LENGTH)]

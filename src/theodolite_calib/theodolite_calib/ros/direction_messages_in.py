@@ -40,7 +40,7 @@ def direction(
         MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    # A position from several theodolites is rejected here: its frame is not the horizon.
+    # A position from several theodolites is rejected here, because its frame is not the horizon.
     check_frame(message.header.frame_id, horizon)
     if message.status not in list(Status):
         expected = ", ".join(status.name for status in Status)

@@ -1,4 +1,4 @@
-"""Message of the advised positions of the drones."""
+"""Message with the advised positions of the drones."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ ESCORT_TOPIC, ESCORT_TYPE = "theodolite/escort", "ship_msgs/msg/EscortAdvice"
 def escort_message(
     factory: MessageFactory, advice: "EscortAdvice", time_ns: int, horizon: str = FRAME_NAMES.horizon
 ) -> Any:
-    """Return ship_msgs/EscortAdvice for the pointing at a time; positions are NaN if the limits leave none."""
+    """Return ship_msgs/EscortAdvice for the pointing at a time; positions are NaN if no position meets the limits."""
     places = (advice.places_n @ ENU_FROM_HORIZON.T).tolist()
     return factory.make(
         ESCORT_TYPE,

@@ -1,4 +1,4 @@
-"""Conversion of messages to the core's structs: axes, units and checks. Any message class is accepted."""
+"""Conversion of messages to the core's structs, with checks; any class with the fields of the message is accepted."""
 
 import math
 from typing import Any
@@ -45,15 +45,15 @@ from theodolite_calib.measured.samples import (
 )
 
 MAX_BEACONS = 100
-"""Maximum number of beacons of one image; the rest are ignored, so that no message can delay the node."""
+"""Maximum number of beacons of one image; further beacons are ignored, so that no message can delay the node."""
 
 ENCODER_INVALID = 1
 _LARGEST_DETECTOR_M = 0.5
-"""Largest coordinate on a detector, m: larger values are millimetres or pixels."""
+"""Largest coordinate on a detector, m; larger values are millimetres or pixels."""
 LONGEST_TARGET_ID = 100
-"""Maximum number of characters of a target's name; the rest is cut."""
+"""Maximum number of characters of a target's name; longer names are cut."""
 _LONGEST_RANGE_M = 1e6
-"""Largest range of a target through the air, m; targets outside it, such as satellites, have no range here."""
+"""Largest range of a target, m. Targets outside the air, such as satellites, must have no range."""
 
 
 def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[EncoderSample]:
@@ -74,7 +74,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
 
 
 def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
-    """Read ``ship/attitude``: attitude with the correlated part of its error.
+    """Read ``ship/attitude``: attitude with the covariance of its correlated error.
 
     Raises:
         MessageRejected: with the reason.
@@ -88,7 +88,7 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
     total_n = _ship_covariance(message, rotation_nd)
     rate = message.angular_velocity
-    # NaN: the source has no rate.
+    # Rates of NaN state that the source has no rate.
     rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
     rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     if total_n is None:
@@ -100,7 +100,7 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
 
 
 def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
-    """Read ``ins/imu``: attitude and rate; their errors are those of the configuration.
+    """Read ``ins/imu``: attitude and rate, with errors from the configuration.
 
     Raises:
         MessageRejected: with the reason.
@@ -111,7 +111,7 @@ def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Re
 
 
 def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> ReadMessage[BaselineSample]:
-    """Read ``beacon/<id>/baseline``: vector with its white error; below the least fix with a rejection.
+    """Read ``beacon/<id>/baseline``: vector with the covariance of its white error; a rejection below the least fix.
 
     Raises:
         MessageRejected: with the reason.
@@ -127,7 +127,7 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
 
 
 def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
-    """Read ``beacon/<id>/imu``: attitude of the drone; its errors are those of the configuration.
+    """Read ``beacon/<id>/imu``: attitude of the drone, with errors from the configuration.
 
     Raises:
         MessageRejected: with the reason.
@@ -139,7 +139,7 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadM
 
 
 def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[Exposure]:
-    """Read ``theodolite/beacons``: beacons on the detector; an unreadable one is rejected by name.
+    """Read ``theodolite/beacons``: beacons on the detector; an unreadable beacon is rejected by name.
 
     Raises:
         MessageRejected: with the reason.
@@ -199,7 +199,7 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
 
 
 def _length(value: float, what: str) -> float:
-    """Return a length above zero, m; NaN if the message gives NaN, for not given."""
+    """Return a length above zero, m; NaN, which means not given, stays NaN."""
     if math.isnan(value):
         return math.nan
     check_finite(what, value)
@@ -236,7 +236,7 @@ def _detected_beacon(sighting: Any, names: list[str], config: OpticalAxisConfig)
 
 
 def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
-    """Return the total covariance of the rotation vector in n, rad²; None if the message gives none."""
+    """Return the total covariance of the rotation vector in n, rad²; None if the message has no covariance."""
     rotation_enu = covariance_3x3(message.rotation_covariance, "rotation_covariance")
     if rotation_enu is not None:
         total_n = horizon_covariance(rotation_enu)
@@ -255,7 +255,7 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
 
 
 def without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
-    """Return covariances without the white noise of each sample, with negative variances set to zero, (N, 3, 3)."""
+    """Return covariances minus the white noise of each sample, with negative variances set to zero, (N, 3, 3)."""
     values, vectors = np.linalg.eigh(total_n)
     left = np.maximum(values - (white_sigma_arcsec * ARCSEC) ** 2, 0.0)
     slow_n: FloatArray = (vectors * left[:, None, :]) @ vectors.swapaxes(1, 2)
@@ -263,6 +263,6 @@ def without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
 
 
 def _ins_covariance(config: OpticalAxisConfig) -> FloatArray:
-    """Return the covariance of the INS, for a source that gives none."""
+    """Return the configured covariance of the INS, for messages without a covariance."""
     tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
     return np.diag([tilt**2, heading**2, tilt**2])

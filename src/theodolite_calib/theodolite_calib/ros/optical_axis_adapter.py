@@ -1,4 +1,4 @@
-"""Adapter of the node ``optical_axis``: topics and methods of its core, messages of a pointing, diagnostics."""
+"""Adapter of the node ``optical_axis``: input topics with the core's methods, output messages, diagnostics."""
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
@@ -71,7 +71,7 @@ INTEGRITY_TOPIC = "theodolite/integrity"
 TARGET_IMAGE_TOPIC = "theodolite/target"
 
 _STREAM_TIMEOUT_S = 3.0
-"""Maximum age of the last encoder reading, or ship's attitude, for the stream to count as present, s."""
+"""Maximum age of the last encoder reading or ship's attitude for its stream to count as present, s."""
 _MIN_BEACONS = 2
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
@@ -79,7 +79,7 @@ _SHIP = {
     "ship/attitude": ("ship_msgs/msg/ShipAttitude", messages_in.ship_attitude),
     "ins/imu": (_IMU_TYPE, messages_in.ins_attitude),
 }
-"""Sources of the ship's attitude: type and reader."""
+"""Topics of the ship's attitude, with message type and reader."""
 
 _LEVELS = {
     Status.VALID: Level.OK,
@@ -165,7 +165,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return OpticalAxisCore(config, sky_model)
 
     def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that process them."""
+        """Yield the inputs with the core's methods that process them."""
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
@@ -231,7 +231,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`DeferringAdapter`; the directions of targets come first.
 
-        A direction has no innovation: nothing was compared with its image.
+        A direction of a target has no innovation, because its image is not compared with a prediction.
         """
         published: list[OutputMessage] = []
         for target in outcome.targets:
@@ -246,7 +246,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
-        """Return ship_msgs/Innovation of a beacon rejected within its exposure, by name; of a star as elsewhere."""
+        """Return ship_msgs/Innovation of a beacon, with its name, or of a star, rejected within its exposure."""
         if source != "lights":
             return super().rejected_part_message(source, time_ns, name, rejection)
         return rejection_message(self.factory, f"light.{name}", time_ns, rejection)
@@ -273,17 +273,17 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
     @property
     def source_timeouts_s(self) -> Mapping[str, float]:
-        """See :class:`RecoveringAdapter`; beacons count as present as long as they determine the mode."""
+        """See :class:`RecoveringAdapter`; beacons count as present for as long as they determine the mode."""
         return {ENCODER: _STREAM_TIMEOUT_S, SHIP: _STREAM_TIMEOUT_S, BEACON_PREFIX: self.config.lights_recent_s}
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
-        """See :class:`RecoveringAdapter`; a DEGRADED attitude of the ship gives no VALID pointing."""
+        """See :class:`RecoveringAdapter`; a DEGRADED ship's attitude does not count: it gives no VALID pointing."""
         if isinstance(value, ShipSample):
             return () if value.status is Status.DEGRADED else (SHIP,)
         return super().sources_of_message(feed, value)
 
     def sources_of_decision(self, decision: ExposureDecision) -> Iterable[str]:
-        """See :class:`RecoveringAdapter`: the beacons with complete data."""
+        """See :class:`RecoveringAdapter`; beacons whose data are incomplete do not count."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return ()
@@ -291,7 +291,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return [BEACON_PREFIX + light.beacon_id for light in exposure.beacons if light.beacon_id not in lacking]
 
     def can_be_valid(self, present_sources: Set[str]) -> bool:
-        """See :class:`RecoveringAdapter`: with encoders, ship and two beacons."""
+        """See :class:`RecoveringAdapter`; a VALID pointing needs encoders, ship's attitude and two beacons."""
         lights = sum(source.startswith(BEACON_PREFIX) for source in present_sources)
         return {ENCODER, SHIP} <= present_sources and lights >= _MIN_BEACONS
 
@@ -306,7 +306,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return f"if an antenna or light was remounted, set {drones} and call ~/reset; otherwise check the RTK receiver"
 
     def before_adoption(self) -> list[OutputMessage]:
-        """See :class:`RecoveringAdapter`: all pending pointings are those of the estimator that ends."""
+        """See :class:`RecoveringAdapter`; pending pointings are computed, because they belong to the old estimator."""
         self._compute_pending()
         return []
 
@@ -324,7 +324,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
 
 def calibration_message(factory: MessageFactory, values: Calibration, now_ns: int) -> Any:
-    """Return ship_msgs/TheodoliteCalibration, stamped with the last sighting, or the current time before the first."""
+    """Return ship_msgs/TheodoliteCalibration with the stamp of the last sighting, or ``now_ns`` without sightings."""
     return factory.encode(
         "ship_msgs/msg/TheodoliteCalibration",
         header={"stamp": values.time_ns or now_ns, "frame_id": BASE_FRAME},
@@ -356,7 +356,7 @@ def pointing_status(estimate: PointingEstimate | None, clock_jumps: int) -> Diag
 
 
 def calibration_status(calibration: Calibration, messages: list[str]) -> DiagnosticStatus:
-    """Return the status of the calibration: remarks about a saved one, and unobservable combinations."""
+    """Return the status of the calibration, with remarks about a saved calibration and unobservable combinations."""
     values = {"sightings": str(calibration.sighting_count)}
     if calibration.sighting_count:
         values["residual RMS (arcsec)"] = f"{calibration.residual_rms / ARCSEC:.2f}"

@@ -1,7 +1,7 @@
 """Messages of pointings: ship_msgs/OpticalAxisPointing, the main frame on /tf, and the slow topics of one pointing.
 
-One function fills the fields: with numbers for the single pointing of a live node, with columns of numbers for the many
-of a batch, which become rows of bytes together.
+One function fills the fields: with numbers for a single pointing in a live node, and with columns of numbers for the
+pointings of a batch, whose messages are encoded together.
 """
 
 import math
@@ -39,7 +39,7 @@ _TELESCOPE_ANGLES = "telescope_azimuth", "telescope_elevation", "telescope_rotat
 
 
 class PointingNumbers(NamedTuple):
-    """Published numbers of N pointings, from any states; see :class:`PointingSeries`."""
+    """Published numbers of N pointings, which may have different filter states; see :class:`PointingSeries`."""
 
     time_ns: StampArray
     rotation_nm: FloatArray
@@ -52,7 +52,7 @@ class PointingNumbers(NamedTuple):
 
     @classmethod
     def from_series(cls, series: Sequence[PointingSeries]) -> "PointingNumbers":
-        """Return the numbers of several series, one after another."""
+        """Return the numbers of several series in sequence."""
         return cls(*join_fields(series, cls._fields))
 
     @classmethod
@@ -70,7 +70,7 @@ class PointingNumbers(NamedTuple):
         )
 
     def subset(self, indices: NDArray[np.int64]) -> "PointingNumbers":
-        """Return the numbers of a subset."""
+        """Return the numbers of the pointings with given indices."""
         return (
             self
             if len(indices) == len(self.time_ns)
@@ -83,7 +83,7 @@ def pointing_messages(
 ) -> list[OutputMessage]:
     """Return the messages of one pointing.
 
-    If it is INVALID the first is all NaN, and the second is not made.
+    If the pointing is INVALID, its numbers are NaN and there is no message on /tf.
 
     Args:
         factory: creates the messages.
@@ -99,7 +99,7 @@ def pointing_messages(
 
 
 def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> OutputMessage:
-    """Return the message of a smoothed pointing: the first of those of :func:`pointing_messages`."""
+    """Return the message of a smoothed pointing: the first message of :func:`pointing_messages`, on another topic."""
     pointing = PointingNumbers.from_estimate(estimate)
     _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, single_numbers, FRAME_NAMES))
     return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
@@ -108,7 +108,7 @@ def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Ou
 def pointing_rows(
     factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers, frames: FrameNames = FRAME_NAMES
 ) -> Iterator[OutputRows]:
-    """Yield the messages of N pointings; those of one are in the order of :func:`pointing_messages`."""
+    """Yield the messages of N pointings; messages of one pointing are in the order of :func:`pointing_messages`."""
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
@@ -120,9 +120,9 @@ def pointing_rows(
 def _messages(
     pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]], frames: FrameNames
 ) -> MessageFields:
-    """Yield topic, type and fields of each message of pointings of one kind.
+    """Yield topic, type and fields of the messages of pointings that are all INVALID, or all not INVALID.
 
-    ``deck_from_telescope`` is given if they contain the deck.
+    The transform on /tf is relative to the deck if ``in_deck``, otherwise to the horizon.
     """
     of_main = angles(pointings.rotation_nm)
     covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
@@ -155,7 +155,7 @@ def _messages(
         parent, translation = frames.deck, lever
         rotations = quaternions(FLU_FROM_DEVICE @ pointings.rotation_dm @ FLU_FROM_DEVICE.T)
     else:
-        # The INS alone: its attitude is not that of the deck's frame, which must not be published then.
+        # With the INS alone the frame of the deck is not published, because its attitude comes from ship/attitude.
         parent, translation = frames.horizon, ZERO_VECTOR
         rotations = quaternions(ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T)
     (quaternion,) = values_of(rotations)
@@ -168,13 +168,13 @@ def _messages(
 
 
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
-    """Return ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
+    """Return ship_msgs/ErrorBudget of a published pointing; ``sources`` are the names of its covariance's parts."""
     parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
     return error_budget_message(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
 
 
 def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:
-    """Return ship_msgs/PointingErrorArcsec: predicted sigmas; the errors are NaN because no truth is available."""
+    """Return ship_msgs/PointingErrorArcsec with predicted sigmas; the errors are NaN, because no truth is available."""
     azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
     sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, azimuth, elevation))) / ARCSEC
     unknown = float("nan")

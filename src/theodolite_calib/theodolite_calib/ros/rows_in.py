@@ -1,7 +1,7 @@
 """Conversion of the messages of a batch to the core's structs: all regular messages at once.
 
-Each result is, to the last bit, that of :mod:`theodolite_calib.ros.messages_in`. None stands for a message that must be
-read there by itself.
+Each result equals the result of :mod:`theodolite_calib.ros.messages_in` to the last bit. A result None stands for a
+message that must be read by that module.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Message of a target's direction: ship_msgs/TargetDirection, East, North, Up."""
+"""Message of a target's direction, ship_msgs/TargetDirection, with vectors in (East, North, Up)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ TARGET_TOPIC, TARGET_TYPE = "theodolite/target_direction", "ship_msgs/msg/Target
 
 
 def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: str) -> Any:
-    """Return ship_msgs/TargetDirection of one image, in a frame; all numbers are NaN if INVALID."""
+    """Return ship_msgs/TargetDirection of one image; all numbers are NaN if INVALID."""
     (azimuth, elevation), covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
     make: Callable[..., Any] = factory.make
     return make(

@@ -23,7 +23,7 @@ POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
 ORIGIN_FRAME = "triangulation_origin"
 
 _STALE_NS = 10_000_000_000
-"""Age of the last position above which it is no longer reported as current, ns."""
+"""Maximum age of a position that is reported as current, ns."""
 
 _LEVELS = {
     Status.VALID: Level.OK,
@@ -61,7 +61,7 @@ class TriangulationAdapter(ReportingAdapter):
         super().__init__(config, TriangulationCore(config), factory, functools.partial(position_messages, factory))
 
     def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that process them."""
+        """Yield the inputs with the core's methods that process them."""
         for name in sorted(config.stations):
             topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, is_occasional=True)
             read = functools.partial(direction, station=name, horizon=config.frames.horizon)
@@ -74,7 +74,7 @@ class TriangulationAdapter(ReportingAdapter):
         return super().report_outcome(outcome, now_ns, waiting_ns)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
-        """Return nothing: a position has no budget besides its covariance."""
+        """Return no messages; a position has no error budget besides its covariance."""
         return []
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
@@ -87,7 +87,7 @@ class TriangulationAdapter(ReportingAdapter):
         if last is None or self._published_ns is None:
             return DiagnosticStatus("position", Level.OK, "no position yet", values)
         if waiting_ns - self._published_ns > _STALE_NS:
-            # No theodolite may have a target in view.
+            # The level is OK, because possibly no theodolite has a target in view.
             text = f"no position for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, the last {last.status.name}"
             return DiagnosticStatus("position", Level.OK, text, values)
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
@@ -100,7 +100,7 @@ class TriangulationAdapter(ReportingAdapter):
 
 
 def position_messages(factory: MessageFactory, estimate: PositionEstimate) -> list[OutputMessage]:
-    """Return the messages of a position: a ship_msgs/TargetDirection with an unknown direction, and any rejection."""
+    """Return ship_msgs/TargetDirection with a position and NaN as direction, and a message of a rejection, if any."""
     unknown = np.full(3, np.nan)
     target = TargetEstimate(
         time_ns=estimate.time_ns,

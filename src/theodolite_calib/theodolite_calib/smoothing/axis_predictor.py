@@ -1,9 +1,9 @@
 """Axis states at times between two sightings, and their covariance with the states at the next sighting.
 
-Between two sightings the states are predicted as by :class:`CalibrationFilter`. The ship's error has its own covariance
-at each time, as the messages state it. If that differs by much from the covariance stated at the sighting before, part
-of the old error is removed and a new error is added (:func:`ship_error_steps`). The new errors at a time and at the
-sighting after it have at most the smaller of both covariances in common, reduced by the decay in between.
+Between two sightings the states are predicted as in :class:`CalibrationFilter`. The messages state a covariance of the
+ship's error at each time. If it differs much from the covariance stated at the sighting before, part of the old error
+is removed and a new error is added (:func:`ship_error_steps`). The cross-covariance of the new errors at a time and at
+the next sighting is the largest covariance within both of their covariances, reduced by the decay in between.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from theodolite_calib.filter.model import ShipErrorStep, axis_state_indices, shi
 from theodolite_calib.measured.samples import StampArray
 
 AxisAnchor = Anchor[FloatArray | None]
-"""Estimate with the stated covariance of the ship's error from it on, rad², shape (3, 3)."""
+"""Estimate after an update, with the stated covariance of the ship's error from then on, rad², shape (3, 3)."""
 
 
 class AxisStatePredictor:
@@ -27,21 +27,22 @@ class AxisStatePredictor:
 
     Args:
         filter_: filter with its model.
-        stated_n: returns the stated covariance of the ship's error at N times, rad², shape (N, 3, 3); None if none is.
+        stated_n: returns the stated covariance of the ship's error at N times, rad², shape (N, 3, 3), or None if the
+            messages state no covariance.
 
     Attributes:
         state_indices: indices of the r predicted states, shape (r,).
     """
 
     predicts_before_first = True
-    """True: errors without a measurement have their prior at any time before the first sighting."""
+    """True: before the first sighting all errors have their prior at any time."""
 
     def __init__(
         self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
     ) -> None:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
         self.state_indices = np.concatenate([axis_state_indices(self._model), self._model.state_indices("parallelism")])
-        # The ship's error is the first of all states, and so of the predicted ones.
+        # The ship's error comes first, both among all states and among the predicted states.
         assert self._ship.columns == SHIP
 
     def cross_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
@@ -55,7 +56,7 @@ class AxisStatePredictor:
     def estimates_at(
         self, anchor: AxisAnchor, times_ns: Sequence[int], later: AxisAnchor | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the states in :attr:`state_indices`; see ``StatePredictor.estimates_at`` of the smoother."""
+        """Return the states in :attr:`state_indices`; see ``ship_estimation.rts_smoother.StatePredictor``."""
         moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
         wide = self._cross_covariance(anchor, moments_ns)
         known = _apply_step(GaussianEstimate(self._means(anchor, moments_ns), wide[:, :, self.state_indices]), step)
@@ -108,7 +109,7 @@ class AxisStatePredictor:
         return None if stated_n is None else ship_error_steps(anchor.prediction_input, stated_n)
 
     def _step_to(self, anchor: AxisAnchor, later: AxisAnchor) -> ShipErrorStep | None:
-        """Return the step of the ship's error at the next sighting, as for one time."""
+        """Return the step of the ship's error at the next sighting, with arrays for one time (N = 1)."""
         return (
             None
             if later.prediction_input is None
@@ -116,7 +117,7 @@ class AxisStatePredictor:
         )
 
     def _retained_until(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
-        """Return the factor on each state that remains at the next sighting, shape (n,)."""
+        """Return the ratio of each state that the step at the next sighting retains, shape (n,)."""
         kept, step = np.ones(self._model.size), self._step_to(anchor, later)
         if step is not None:
             kept[SHIP] = step.retained[0]
@@ -124,7 +125,7 @@ class AxisStatePredictor:
 
 
 def _since_ns(anchor: AxisAnchor, times_ns: StampArray) -> StampArray:
-    """Return the time since the anchor; zero before the first sighting, where the errors have their prior."""
+    """Return the time since the anchor, ns; zero before the first sighting, when the errors have their prior."""
     if anchor.time_ns is None:
         return np.zeros_like(times_ns)
     since_ns: StampArray = np.maximum(times_ns - anchor.time_ns, 0)
@@ -142,7 +143,7 @@ def _apply_step(known: GaussianEstimate, step: ShipErrorStep | None) -> Gaussian
 
 
 def _common_covariance(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the largest covariance that is, along common axes, within both of two covariances, shape (3, 3).
+    """Return the largest covariance within two covariances, along axes that diagonalise both, shape (3, 3).
 
     Example:
         >>> print(_common_covariance(np.diag([4.0, 1.0, 0.0]), np.diag([1.0, 9.0, 5.0])).round(12))
@@ -154,7 +155,7 @@ def _common_covariance(one: FloatArray, other: FloatArray) -> FloatArray:
     positive = values > 3.0 * np.finfo(float).eps * values[-1]
     root = vectors[:, positive] * np.sqrt(values[positive])
     to_unit = vectors[:, positive] / np.sqrt(values[positive])
-    # In the axes of the sum the two are ratios that add up to one.
+    # In units of the sum, the two covariances have common axes, and their variances along each axis add up to one.
     shares, axes = np.linalg.eigh(to_unit.T @ one @ to_unit)
     along = root @ axes
     smaller: FloatArray = (along * np.clip(np.minimum(shares, 1.0 - shares), 0.0, None)) @ along.T

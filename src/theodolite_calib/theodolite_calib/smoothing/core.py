@@ -1,6 +1,6 @@
 """Core of ``optical_axis`` that publishes each pointing again at the end, improved by later sightings.
 
-Its real-time output is, to the last bit, that of :class:`OpticalAxisCore`.
+The real-time output equals the output of :class:`OpticalAxisCore` to the last bit.
 """
 
 from collections import deque
@@ -37,7 +37,7 @@ class _PointingInputs(NamedTuple):
 
     Attributes:
         sample: encoder reading.
-        ship: ship's attitude at its time.
+        ship: ship's attitude at the time of the reading.
         separation_covariance_n: covariance added by the solution separations, rad², shape (3, 3).
     """
 
@@ -50,8 +50,9 @@ class _RealTimePointing(NamedTuple):
     """Pointing as published in real time.
 
     Attributes:
-        estimate: without its state and without the covariance by source, because many are stored.
-        inputs: inputs; None if it is not smoothed: it had an unresolved fault, or was from stars alone.
+        estimate: pointing without the filter state and the covariance by source, because many pointings are stored.
+        inputs: inputs for smoothing; None if the pointing is not smoothed, because it had an unresolved fault or was
+            from stars alone.
     """
 
     estimate: PointingEstimate
@@ -59,7 +60,7 @@ class _RealTimePointing(NamedTuple):
 
 
 class SmoothingAxisCore(OpticalAxisCore):
-    """Estimator of the main optical axis in real time and, at the end, once more smoothed.
+    """Estimator of the main optical axis in real time; at the end it yields all pointings again, smoothed.
 
     Args:
         config: parameters of the node.
@@ -72,7 +73,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         super().__init__(config, sky, self._add_states)
 
     def _start_without_samples(self) -> None:
-        """See :meth:`OpticalAxisCore._start_without_samples`; pointings until then are not published again."""
+        """See :meth:`OpticalAxisCore._start_without_samples`; earlier pointings are not published again."""
         super()._start_without_samples()
         self._pending: deque[_RealTimePointing] = deque()
         self._stated_n: dict[int, FloatArray] = {}
@@ -86,16 +87,16 @@ class SmoothingAxisCore(OpticalAxisCore):
         self._smoother.predictor = self._new_predictor()
 
     def take_over_outputs(self, live: OpticalAxisCore) -> None:
-        """See :meth:`OpticalAxisCore.take_over_outputs`; the outputs of the other estimator are smoothed to its end."""
+        """See :meth:`OpticalAxisCore.take_over_outputs`; outputs of ``live`` are smoothed by its own sightings."""
         super().take_over_outputs(live)
         assert isinstance(live, SmoothingAxisCore)
         remaining = live.smooth_remaining()
         self._pending = deque(_RealTimePointing(_copy_without_state(estimate), None) for estimate in remaining)
 
     def smooth_remaining(self) -> Iterator[PointingEstimate]:
-        """Yield all pointings once more, smoothed by all sightings, in the order of their stamps; no input may follow.
+        """Yield all pointings again, smoothed by all sightings, in the order of their stamps.
 
-        Pointings that are not smoothed are as in real time.
+        Pointings that are not smoothed are as in real time. No input may follow.
         """
         self._add_states(self._estimator.states_in_window())
         output = _SmoothedOutput(self.filter, self._new_predictor().state_indices)
@@ -142,7 +143,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         return AxisStatePredictor(self.filter, self._stated_covariances_at)
 
     def _stated_covariances_at(self, times_ns: Sequence[int]) -> FloatArray | None:
-        """Return the stated covariance of the ship's error at requested times; None if the configuration states it."""
+        """Return the covariance of the ship's error that messages stated at given times; None if they stated none."""
         if times_ns[0] not in self._stated_n:
             return None
         return np.array([self._stated_n[time_ns] for time_ns in times_ns])
@@ -154,7 +155,7 @@ class SmoothingAxisCore(OpticalAxisCore):
 
 
 class _SmoothedOutput:
-    """Computes pointings from smoothed states, as :class:`CorrectedAxis` does from real-time states.
+    """Pointings from smoothed states; :class:`CorrectedAxis` computes them from real-time states.
 
     Args:
         filter_: the filter.
@@ -166,17 +167,17 @@ class _SmoothedOutput:
         self._blank = filter_.initial_state_from(
             np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_covariance_by_source())
         )
-        # The smoother has no covariance by source: it is assigned to one source.
+        # The smoother gives no covariance by source, so the whole covariance is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
     def smooth(
         self, real_time: PointingEstimate, inputs: _PointingInputs, estimate: GaussianEstimate
     ) -> PointingEstimate:
-        """Return a pointing from the smoothed states at its own time."""
+        """Return a pointing computed from the smoothed states at its stamp."""
         sample, ship, separation_covariance_n = inputs
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.covariance_by_source)
         mean[self._state_indices], parts[self._source, self._state_indices[:, None], self._state_indices] = estimate
-        # The ship's error is as the messages state it at that time: no further step.
+        # The smoothed ship's error already has the covariance stated at that time, so it needs no further step.
         state = replace(
             self._blank,
             time_ns=real_time.time_ns,
@@ -201,7 +202,7 @@ class _SmoothedOutput:
 
 
 def _has_unresolved_fault(state: CalibrationState) -> bool:
-    """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
+    """True if beacons or stars are inconsistent with encoders and ship, or a source of the axis is excluded."""
     return (
         bool(state.consecutive_rejections)
         or state.fault_state.unresolved_fault is not None
@@ -210,7 +211,7 @@ def _has_unresolved_fault(state: CalibrationState) -> bool:
 
 
 def _copy_without_state(estimate: PointingEstimate) -> PointingEstimate:
-    """Return a copy that holds neither states nor arrays of others."""
+    """Return a copy without state that shares no arrays with other pointings."""
     return replace(
         estimate,
         rotation_nm=estimate.rotation_nm.copy(),

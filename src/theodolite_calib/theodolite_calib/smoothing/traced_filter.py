@@ -1,4 +1,4 @@
-"""Calibration filter whose states record their last update, as a smoother needs it."""
+"""Calibration filter whose states record their last update for the smoother."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,8 +21,8 @@ class TracedState(CalibrationState):
 
     Attributes:
         last_update: update by the last accepted sighting or the last jump; None if there was none yet.
-        is_predicted_only: True for a propagated state that follows by prediction alone; False if a subfilter has become
-            the main filter since then.
+        is_predicted_only: True if only prediction led from the last update to this state; False if a subfilter became
+            the main filter since that update.
     """
 
     last_update: StateUpdate | None = None
@@ -35,7 +35,7 @@ class TracedState(CalibrationState):
 
 
 class TracedFilter(CalibrationFilter):
-    """Steps of :class:`CalibrationFilter`, to the last bit; the states record their updates."""
+    """:class:`CalibrationFilter` with equal results to the last bit, whose states record their updates."""
 
     def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> TracedState:
         """See :meth:`CalibrationFilter.initial_state_from`."""
@@ -54,7 +54,7 @@ class TracedFilter(CalibrationFilter):
         return replace(super().exclude_source(state, source), **_trace_fields(is_predicted_only=False))
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
-        """See :meth:`CalibrationFilter.inflate_covariance`: the jump adds an error to the state."""
+        """See :meth:`CalibrationFilter.inflate_covariance`; the inflation is recorded as an update by a jump."""
         after = super().inflate_covariance(state, jump)
         both = GaussianEstimate(after.mean, after.covariance)
         jumped_ns = jump.time_ns if isinstance(jump, EncoderJump) else None
@@ -75,7 +75,7 @@ class TracedFilter(CalibrationFilter):
 
 
 def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
-    """Record the update by a sighting; with excluded sources it is not an update of the prediction."""
+    """Record the update by a sighting; if sources are excluded it does not count as an update of the prediction."""
     assert isinstance(predicted, TracedState)
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
@@ -86,5 +86,5 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
 
 
 def _trace_fields(**values: Any) -> Mapping[str, Any]:
-    """Return fields of a :class:`TracedState`, which the types of the base class's methods do not include."""
+    """Return fields of a :class:`TracedState`; the base class's methods are typed for states without these fields."""
     return values

@@ -1,8 +1,8 @@
 """Directions to one target from several theodolites, interpolated to common times; used by command and node.
 
-A position is computed at each stamp of the leading theodolite: the first, by name (the node) or in the order of the
-file (the command), that has a direction at that time. The directions of the others are interpolated to it, but never
-across a time at which a theodolite reports INVALID.
+A position is computed at each stamp of the leading theodolite. The leading theodolite is the first with a direction at
+that time, by name in the node and in the order of the file in the command. Directions of the other theodolites are
+interpolated to that stamp, but never across a time at which a theodolite reports INVALID.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from theodolite_calib.target.triangulation import Station, StationDirection, Tri
 
 @dataclass(frozen=True)
 class DirectionSample(VectorSample):
-    """Direction published by a theodolite; its unit vector in the local horizon is ``vector``, shape (3,).
+    """Direction published by a theodolite: a unit vector in the local horizon, ``vector``, shape (3,).
 
     Attributes:
         source: ``station.<name>`` of the theodolite.
         target_id: id of the target.
-        covariance_n: covariance of its total error, rad², zero along it, shape (3, 3).
-        status: status stated by the theodolite; INVALID: there is no direction.
+        covariance_n: covariance of the direction's total error, rad², zero along the direction, shape (3, 3).
+        status: status stated by the theodolite; INVALID if it has no direction.
     """
 
     source: str
@@ -41,7 +41,7 @@ class DirectionSample(VectorSample):
 
 
 class _DirectionTrack(VectorTrack[DirectionSample]):
-    """Directions of one theodolite; INVALID ones are kept, because nothing is interpolated across them."""
+    """Directions of one theodolite; INVALID reports are kept, because no direction is interpolated across them."""
 
     def _interval(self, time_ns: int) -> tuple[int, float] | None:
         interval = super()._interval(time_ns)
@@ -69,23 +69,23 @@ class StationDirections:
         self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
 
     def has_direction_at(self, time_ns: int) -> bool:
-        """True if there is a direction at a time: within the track, not in a gap, not next to an INVALID one."""
+        """True if the track has a direction at a time: not in a gap and not next to an INVALID report."""
         return self.track.at(time_ns) is not None
 
     def direction_at(self, time_ns: int) -> tuple[StationDirection, Status] | None:
-        """Return the direction at a time, with the worse status of its neighbours; None if there is none."""
+        """Return the direction at a time, with the worse status of its neighbours; None without a direction."""
         found = self.track.at(time_ns)
         if found is None:
             return None
         near = self._neighbours(time_ns)
-        # Errors of neighbours are mostly common: averaging does not reduce them.
+        # Errors of neighbouring directions are mostly common, so that an average does not reduce them.
         worst = max((sample.covariance_n for sample in near), key=np.trace)
         direction_n = found.vector / np.linalg.norm(found.vector)
         direction = StationDirection(self.station, direction_n, worst + found.error_covariance)
         return direction, max(sample.status for sample in near)
 
     def _neighbours(self, time_ns: int) -> list[DirectionSample]:
-        """Return the sample at a time, or those before and after it."""
+        """Return the sample at a time, or the samples before and after that time."""
         before = self.track.last_before(time_ns)
         assert before is not None
         if before.time_ns == time_ns:
@@ -95,13 +95,13 @@ class StationDirections:
 
 @dataclass(frozen=True)
 class TargetPosition:
-    """Target at one time.
+    """Position of the target at one time.
 
     Attributes:
-        time_ns: the time.
-        position: position in the common frame, with the test of its residuals; or the rejection.
+        time_ns: time of the position.
+        position: position in the common frame, with the test of its residuals; or a rejection.
         stations: theodolites with a direction at that time.
-        status: worst status of their directions.
+        status: worst status of the directions.
     """
 
     time_ns: int
@@ -111,14 +111,14 @@ class TargetPosition:
 
 
 def is_leading(number: int, time_ns: int, stations: Sequence[StationDirections]) -> bool:
-    """True if a theodolite has a direction at a time, and none of those before it in ``stations`` has."""
+    """True if a theodolite is the first in ``stations`` with a direction at a time."""
     return stations[number].has_direction_at(time_ns) and not any(
         before.has_direction_at(time_ns) for before in stations[:number]
     )
 
 
 def position_at(time_ns: int, stations: Sequence[StationDirections], config: PositioningConfig) -> TargetPosition:
-    """Return the target at a time from all directions at that time."""
+    """Return the target's position at a time from all directions at that time."""
     observations = [found for found in (one.direction_at(time_ns) for one in stations) if found is not None]
     directions = [direction for direction, _ in observations]
     return TargetPosition(

@@ -1,6 +1,6 @@
 """Parameters of triangulation: theodolites, common frame, refraction and gate.
 
-The command ``triangulate`` and the node ``triangulation`` use these parameters by the same names.
+The command ``triangulate`` and the node ``triangulation`` use these parameters under the same names.
 """
 
 import re
@@ -41,13 +41,13 @@ class StationPositionConfig(PositionConfig):
     sigma_m: float = parameter(0.05, doc="error of the position, each axis", unit="m", minimum=0.0, maximum=1000.0)
 
     def station(self, name: str) -> Station:
-        """Return the theodolite of a name at this position."""
+        """Return the theodolite with a name at this position."""
         return Station(name, self.position, self.sigma_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefractionConfig:
-    """Refraction on the path to the target: it raises the target by k times distance over twice the Earth's radius."""
+    """Refraction on the path to the target: its apparent place is raised by k · distance / (2 · Earth's radius)."""
 
     coefficient: float = parameter(
         0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True

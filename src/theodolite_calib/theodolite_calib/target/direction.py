@@ -1,13 +1,12 @@
-"""Direction of a target in the horizon from its image on the main detector; with a range also its position.
+"""Direction of a target in the horizon from its image on the main detector, and its position if a range is given.
 
 The frame v of the detector is the main frame m rotated about the main axis by ρ. A target with its image at (x, z) on
 the detector appears in the direction
 
     u = rotation_nm · R(0, 0, ρ) · V,   V ∝ [f, -(z - z0), -(x - x0)]
 
-rotation_nm includes the image rotation ω of the main axis ([W18] (24); docs/explanation/theodolite.md). u is the
-direction of the arriving light: it includes refraction, which is corrected only for a position from a range. All
-vectors are in n, the horizon (North, Up, East).
+rotation_nm includes the image rotation ω of the main axis ([W18] (24); docs/explanation/theodolite.md). u includes
+refraction, which is corrected only for a position from a range. All vectors are in n, the horizon (North, Up, East).
 """
 
 from dataclasses import dataclass
@@ -40,7 +39,7 @@ class MainDetector:
 
     @property
     def camera(self) -> Camera:
-        """This geometry as a :class:`Camera`."""
+        """Detector and main tube as a :class:`Camera`."""
         return Camera(self.focal_length_m, self.focal_length_sigma_m, self.principal_point_m)
 
 
@@ -51,8 +50,8 @@ class ObservedDirection:
     Attributes:
         direction_n: unit vector, shape (3,).
         by_turn_n: derivative with respect to a rotation vector of the main frame in n, rad per rad, shape (3, 3).
-        image_covariance_n: covariance of the error from the detector: image point, focal length, principal point and
-            rotation, rad², shape (3, 3).
+        image_covariance_n: covariance of the direction error due to image point, focal length, principal point and
+            detector rotation, rad², shape (3, 3).
     """
 
     direction_n: FloatArray
@@ -82,8 +81,8 @@ def observed_direction(
     Args:
         detector: geometry of the detector.
         point_m: image point (x, z), shape (2,).
-        sigma_m: standard deviation of each coordinate.
-        detector_rotation: ρ, rad.
+        sigma_m: standard deviation of each coordinate of the image point.
+        detector_rotation: rotation ρ of the detector about the main axis, rad.
         rotation_nm: horizon from main frame, shape (3, 3).
     """
     camera, point = detector.camera, np.asarray(point_m, dtype=float)[None]
@@ -122,7 +121,7 @@ class RangedPosition:
     """Position of a target from its direction and a range.
 
     Attributes:
-        path_n: from the theodolite's centre, m, shape (3,).
+        path_n: vector from the theodolite's centre to the target, m, shape (3,).
         by_direction_n: derivative with respect to the direction, m/rad, shape (3, 3).
         by_range_n: derivative with respect to the range, m/m, shape (3,).
         by_coefficient_n: derivative with respect to the coefficient k of terrestrial refraction, m, shape (3,).
@@ -135,12 +134,12 @@ class RangedPosition:
 
 
 def ranged_position(direction_n: FloatArray, range_m: float, coefficient: float) -> RangedPosition:
-    """Return the position of a target; its direction is corrected for refraction.
+    """Return the position of a target from its observed direction, corrected for refraction, and its range.
 
     Refraction raises the direction by the angle k · (horizontal distance) / (2 R).
 
     Args:
-        direction_n: observed unit vector, shape (3,).
+        direction_n: observed direction, unit vector, shape (3,).
         range_m: distance of the target.
         coefficient: coefficient k of terrestrial refraction.
     """

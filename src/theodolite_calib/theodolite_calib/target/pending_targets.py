@@ -1,6 +1,6 @@
 """Pending images of targets: each waits until the pointings before and after it have been published.
 
-Images of targets do not affect the pointings: these are equal to the last bit with and without them.
+Images of targets do not affect the pointings, which are equal to the last bit with and without the images.
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ MAX_WAITING = 1000
 """Maximum number of pending images; beyond it the oldest are rejected."""
 
 _MAX_ANSWERED = 5000
-"""Maximum number of answered images that are stored to detect repetitions: more than one second of data."""
+"""Maximum number of answered images stored to detect repetitions, enough for more than one second of data."""
 
 _Key = tuple[int, str]
 
@@ -36,7 +36,7 @@ class PendingTargets:
         return len(self._waiting)
 
     def add(self, sample: TargetSample, waiting_ns: int) -> Rejection | None:
-        """Add an image; return the rejection of this image or of the one it replaces; None without a conflict."""
+        """Add an image and return the rejection of this image or of the image it replaces; None without a conflict."""
         key = sample.time_ns, sample.target_id
         waits = self._waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)
@@ -68,7 +68,7 @@ class PendingTargets:
             del self._answered[self._order.popleft()]
 
     def conflict_text(self, time_ns: int) -> str:
-        """Return a text if the source of the images recently sent conflicting ones at this time; empty otherwise.
+        """Return the text about recently received conflicting images at a time; empty without conflicts.
 
         All targets share one text, because there is no limit to the number of target names that a source may send.
         """

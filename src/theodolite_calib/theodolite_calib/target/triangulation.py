@@ -1,14 +1,14 @@
 """Position of a target from the simultaneous directions of several theodolites: weighted least squares.
 
 The position is in the common frame: (North, Up, East) from a stated origin, m. Each theodolite's directions are in its
-local horizon, which differs on the curved Earth: by 1.6" at 50 m, by 32" at 1 km. Each direction is raised by
-refraction, k · (horizontal distance) / (2 R), as in :mod:`theodolite_calib.lights.line_of_sight`.
+local horizon. On the curved Earth the horizons of two theodolites differ by 1.6" at 50 m and by 32" at 1 km. Refraction
+raises each direction by k · (horizontal distance) / (2 R), as in :mod:`theodolite_calib.lights.line_of_sight`.
 
-The errors of the theodolites' directions and positions are treated as independent of one another, that of k as common
-to all. Theodolites that use one ship's attitude share its error, which no residual shows.
+Errors of the theodolites' directions and positions are assumed to be independent; the error of k is common to all
+directions. Theodolites that use one ship's attitude share its error, which the residuals do not show.
 
-The theodolites must be fixed to the Earth. On a moving ship their positions change together, and no residual shows
-that.
+The theodolites must be fixed to the Earth. On a moving ship their positions change together, which the residuals do not
+show.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,10 @@ from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
 _STEPS = 20
 _SMALL_STEP_M = 1e-5
 _LEAST_ANGLE = 1e-4
-"""Angle between directions below which they are parallel, rad: the position would be known to a ten thousandth at
-best."""
+"""Minimum angle between two directions, rad; below it they count as parallel."""
 _WORST_DISTANCE = 0.15
 """Maximum ratio of the standard deviation of a distance to the distance. Beyond it the position is not normally
-distributed, because the distance goes as one over the uncertain angle between the lines of sight."""
+distributed, because the distance is inversely proportional to the uncertain angle between the lines of sight."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,8 @@ class Station:
 
     Attributes:
         name: name of the theodolite.
-        position: its centre, on WGS 84.
-        sigma_m: error of the position, each axis.
+        position: position of the theodolite's centre on WGS 84.
+        sigma_m: standard deviation of the position, each axis.
     """
 
     name: str
@@ -54,8 +53,8 @@ class StationDirection:
 
     Attributes:
         station: the theodolite.
-        direction_n: unit vector in the horizon of its position, shape (3,).
-        covariance_n: covariance of its total error, rad², zero along it, shape (3, 3).
+        direction_n: unit vector in the horizon of the theodolite, shape (3,).
+        covariance_n: covariance of the direction's total error, rad², zero along the direction, shape (3, 3).
     """
 
     station: Station
@@ -76,13 +75,13 @@ class TriangulatedPosition:
     """Position of a target.
 
     Attributes:
-        position_n: in the common frame, m, shape (3,).
-        covariance_n: covariance of its total error, m², shape (3, 3).
-        residual: measured minus predicted, across each direction (two for each theodolite), rad, shape (2 N,).
-        sigma: their predicted standard deviations from the directions' own errors, rad, shape (2 N,).
+        position_n: position in the common frame, m, shape (3,).
+        covariance_n: covariance of the position's total error, m², shape (3, 3).
+        residual: residuals, two across each direction, measured minus predicted, rad, shape (2 N,).
+        sigma: predicted standard deviations of the residuals without the error of the fit, rad, shape (2 N,).
         chi_square: chi-square of all residuals together.
         gate: threshold of the chi-square.
-        rejection: rejection if the directions are inconsistent; None if they are consistent.
+        rejection: reason if the directions are inconsistent; None if they are consistent.
     """
 
     position_n: FloatArray
@@ -106,9 +105,8 @@ def triangulate(
         gate_probability: probability that consistent directions pass the test of their residuals.
 
     Returns:
-        Position, with a rejection in it if the directions are inconsistent. If they give no position, the rejection:
-            fewer than two, parallel ones, lines that meet behind a theodolite, or so nearly parallel ones that the
-            distance is unknown.
+        Position, with its ``rejection`` set if the directions are inconsistent. A rejection alone if there are fewer
+            than two directions, or if they are parallel or nearly so, or meet behind a theodolite.
     """
     if len(directions) < 2:
         return Rejection(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
@@ -149,7 +147,7 @@ def triangulate(
 
 @dataclass(frozen=True)
 class _Line:
-    """Direction in the common frame: from the theodolite's foot, with two axes across it and its own Up."""
+    """Direction in the common frame, with the theodolite's position and Up, and two axes across the direction."""
 
     name: str
     foot_n: FloatArray
@@ -176,10 +174,10 @@ class _Line:
         )
 
     def direction_to(self, position_n: FloatArray, coefficient: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the unit vector to a position, with its derivatives: position (3, 3) and coefficient k (3,)."""
+        """Return the apparent direction to a position, with its derivatives: position (3, 3) and coefficient k (3,)."""
         path_n = position_n - self.foot_n
         distance_m = float(np.linalg.norm(path_n))
-        # Raised by k h / (2 R) with h the horizontal distance: that is k d / (2 R) times Up, across the line.
+        # The angle k h / (2 R), with the horizontal distance h, is the part of k d / (2 R) · Up across the line.
         per_k = distance_m / (2.0 * EARTH_RADIUS_M) * self.up_n
         raised_n = path_n / distance_m + coefficient * per_k
         more_raised_n = coefficient / (2.0 * EARTH_RADIUS_M) * np.outer(self.up_n, path_n / distance_m)
@@ -199,7 +197,7 @@ def _nearest_point(lines: Sequence[_Line]) -> FloatArray | None:
 
 
 def _distance_rejection(lines: Sequence[_Line], position_n: FloatArray, covariance_n: FloatArray) -> Rejection | None:
-    """Return the rejection of a position whose distance from a theodolite is too uncertain; None if it is not."""
+    """Return the rejection of a position if its distance from a theodolite is too uncertain; None otherwise."""
     for line in lines:
         path_n = position_n - line.foot_n
         distance_m = float(np.linalg.norm(path_n))

@@ -1,13 +1,13 @@
 """Core of the node ``triangulation``: positions of targets from the directions of several theodolites.
 
-Each direction is answered once: if its theodolite leads (:mod:`theodolite_calib.target.common_times`), by a position at
-its stamp or by none, with the reason. It waits until the other theodolites that report on the target have reported on
-that time, or their next report is ``lag_s`` overdue. Positions of one target are published in the order of their
-stamps.
+Each direction of the leading theodolite (:mod:`theodolite_calib.target.common_times`) is answered once, by a position
+at its stamp or an INVALID position with the reason. It waits until the other theodolites that report on the target have
+reported on that time, or their next report is ``lag_s`` overdue. Positions of one target are published in the order of
+their stamps.
 
-Reports of a theodolite are expected in order. If its messages overtake one another, the older one may come after the
-position of its time, and is rejected as LATE. Waiting the whole ``lag_s`` for each would delay every position by that
-time. Star sensors are combined by the same rule (:class:`ship_attitude_star.star_attitude.core.JointWindow`).
+Reports of a theodolite are expected in order. If its messages overtake one another, the older message may come after
+the position of its time, and is rejected as LATE. Waiting for such messages would delay every position by ``lag_s``.
+Star sensors are combined by the same rule (:class:`ship_attitude_star.star_attitude.core.JointWindow`).
 """
 
 from dataclasses import dataclass, field
@@ -23,11 +23,11 @@ from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.triangulation import Station, TriangulatedPosition
 
 MAX_TARGETS = 100
-"""Maximum number of targets, whose names come from outside. Beyond it the one received longest ago is dropped, and its
-pending directions get no position."""
+"""Maximum number of targets; the directions name the targets, so their number has no other limit. Beyond it the target
+received longest ago is dropped, and its pending directions get no position."""
 
 MAX_WAITING = 1000
-"""Maximum number of pending directions to one target; beyond it the oldest are answered without waiting."""
+"""Maximum number of pending directions to one target; beyond it the oldest directions are answered without waiting."""
 
 _LATE = Rejection(Reason.LATE, "too late: later positions of the target were published, or the target was dropped")
 
@@ -37,15 +37,15 @@ class PositionEstimate:
     """Position of a target at one time, or INVALID.
 
     Attributes:
-        time_ns: stamp of the direction that it answers.
+        time_ns: stamp of the direction that is answered.
         target_id: id of the target.
-        position_n: in the common frame, m, shape (3,); NaN if INVALID.
-        covariance_n: covariance of its total error, m², shape (3, 3); NaN if INVALID.
+        position_n: position in the common frame, m, shape (3,); NaN if INVALID.
+        covariance_n: covariance of the position's total error, m², shape (3, 3); NaN if INVALID.
         status: status of the position.
-        text: reason if it is not VALID.
+        text: reason if the status is not VALID.
         stations: theodolites with a direction at that time.
-        triangulated: position with the residuals of the directions; None if there is none.
-        rejection: reason for INVALID; None if there is a position.
+        triangulated: position with the residuals of the directions; None if they do not intersect.
+        rejection: reason if INVALID; else None.
     """
 
     time_ns: int
@@ -60,17 +60,17 @@ class PositionEstimate:
 
 
 TriangulationOutcome = Outcome[MeasurementDecision[Measurement], PositionEstimate]
-"""Outcome whose estimates are positions; there are no decisions about single directions."""
+"""Outcome whose estimates are positions; it contains no decisions about single directions."""
 
 
 @dataclass
 class _ReportTimes:
-    """Times of one theodolite's reports on a target, INVALID ones included.
+    """Times of one theodolite's reports on a target, INVALID reports included.
 
     Attributes:
-        newest_ns: latest stamp; 0 if there was none yet.
-        interval_ns: between the latest two stamps; 0 before the second.
-        received_ns: time of reception of the last one.
+        newest_ns: latest stamp; 0 before the first report.
+        interval_ns: interval between the latest two stamps; 0 before the second report.
+        received_ns: time of reception of the latest report.
     """
 
     newest_ns: int = 0
@@ -78,7 +78,7 @@ class _ReportTimes:
     received_ns: int = 0
 
     def add(self, time_ns: int, waiting_ns: int) -> bool:
-        """Record a report; False if it is not later than those before it."""
+        """Record a report; return False if its stamp is not later than the latest stamp."""
         if time_ns <= self.newest_ns:
             return False
         self.interval_ns = time_ns - self.newest_ns if self.newest_ns else 0
@@ -91,11 +91,11 @@ class _Target:
     """Directions to one target.
 
     Attributes:
-        stations: its directions by each theodolite, in their order.
-        reports: times of each theodolite's reports, in the same order.
+        stations: directions to the target from each theodolite, in the order of their names.
+        reports: times of each theodolite's reports, in the order of ``stations``.
         waiting: (stamp, number of the theodolite) of each pending direction → time of reception.
-        last_answered_ns: last stamp that was answered, of this target or of a dropped one, which may have been the
-            same.
+        last_answered_ns: last answered stamp of this target, or of dropped targets, because this target may have been
+            dropped before.
     """
 
     stations: list[StationDirections]
@@ -131,13 +131,13 @@ class TriangulationCore:
         self.reset()
 
     def reconfigure(self, config: TriangulationConfig) -> None:
-        """Apply other noise and another gate."""
+        """Apply changed parameters."""
         self.config = config
 
     def add_direction(self, sample: DirectionSample, waiting_ns: int) -> TriangulationOutcome:
-        """Add a direction of one theodolite to one target, or its INVALID report.
+        """Add a direction of one theodolite to one target, or an INVALID report.
 
-        A late or duplicate one triggers no answer and drops no target.
+        If a report is late or a duplicate, no direction is answered.
         """
         outcome, number = TriangulationOutcome(), self._numbers[sample.source]
         target = self._targets.get(sample.target_id)
@@ -147,7 +147,7 @@ class TriangulationCore:
                 return outcome
             target = self._add_target(sample.target_id, outcome)
         if target.reports[number].add(sample.time_ns, waiting_ns):
-            # The first target in the order is dropped first.
+            # The target becomes the last in the order; the first target is dropped first.
             self._targets[sample.target_id] = self._targets.pop(sample.target_id)
         outcome.rejection = self._insert(target, number, sample, waiting_ns)
         if outcome.rejection is None or outcome.rejection.reason not in (Reason.DUPLICATE, Reason.LATE):
@@ -155,7 +155,7 @@ class TriangulationCore:
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        """Set that two publishers send on one source; an empty text ends it."""
+        """Set the text of a conflict of two publishers on one source; an empty text ends the conflict."""
         self._stamp_conflicts.set_duplicate_publishers(source, 0, text)
 
     def tick(self, now_ns: int, waiting_ns: int) -> TriangulationOutcome:
@@ -166,7 +166,7 @@ class TriangulationCore:
         return outcome
 
     def _add_target(self, target_id: str, outcome: TriangulationOutcome) -> _Target:
-        """Add a target and return it; at the maximum number another one is dropped."""
+        """Add a target and return it; if there are too many targets, another target is dropped."""
         if len(self._targets) >= MAX_TARGETS:
             self._forget(next(iter(self._targets)), outcome)
         seen_by = [StationDirections(station, self.config.max_gap_s) for station in self._stations]
@@ -175,7 +175,7 @@ class TriangulationCore:
         return target
 
     def _forget(self, target_id: str, outcome: TriangulationOutcome) -> None:
-        """Drop a target; its pending directions are answered, and no later position of it gets an earlier stamp."""
+        """Drop a target and answer its pending directions as INVALID; its later positions have later stamps."""
         target = self._targets.pop(target_id)
         rejection = Rejection(Reason.OVERFLOW, f"more than {MAX_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
@@ -196,7 +196,7 @@ class TriangulationCore:
         if sample.status is Status.INVALID:
             track.insert(sample)
             target.waiting.pop(key, None)
-            # No position is computed at its stamp, which would drop old samples.
+            # Old samples are dropped here, because no position is computed at the stamp of an INVALID report.
             oldest_ns = min([time_ns for time_ns, _ in target.waiting], default=sample.time_ns)
             track.drop_before(min(oldest_ns, sample.time_ns - self._lag_ns))
             return rejection or Rejection(Reason.GAP, "the theodolite reports INVALID")
@@ -207,7 +207,7 @@ class TriangulationCore:
         return rejection
 
     def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: TriangulationOutcome) -> None:
-        """Answer the directions that need not wait any longer, in the order of their stamps."""
+        """Answer directions in the order of their stamps, up to the first direction that must wait."""
         for time_ns, number in sorted(target.waiting):
             overflows = len(target.waiting) > MAX_WAITING
             if not overflows and self._is_waiting(target, time_ns, number, waiting_ns):
@@ -220,10 +220,10 @@ class TriangulationCore:
                 station.track.drop_before(time_ns)
 
     def _is_waiting(self, target: _Target, time_ns: int, number: int, waiting_ns: int) -> bool:
-        """True while a theodolite that reports on the target may still report on the time of a pending direction.
+        """True if a theodolite that reports on the target may still report on the time of a pending direction.
 
-        The next report is expected one interval after the last. While a theodolite has sent one report only, its
-        interval is taken to be that of the waiting theodolite.
+        The next report is expected one interval after the last. If a theodolite has sent only one report, the interval
+        of the waiting theodolite is used.
         """
         max_gap_ns, came_ns = round(self.config.max_gap_s * SECOND_NS), target.waiting[time_ns, number]
         for reports in target.reports:
@@ -261,7 +261,7 @@ class TriangulationCore:
         )
 
     def _conflict_text(self, time_ns: int, stations: tuple[str, ...]) -> str:
-        """Return the text of conflicting directions of some theodolites; empty if there are none."""
+        """Return the text about conflicting directions of some theodolites; empty without conflicts."""
         sources = {f"station.{name}" for name in stations}
         return self._stamp_conflicts.text(sources & self._stamp_conflicts.active_at(time_ns).keys())
 

@@ -1,4 +1,4 @@
-"""Command ``triangulate``: recorded directions of several theodolites to a target, and the positions that follow.
+"""Command ``triangulate``: positions of a target from recorded directions of several theodolites.
 
-It uses bags, the reader of directions (``ros``) and the folder ``target``, but no filter and no node.
+The folder uses bags, the reader of directions (``ros``) and the folder ``target``, but no filter and no node.
 """

@@ -1,4 +1,4 @@
-"""File of ``triangulate``: the node's parameters, with the bags of the directions."""
+"""File of the command ``triangulate``: parameters of the node ``triangulation``, and bags with the directions."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Recorded directions of several theodolites to one target, and the positions that follow."""
+"""Recorded directions of several theodolites to one target, and the target's positions from them."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,12 +22,12 @@ from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 
 
 def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id: str) -> list[StationDirections]:
-    """Return the recorded directions of each theodolite to a target; unusable ones are omitted.
+    """Return the recorded directions of each theodolite to a target, without unusable directions.
 
-    Of two with one stamp the first counts.
+    If two directions have the same stamp, the first is used.
 
     Raises:
-        BadInput: names the bag, and what it lacks.
+        BadInput: a bag has no such topic or no direction of the target; names the bag.
     """
     recorded = []
     for name, station in config.stations.items():
@@ -40,7 +40,7 @@ def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id
 
 
 def target_positions(config: PositioningConfig, recorded: Sequence[StationDirections]) -> Iterator[TargetPosition]:
-    """Yield the target at each stamp of a leading theodolite; without a second direction there is no position."""
+    """Yield position or rejection at each stamp of a leading theodolite; a position needs two directions."""
     stamps = [(time_ns, number) for number, seen in enumerate(recorded) for time_ns in seen.track.times_ns]
     for time_ns, number in sorted(stamps):
         if is_leading(number, time_ns, recorded):
