@@ -104,7 +104,8 @@ def test_stars_without_fixes_end_with_one(check, tmp_path):
 
     code, lines = check(rewrite_bag(tmp_path / "no_fix.mcap", bag, no_fix))
     assert code == 1
-    assert any(re.search(r"rejected: no_fix \(100 % not used\): .*; provide position fixes on gnss", line) for line in lines)
+    pattern = r"rejected: no_fix \(100 % not used\): .*; provide position fixes on gnss"
+    assert any(re.search(pattern, line) for line in lines)
 
 
 @pytest.mark.slow
