@@ -1,8 +1,8 @@
 """Directions of catalogue stars in the horizon of a moving ship: ICRS → (North, Up, East), without refraction.
 
-The steps are those of docs/explanation/stars.md, computed by ERFA: proper motion and parallax, light deflection by the
-Sun, annual aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal
-aberration. The aberration by the ship's own velocity is last (10 mas at 15 m/s). Refraction is added by
+ERFA computes the steps of docs/explanation/stars.md: proper motion and parallax, light deflection by the Sun, annual
+aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal aberration. The
+last step is the aberration by the velocity of the ship (10 mas at 15 m/s). Refraction is added by
 :mod:`ship_geometry.refraction`.
 
 :func:`directions` computes all steps for each time. :class:`RefreshedSky` computes the slow steps once in ten seconds,

@@ -29,7 +29,7 @@ _DIAGONAL_OF_3_BY_3 = slice(None, None, 4)
 
 @dataclass(frozen=True)
 class WahbaSolution:
-    """Rotations with their covariance; the leading dimensions are those of the input.
+    """Rotations with their covariance; the leading dimensions are equal to those of the input.
 
     Attributes:
         rotation_nd: rotation "n from d", shape (..., 3, 3); NaN if not solved.
@@ -47,7 +47,7 @@ class WahbaSolution:
 
 
 def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | float) -> WahbaSolution:
-    """Return the rotation that best transforms the measured directions into the reference ones.
+    """Return the rotation that best transforms the measured directions into the reference directions.
 
     Args:
         reference_n: reference directions, unit vectors, shape (..., k, 3).

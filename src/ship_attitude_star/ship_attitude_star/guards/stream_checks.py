@@ -36,8 +36,7 @@ class PlausibilityChecks:
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
         """Return the rejection of a measurement that is constant while other sources rotate, or None.
 
-        A measurement that is not newer than the last of its source is not checked, because streams are checked in
-        order.
+        A measurement is not checked if a measurement of the same source with its stamp or a later stamp was checked.
 
         Args:
             measurement: measurement of any kind.

@@ -65,7 +65,7 @@ class _Quantity:
 
     Args:
         default: value used without a recent reading.
-        measured_sigma: standard deviation of a reading without one in the message.
+        measured_sigma: standard deviation of a reading if the message has no variance.
         limits: limits of a jump; the confirmation time is also the maximum age of a reading.
         delay_ns: age from which on a reading is used. A younger reading is used if no earlier reading is valid.
     """

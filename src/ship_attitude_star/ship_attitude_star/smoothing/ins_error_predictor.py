@@ -123,7 +123,7 @@ class InsErrorPredictor:
         onward = _diagonal(model.transition(left_s)[0])
         propagation = self._process_propagation(anchor, [*times_ns, later_ns])
         if propagation is not None:
-            # The transition to the later time is the product of the remaining transition and the one to each time.
+            # The transition to the later time is the transition to each time, followed by the returned transition.
             to_each, to_later = propagation.transition[:-1], propagation.transition[-1]
             left = np.linalg.solve(np.swapaxes(to_each, -1, -2), np.broadcast_to(to_later.T, to_each.shape))
             onward[:, model.process_indices[:, None], model.process_indices] = np.swapaxes(left, -1, -2)
