@@ -492,8 +492,8 @@ def propagate_by_rates(
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
     """Return the covariance of two errors: of a parabola, and of a clock offset estimated with interpolated attitudes.
 
-    Both errors are computed from the third derivative of the motion, as the root mean square over all samples, because
-    a single value may be zero at its phase of the wave.
+    Both errors are computed from the third derivative of the motion. Its root mean square over all samples is used,
+    because a single value may be zero at its phase of the wave.
 
     Without measured rates the interpolation error is proportional to the third derivative, which in a swell is
     proportional to the rate. The effect of a clock offset is proportional to the rate too. A filter that estimates the

@@ -124,7 +124,7 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 def log_rotation(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector (rad, norm at most pi) of a rotation matrix, shape (..., 3).
 
-    It is accurate for all angles: small and medium angles are computed from the antisymmetric part of the matrix,
+    It is accurate for all angles. Small and medium angles are computed from the antisymmetric part of the matrix,
     angles near half a turn from the largest diagonal element of the symmetric part.
 
     Example:

@@ -271,8 +271,8 @@ def _sky_rotations(position: ShipPosition, ut1_sigma_s: float, utc_sigma_s: floa
     """Return the rotation vectors of the sky in the horizon frame by one sigma of UT1, position and UTC, rad, (n, 3).
 
     If the ship is farther north than assumed, the sky is rotated about East. If she is farther east, the sky is rotated
-    about the Earth's axis. 31 m correspond to 1″. The position has two independent errors, so a filter may have two
-    states for them: the error north with the correlated part of the error east, and the rest of the error east.
+    about the Earth's axis. 31 m correspond to 1″. The position has two independent errors, which may be two states of
+    a filter: the error north with the correlated part of the error east, and the rest of the error east.
     """
     covariance_m2, latitude = position.covariance_m2, float(position.observer.position.latitude)
     radius_north_m, radius_east_m = map(float, position.horizon_radii_m)

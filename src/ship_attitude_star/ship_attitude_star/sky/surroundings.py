@@ -151,7 +151,7 @@ class Surroundings:
         """Return the rejection or remark for an input, or None; call it before :meth:`insert`.
 
         DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of its kind are
-        later. JUMP: the input has jumped. A rejected input must be inserted too: of two inputs with the same stamp the
+        later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp the
         one whose bytes sort first is kept, and an input that has jumped affects the evaluation of later inputs.
         """
         if isinstance(sky_input, PositionFix):
