@@ -1,8 +1,8 @@
-"""Attitude between samples: a time-ordered track, cubic interpolation, and the propagation of the samples' noise.
+"""Attitudes of one source between its samples, by cubic interpolation, with the noise of the samples.
 
-Between two samples the rotation vector relative to the earlier one is a cubic with the right attitude and the
-right rate at both ends. The rates are measured where the source gives them; otherwise they come from the
-neighbouring samples. docs/explanation/interpolation.md states the error for a rolling ship.
+Between two samples the rotation vector relative to the earlier sample is a cubic with the attitudes and the rates of
+both samples. If the source measures no rates, the rates are differences of neighbouring samples.
+docs/explanation/interpolation.md states the interpolation error for a rolling ship.
 """
 
 import bisect
@@ -20,18 +20,18 @@ from ship_geometry.sample_track import RECENT_COUNT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _SPACING_NS = 100_000_000
-"""Spacing of the samples from which the motion is estimated, ns: with closer ones noise dominates."""
+"""Spacing of the samples from which the motion is estimated, ns; with closer samples their noise dominates."""
 
 MAX_RATES = 4
-"""Maximum number of measured rates for the angular acceleration and its change."""
+"""Maximum number of measured rates from which the angular acceleration and its change are computed."""
 
 _WORST_OF_DIFFERENCED = 0.0962
 """Greatest value of s (1 - s) (1 - 2 s), 0 < s < 1.
 
-The error of a cubic with differenced rates is at most this times step³ times the third divided difference."""
+The error of a cubic with differenced rates is at most this value times step³ times the third divided difference."""
 
 _LARGEST_VARIANCE = np.pi**2
-"""Bound of an estimated error, rad²: no attitude error exceeds half a turn."""
+"""Maximum variance of an estimated error, rad²; no attitude error exceeds half a turn."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class AttitudeSample:
     rate_d: FloatArray | None = None
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated sample, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated sample and to sort conflicting samples."""
         return self.rotation_nd.tobytes() + (b"" if self.rate_d is None else self.rate_d.tobytes())
 
 
@@ -57,9 +57,9 @@ class SampleBlock(NamedTuple):
     """Successive samples of one source, each with a measured rate; see :class:`AttitudeSample`.
 
     Attributes:
-        times_ns: in ascending order, shape (N,).
-        rotations_nd: shape (N, 3, 3).
-        rates_d: shape (N, 3).
+        times_ns: stamps in ascending order, shape (N,).
+        rotations_nd: attitudes, shape (N, 3, 3).
+        rates_d: measured rates, rad/s, shape (N, 3).
     """
 
     times_ns: NDArray[np.int64]
@@ -83,8 +83,8 @@ class RecentRates(NamedTuple):
     """The last MAX_RATES - 1 samples before a block, without a gap; see :class:`AttitudeSample`.
 
     Attributes:
-        times_ns: in ascending order, shape (MAX_RATES - 1,).
-        rates_d: shape (MAX_RATES - 1, 3).
+        times_ns: stamps in ascending order, shape (MAX_RATES - 1,).
+        rates_d: measured rates, rad/s, shape (MAX_RATES - 1, 3).
     """
 
     times_ns: NDArray[np.int64]
@@ -95,10 +95,10 @@ class ExtraNoise(NamedTuple):
     """Independent noise of a source's samples in excess of the stated noise, from a stamp on.
 
     Attributes:
-        from_ns: first stamp to which it applies.
-        white_rad2: variance of each attitude, each axis.
-        jitter_s2: variance of each stamp, s², which acts along the rotation.
-        clock_sigma_s: standard deviation of the change of the mean delay of the stamps.
+        from_ns: first stamp of the samples with this noise.
+        white_rad2: variance of each attitude about each axis, rad².
+        jitter_s2: variance of each stamp, s²; it acts along the rotation.
+        clock_sigma_s: standard deviation of the change of the stamps' mean delay, s.
     """
 
     from_ns: int
@@ -108,14 +108,14 @@ class ExtraNoise(NamedTuple):
 
     @property
     def time_ns(self) -> int:
-        """Time just before the first stamp to which it applies."""
+        """Time just before the first stamp of the samples with this noise."""
         return self.from_ns - 1
 
     def covariances_d(self, rates_d: FloatArray) -> FloatArray:
         """Return the covariance of N attitudes, rotation vector in the deck frame, rad², shape (N, 3, 3).
 
         Args:
-            rates_d: their angular velocities, rad/s, shape (N, 3).
+            rates_d: angular velocities at the N attitudes, rad/s, shape (N, 3).
 
         Example:
             >>> extra = ExtraNoise(0, white_rad2=4.0, jitter_s2=2.0)
@@ -127,13 +127,13 @@ class ExtraNoise(NamedTuple):
 
 
 class PropagatedBlock(NamedTuple):
-    """Attitudes of a block, each propagated by a short time; the fields are those of :class:`InterpolatedAttitude`.
+    """Attitudes of a block, each propagated by a short time.
 
     Attributes:
-        rotation_nd: shape (N, 3, 3).
-        rate_d: shape (N, 3).
-        noise_gain: shape (N,).
-        error_covariance_d: shape (N, 3, 3).
+        rotation_nd: as in :class:`InterpolatedAttitude`, shape (N, 3, 3).
+        rate_d: likewise, shape (N, 3).
+        noise_gain: likewise, shape (N,).
+        error_covariance_d: likewise, shape (N, 3, 3).
     """
 
     rotation_nd: FloatArray
@@ -142,7 +142,7 @@ class PropagatedBlock(NamedTuple):
     error_covariance_d: FloatArray
 
     def with_noise(self, extra: ExtraNoise | None) -> "PropagatedBlock":
-        """Return the block with extra noise of the samples."""
+        """Return the block with extra noise added to its covariances."""
         if extra is None:
             return self
         return self._replace(error_covariance_d=self.error_covariance_d + extra.covariances_d(self.rate_d))
@@ -159,14 +159,14 @@ class InterpolatedAttitude:
     Attributes:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
-        noise_gain: variance of the result per variance of the samples' independent noise.
-        error_covariance_d: covariance of the interpolation error, estimated from the neighbouring samples, and of the
-            samples' extra noise: rotation vector in the deck frame, rad², shape (3, 3).
-        sample: last sample of the track at or before the time; None if the attitude is not interpolated.
-        next_sample: sample after the time, if the attitude is interpolated.
-        errors_d: estimates of the interpolation error, rotation vectors in the deck frame, rad, shape (3,) each, for
-            the correlation of errors at two times between the same samples
-            (:func:`ship_geometry.interpolation_error.joint_covariance`). Empty at a sample.
+        noise_gain: variance of the attitude, divided by the variance of the samples' independent noise.
+        error_covariance_d: covariance of the interpolation error and of the samples' extra noise, rotation vector in
+            the deck frame, rad², shape (3, 3). It is estimated from the neighbouring samples.
+        sample: last sample at or before the time; None for a propagated attitude.
+        next_sample: sample after the time; None if the attitude is not interpolated.
+        errors_d: estimates of the interpolation error, rotation vectors in the deck frame, rad, shape (3,) each; empty
+            at a sample. :func:`ship_geometry.interpolation_error.joint_covariance` computes from them the
+            correlation of the errors at two times.
     """
 
     rotation_nd: FloatArray
@@ -187,7 +187,7 @@ class InterpolatedAttitude:
         """Return the attitude by a constant rotation between the two samples (slerp, as tf2), shape (3, 3).
 
         Args:
-            time_ns: the time; between two samples, or at one.
+            time_ns: time of this attitude.
         """
         first, second = self.sample, self.next_sample
         if first is None or second is None:
@@ -220,9 +220,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         self._extra: list[ExtraNoise] = []
 
     def add_noise(self, extra: ExtraNoise) -> int:
-        """Add extra noise of the samples from a stamp on; return the stamp after which values have changed."""
+        """Add extra noise of the samples from a stamp on; return the stamp after which attitudes have changed."""
         kept = [one for one in self._extra if one.from_ns < extra.from_ns]
-        # Of the entries before the first kept sample only the last one applies.
+        # Only the last entry before the first sample of the track still applies.
         past = [one for one in kept if self._times and one.from_ns <= self._times[0]]
         self._extra = [*kept[max(len(past) - 1, 0) :], extra]
         return extra.time_ns
@@ -246,18 +246,18 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     @property
     def has_newest_rate(self) -> bool:
-        """True if the newest sample has a rate: a measured one, or the difference from the sample before."""
+        """True if the newest sample has a measured rate, or a rate by its difference from the sample before."""
         index = len(self._samples) - 1
         return self._has_rate(index) or (index > 0 and self._are_joined(index - 1))
 
     def propagate_newest(self, ahead_s: float) -> InterpolatedAttitude:
         """Return the newest attitude propagated by a short time, with its rate and angular acceleration.
 
-        The short time is the clock offset of the source. Each sample then gives one attitude for either sign of the
-        offset; interpolation would have to wait for the next sample for a positive offset.
+        The short time is the clock offset of the source, of either sign. Interpolation would have to wait for the next
+        sample if the offset is positive.
 
         Args:
-            ahead_s: time after the newest sample, s; negative before it.
+            ahead_s: time after the newest sample, s; negative for a time before the sample.
         """
         index = len(self._samples) - 1
         if self._samples[index].rate_d is None:
@@ -267,7 +267,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._with_noise(moved, self._times[index]) if self._extra else moved
 
     def _with_noise(self, found: InterpolatedAttitude, time_ns: int) -> InterpolatedAttitude:
-        """Return an attitude with the extra noise of its samples."""
+        """Return an attitude with the extra noise of the samples added to its covariance."""
         extra = self.extra_noise(time_ns)
         if extra is None:
             return found
@@ -275,12 +275,15 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return replace(found, error_covariance_d=found.error_covariance_d + noise_d)
 
     def recent_rates(self) -> RecentRates | None:
-        """Return the rates for the propagation of later samples; None with fewer than MAX_RATES - 1 samples."""
+        """Return the rates for the propagation of later samples.
+
+        The result is None for fewer than MAX_RATES - 1 samples, and if these have a gap, a jump or no measured rate.
+        """
         recent, times_ns = self._samples[1 - MAX_RATES :], self._times[1 - MAX_RATES :]
         rates_d = [sample.rate_d for sample in recent if sample.rate_d is not None]
         if len(rates_d) < MAX_RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
             return None
-        # A jump after the first of these samples is too recent.
+        # Rates from before and after a jump do not give an acceleration.
         if self._cuts_ns and max(self._cuts_ns) >= times_ns[0]:
             return None
         return RecentRates(np.array(times_ns), np.array(rates_d))
@@ -298,7 +301,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._times[start - 1] if start > 0 else self._times[0] - 1
 
     def rate(self, index: int) -> FloatArray:
-        """Return the angular velocity at sample ``index``, deck frame, rad/s: measured, or from the neighbours."""
+        """Return the angular velocity at sample ``index``, deck frame, rad/s, measured or from the neighbours."""
         sample = self._samples[index]
         if sample.rate_d is not None:
             return sample.rate_d
@@ -310,7 +313,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _propagate_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """Propagate the newest sample by its measured rate and the change of the rate since the sample before.
 
-        The difference of two rates is the acceleration half a step ago: its error acts over that time too.
+        The difference of two rates is the acceleration half a step earlier, so its error acts over that half step too.
         """
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
@@ -332,7 +335,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return recent
 
     def _propagate_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """Propagate the newest sample without measured rates, by a parabola through it and two samples before."""
+        """Propagate the newest sample without measured rates, by a parabola through the last three motion samples."""
         sample = self._samples[index]
         recent = self._motion_samples(index)
         if len(recent) == 1:
@@ -360,9 +363,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(sample.rotation_nd @ exp_rotation(vector), rate, float(gain), error)
 
     def _motion_samples(self, index: int) -> list[int]:
-        """Return the indices of the samples from which the newest one's motion is estimated, newest first.
+        """Return the indices of the samples from which the motion of the newest sample is estimated, newest first.
 
-        They are the newest sample, the one before it, and then one sample every tenth of a second back.
+        These samples are the newest, its predecessor, and before them one sample every tenth of a second.
         """
         recent = [index]
         oldest = self._recent_from()
@@ -383,12 +386,12 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._samples[index].rate_d is not None
 
     def _interpolate(self, left: int, fraction: float) -> InterpolatedAttitude:
-        """Interpolate between two samples, by a cubic of the rotation vector from the first one."""
+        """Interpolate between two samples by a cubic of the rotation vector from the first sample."""
         first, second = self._samples[left], self._samples[left + 1]
         if first.rate_d is None or second.rate_d is None:
             return self._interpolate_without_rates(left, fraction)
         interval_s = self._seconds(left, left + 1)
-        # The error of the cubic is estimated from its difference to the sample before.
+        # The error of the cubic is estimated from its difference to the sample before the interval.
         before, at_before = first, 0.0
         if left > 0 and self._are_joined(left - 1):
             before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
@@ -408,7 +411,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
     def _interpolate_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
-        """Interpolate between two samples with rates, and the error of the cubic, from the neighbouring samples."""
+        """Interpolate between two samples; the rates and the error of the cubic are from the neighbouring samples."""
         first, second = self._samples[left], self._samples[left + 1]
         turn, interval_s = self._turn(left, left + 1), self._seconds(left, left + 1)
         rotation_nd, rate_d, vector = compiled_rotations.cubic(
@@ -429,15 +432,15 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
 
 def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> PropagatedBlock:
-    """Propagate the samples of a block, each as by :meth:`AttitudeTrack.propagate_newest` while it is the newest.
+    """Propagate the samples of a block, each as if it were the newest (:meth:`AttitudeTrack.propagate_newest`).
 
     Args:
-        before: the samples before the block, without a gap.
+        before: rates of the samples before the block, without a gap.
         block: N samples without a gap.
-        ahead_s: time after each sample, s, negative before it, shape (N,).
+        ahead_s: time after each sample, s, negative for a time before the sample, shape (N,).
 
     Example:
-        A ship that turns at 0.1 rad/s, four samples ten seconds apart; the last one propagated by one second:
+        A ship turns at 0.1 rad/s. The last of four samples, ten seconds apart, is propagated by one second:
 
         >>> times_ns, rate_d = 10 * SECOND_NS * np.arange(4), np.array([0.0, -0.1, 0.0])
         >>> rotations_nd, rates_d = exp_rotation(np.outer(times_ns / SECOND_NS, rate_d)), np.tile(rate_d, (4, 1))
@@ -450,7 +453,7 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
     count = len(ahead_s)
     steps_s = np.diff(np.concatenate([before.times_ns, block.times_ns[:count]])) / SECOND_NS
     rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
-    # Newest first for each sample.
+    # Indices of the rates for each sample, newest first.
     recent = np.arange(MAX_RATES - 1, MAX_RATES - 1 + count)[:, None] - np.arange(MAX_RATES)
     moved_nd, rate_d, error_d = propagate_by_rates(
         block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
@@ -465,12 +468,12 @@ def propagate_by_rates(
 
     Args:
         rotation_nd: attitudes of the samples, shape (N, 3, 3).
-        rates_d: rates of each sample and of those before it, newest first, rad/s, shape (N, k, 3), k at least 2.
-        steps_s: intervals between them, s, shape (N, k - 1).
-        ahead_s: time after each sample, s, negative before it, shape (N,).
+        rates_d: rates of each sample and of the samples before it, newest first, rad/s, shape (N, k, 3), k at least 2.
+        steps_s: intervals between these samples, s, shape (N, k - 1).
+        ahead_s: time after each sample, s, negative for a time before the sample, shape (N,).
 
     Returns:
-        Attitude, rate (rad/s) and error covariance (rad²) as in :class:`InterpolatedAttitude`.
+        Attitudes, rates (rad/s) and error covariances (rad²) as in :class:`InterpolatedAttitude`.
 
     Example:
         A sample propagated by 10 ms at a constant 0.1 rad/s:
@@ -487,20 +490,19 @@ def propagate_by_rates(
 
 
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
-    """Return the covariance of the errors of a parabola and of a clock offset estimated with interpolated attitudes.
+    """Return the covariance of two errors: of a parabola, and of a clock offset estimated with interpolated attitudes.
 
-    Both follow from the third derivative of the motion, as the root mean square over all samples: a single value may be
-    zero at its phase of the wave.
+    Both errors are computed from the third derivative of the motion. Its root mean square over all samples is used,
+    because a single value may be zero at its phase of the wave.
 
-    The second error has this cause: Without measured rates the interpolation error is proportional to the third
-    derivative, which in a swell is proportional to the rate. The effect of a clock offset is proportional to the rate
-    too. A filter that estimates the offset from interpolated attitudes therefore cannot separate the two, and the
-    sample propagated by this offset has that error.
+    Without measured rates the interpolation error is proportional to the third derivative, which in a swell is
+    proportional to the rate. The effect of a clock offset is proportional to the rate too. A filter that estimates the
+    offset from interpolated attitudes cannot separate the two effects, so the estimated offset has the second error.
 
     Args:
-        nodes_s: times of the samples relative to the newest one, which comes first: 0, then negative, shape (n,).
+        nodes_s: times of the samples relative to the newest sample, s, newest first, shape (n,).
         second: second divided differences of the attitudes at these times, rad/s², shape (n - 2, 3).
-        ahead_s: time relative to the newest sample at which the parabola through the first three is used.
+        ahead_s: time after the newest sample, s, to which the parabola through the first three samples is evaluated.
     """
     step_s = -float(nodes_s[1])
     if len(nodes_s) == 3:

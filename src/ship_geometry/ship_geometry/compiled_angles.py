@@ -1,9 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled conversion of attitudes: angles, their covariance and quaternions, of N attitudes.
+"""Compiled conversions of N attitudes: angles, covariance of the angles, and quaternions.
 
-It is used for single attitudes and for blocks; for one attitude numpy would take ten times as long. It is Python with C
-types, compiled by Cython when the package is built. The functions are documented in :mod:`ship_geometry.frames` and
-:mod:`ship_geometry.ros_axes`; the tests compare them with the array functions there.
+The module is Python with C types; Cython compiles it when the package is built. It is used for single attitudes and for
+blocks; for one attitude numpy would take ten times as long. The functions are documented in
+:mod:`ship_geometry.frames` and :mod:`ship_geometry.ros_axes`; the tests compare their results with the array functions
+of these modules.
 """
 
 import cython
@@ -31,7 +32,7 @@ def angles(rotations: cython.const[cython.double][:, :, :]):
         azimuth = atan2(rotations[n, 2, 0], rotations[n, 0, 0])
         if azimuth < 0.0:
             azimuth += 2.0 * M_PI
-        # A tiny negative angle is rounded up to a full turn; zero gets no sign.
+        # The addition rounds a tiny negative angle up to a full turn, which becomes zero. A zero gets no minus sign.
         if azimuth == 2.0 * M_PI or azimuth == 0.0:
             azimuth = 0.0
         ca, sa = cos(azimuth), sin(azimuth)
@@ -72,7 +73,7 @@ def rotations(of_angles: cython.const[cython.double][:, :]):
 def _by_rotation_vector(
     azimuth: cython.double, elevation: cython.double, highest: cython.double, out: cython.p_double
 ) -> cython.void:
-    """Write the derivative of the angles by a rotation vector, 3 × 3; NaN beyond the highest elevation."""
+    """Write the derivative of the angles with respect to a rotation vector, 3 × 3; NaN beyond ``highest``."""
     ca: cython.double = cos(azimuth)
     sa: cython.double = sin(azimuth)
     ce: cython.double = cos(elevation)
@@ -88,7 +89,10 @@ def _by_rotation_vector(
 
 
 def angle_errors(azimuth: cython.double, elevation: cython.double, highest: cython.double):
-    """Return the derivative of one attitude's angles by a rotation vector, shape (3, 3); NaN beyond ``highest``."""
+    """Return the derivative of one attitude's angles with respect to a rotation vector, shape (3, 3).
+
+    It is NaN if the elevation is beyond ``highest``.
+    """
     matrix = np.empty((3, 3))
     out: cython.double[:, ::1] = matrix
     _by_rotation_vector(azimuth, elevation, highest, cython.address(out[0, 0]))
@@ -100,12 +104,12 @@ def angle_covariances(
     of_angles: cython.const[cython.double][:, :],
     highest: cython.double,
 ):
-    """Return the covariance of the angles, rad², shape (N, 3, 3), from that of rotation vectors in the parent frame.
+    """Return the covariance of the angles, rad², shape (N, 3, 3).
 
     Args:
-        covariances: rad², shape (N, 3, 3).
+        covariances: covariance of the rotation vectors in the parent frame, rad², shape (N, 3, 3).
         of_angles: azimuth, elevation and roll, rad, shape (N, 3).
-        highest: elevation beyond which the result is NaN, rad.
+        highest: elevation beyond which the covariance is NaN, rad.
     """
     count: cython.Py_ssize_t = covariances.shape[0]
     check("covariances", covariances.shape[1] == covariances.shape[2] == of_angles.shape[1] == 3)
@@ -142,7 +146,7 @@ def quaternions(matrices: cython.const[cython.double][:, :, :]):
     count: cython.Py_ssize_t = matrices.shape[0]
     of_result = np.empty((count, 4))
     out: cython.double[:, ::1] = of_result
-    # Four times the products of each component of the quaternion with each.
+    # Four times the products of all pairs of components of the quaternion.
     products = cython.declare(cython.double[16])
     diagonal = cython.declare(cython.double[3])
     norm: cython.double

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled lines of sight to N beacons and their image points, for one or more exposures.
 
-This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The model is
-documented in :mod:`theodolite_calib.lights`.
+There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. The
+model is documented in :mod:`theodolite_calib.lights`.
 """
 
 import cython
@@ -35,7 +35,7 @@ def _copy(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cy
 def _by_frame(
     row: cython.p_double, rotation: cython.p_double, sign: cython.double, out: cython.p_double
 ) -> cython.void:
-    """Write a row times a rotation (3 × 3), with a sign."""
+    """Write sign × row × rotation (3 × 3)."""
     j: cython.int
     for j in range(3):
         out[j] = sign * (row[0] * rotation[j] + row[1] * rotation[3 + j] + row[2] * rotation[6 + j])
@@ -44,7 +44,7 @@ def _by_frame(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _by_turn(row: cython.p_double, vector: cython.p_double, sign: cython.double, out: cython.p_double) -> cython.void:
-    """Write a row times [v x], with a sign: the cross product of the row with v."""
+    """Write sign × the cross product of the row with the vector."""
     out[0] = sign * (row[1] * vector[2] - row[2] * vector[1])
     out[1] = sign * (row[2] * vector[0] - row[0] * vector[2])
     out[2] = sign * (row[0] * vector[1] - row[1] * vector[0])
@@ -64,22 +64,23 @@ def sight_lines(
     """Return the directions of N beacons from a telescope on a ship, in each of E exposures.
 
     Args:
-        baselines: from the ship's antenna to the drones', in n (North, Up, East), m, shape (E, N, 3).
+        baselines: vectors from the ship's antenna to the drones' antennas, in n (North, Up, East), m, shape (E, N, 3).
         drones: attitudes of the drones (n from b), shape (E, N, 3, 3).
-        beacon_levers: from a drone's antenna to its light, in b, m, shape (E, N, 3).
-        ships: attitude of the ship (n from d), shape (E, 3, 3).
-        mounts: main frame of the mount (d from m), shape (E, 3, 3).
-        lever: from the ship's antenna to the mount, in d, m, shape (3,).
-        principal_point: of the lens relative to the mount, in m, m, shape (3,).
-        refraction: refraction coefficient k of each path, shape (E, N).
+        beacon_levers: vectors from each drone's antenna to its light, in b, m, shape (E, N, 3).
+        ships: attitudes of the ship (n from d), shape (E, 3, 3).
+        mounts: attitudes of the main frame of the mount (d from m), shape (E, 3, 3).
+        lever: vector from the ship's antenna to the mount, in d, m, shape (3,).
+        principal_point: principal point of the lens relative to the mount, in frame m, metres, shape (3,).
+        refraction: refraction coefficient k of each sight line, shape (E, N).
         earth_radius_m: Earth radius R; a light at the distance d appears higher by k d²/(2 R).
 
     Returns:
         Unit vectors in n, refraction included, shape (E, N, 3).
         Distances, m, shape (E, N).
-        Derivatives of the unit vectors, rad per unit, shape (E, N, 3, 19). The columns are in groups of three:
-        derivatives with respect to the baseline (n), the lever (d), the principal point (m), the light's lever (b), and
-        the rotation vectors (n) of ship and drone. The last column is with respect to the refraction coefficient.
+        Derivatives of the unit vectors, rad per unit, shape (E, N, 3, 19). Three columns each are the derivatives
+        with respect to the baseline (n), the lever (d), the principal point (m), the light's lever (b), and the
+        rotation vectors (n) of ship and drone. The last column is the derivative with respect to the refraction
+        coefficient.
     """
     epochs: cython.Py_ssize_t = baselines.shape[0]
     count: cython.Py_ssize_t = baselines.shape[1]
@@ -128,7 +129,7 @@ def sight_lines(
                 seen[i] = baselines[e, n, i] + light[i] - lens[i]
                 length += seen[i] * seen[i]
             distances[e, n] = sqrt(length)
-            # Apparent rise of the light for a refraction coefficient of 1, m.
+            # Height by which refraction raises the light if its coefficient is 1, m.
             raised = length / (2.0 * earth_radius_m)
             seen[1] += refraction[e, n] * raised
             length = sqrt(seen[0] * seen[0] + seen[1] * seen[1] + seen[2] * seen[2])
@@ -156,19 +157,19 @@ def image_points(
 ):
     """Return the image points of N beacons on the detector of a telescope, in each of E exposures.
 
-    The point of a beacon behind the telescope is NaN.
+    The image point of a beacon behind the telescope is NaN.
 
     Args:
         directions: directions of the beacons in n, shape (E, N, 3).
-        telescopes: attitudes (n from t: forward, up, right), shape (E, 3, 3).
-        focal_lengths_m: focal lengths, shape (E,).
-        principal_points_m: principal points of the detector (x right, z up), shape (E, 2).
+        telescopes: attitudes of the telescope (n from t: forward, up, right), shape (E, 3, 3).
+        focal_lengths_m: focal length in each exposure, shape (E,).
+        principal_points_m: principal point of the detector in each exposure (x right, z up), shape (E, 2).
 
     Returns:
-        Points, m, shape (E, N, 2).
-        Their derivatives with respect to the rotation vector of the telescope in n, m/rad, shape (E, N, 2, 3).
-        Their derivatives with respect to the directions, m/rad, shape (E, N, 2, 3).
-        Their derivatives with respect to the focal length, m/m, shape (E, N, 2).
+        Image points, m, shape (E, N, 2).
+        Derivatives of the points with respect to the rotation vector of the telescope in n, m/rad, shape (E, N, 2, 3).
+        Derivatives of the points with respect to the directions, m/rad, shape (E, N, 2, 3).
+        Derivatives of the points with respect to the focal length, m/m, shape (E, N, 2).
     """
     epochs: cython.Py_ssize_t = directions.shape[0]
     count: cython.Py_ssize_t = directions.shape[1]
@@ -198,7 +199,7 @@ def image_points(
             _by_frame(seen_n, rotation_nt, 1.0, seen_t)
             if not seen_t[0] > 0.0:
                 seen_t[0] = NAN
-            # The image is inverted: x is from the right component, z from the up component.
+            # The image is inverted. k = 0: x, from the right component; k = 1: z, from the up component.
             for k in range(2):
                 across = seen_t[2 - k] / seen_t[0]
                 scale = -focal_lengths_m[e] / seen_t[0]

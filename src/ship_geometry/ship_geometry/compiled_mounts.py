@@ -1,14 +1,15 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled axis geometry of a two-axis mount on a ship, for one reading of its encoders, and for many.
+"""Compiled axis geometry of a two-axis mount on a ship, for one or many readings of its encoders.
 
-This is the only implementation. It is Python with C types, compiled by Cython when the package is built. With R the
-measured attitude of the ship (horizon n from deck d) and ω her angular rate about her own axes, the main frame m of the
+There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. R is
+the measured attitude of the ship (horizon n from deck d) and ω the ship's angular rate in d. The main frame m of the
 mount (optical axis, up, right) is
 
     R_nm = exp(a) R exp(-τ ω) · exp(e) · T Ry(A - g) Rx(I) Rz(-(E - h + f cos E)) Ry(-c),   T = exp((βy, 0, -βx))
 
-A and E are the encoder readings. The order of the errors is always: a (rotation vector in n), e (rotation vector in d),
-g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are documented in :mod:`theodolite_calib.axis_geometry.axes`.
+A and E are the encoder readings of azimuth and elevation. The order of the errors is always: a (rotation vector in n),
+e (rotation vector in d), g, h, c, I, βx, βy, f, and τ in seconds. The errors g to f of the axes are documented in
+:mod:`theodolite_calib.axis_geometry.axes`.
 """
 
 import cython
@@ -24,7 +25,7 @@ from cython.cimports.ship_geometry.compiled_rotations import _exponential, _jaco
 
 _ERRORS = cython.declare(cython.int, 14)
 _CORRELATED = cython.declare(cython.int, 6)
-"""Number of correlated errors, a and e, which come first; the others are constants."""
+"""Number of correlated errors, the components of a and e, which come first; the other errors are constants."""
 
 
 @cython.cfunc
@@ -37,9 +38,10 @@ def _axes(
     by_error: cython.p_double,
     by_encoder: cython.p_double,
 ) -> cython.void:
-    """Write the main frame in the base of the mount, and its derivatives by error (3 × 7) and encoder (3 × 2).
+    """Write the main frame in the base of the mount, with its derivatives.
 
-    The errors are those of the axes only, from g on; the derivatives are rotation vectors in the base.
+    The derivatives are rotation vectors in the base, with respect to the errors of the axes g to f (3 × 7) and to the
+    encoder angles (3 × 2). ``errors`` begins with g.
     """
     tilt = cython.declare(cython.double[3])
     tilted = cython.declare(cython.double[9])
@@ -155,15 +157,15 @@ def axis_geometries(
     Args:
         errors: estimated errors at each time, shape (N, 14).
         rotations: measured attitudes of the ship, shape (N, 3, 3).
-        rates: her angular velocity about her own axes, rad/s, shape (N, 3).
+        rates: angular velocities of the ship in d, rad/s, shape (N, 3).
         angles: encoder readings of azimuth and elevation, rad, shape (N, 2).
 
     Returns:
         The corrected attitude of the ship (n from d), shape (N, 3, 3).
         The main frame in the deck including the bending e (d from m), shape (N, 3, 3).
         The main frame in the horizon (n from m), shape (N, 3, 3).
-        Its derivative, as rotation vector in n, by the errors, shape (N, 3, 14).
-        The same by the encoder angles, shape (N, 3, 2).
+        Derivative of the main frame, as rotation vector in n, with respect to the errors, shape (N, 3, 14).
+        Derivative of the main frame with respect to the encoder angles, shape (N, 3, 2).
     """
     count: cython.Py_ssize_t = errors.shape[0]
     check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
@@ -207,7 +209,10 @@ def axis_geometries(
 def _add_projected(
     by_vector: cython.p_double, width: cython.Py_ssize_t, covariance: cython.p_double, out: cython.p_double
 ) -> cython.void:
-    """Add J P Jᵀ to a covariance (3 × 3), with P of shape (3, 3) and J three columns of a matrix of this width."""
+    """Add J P Jᵀ to a covariance (3 × 3), with P the given covariance (3 × 3).
+
+    J is three columns of a matrix with ``width`` columns.
+    """
     half = cython.declare(cython.double[3])
     i: cython.int
     j: cython.int
@@ -230,7 +235,7 @@ def _add_projected(
 def _projected_covariance(
     by_error: cython.p_double, parts: cython.p_double, size: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
-    """Write J P Jᵀ with J of shape (3, size) and P symmetric, shape (size, size)."""
+    """Write J P Jᵀ, with J of shape (3, size) and a symmetric P of shape (size, size)."""
     half = cython.declare(cython.double[14])
     total: cython.double
     i: cython.Py_ssize_t
@@ -270,23 +275,23 @@ def pointings(
 ):
     """Return the main frame at N encoder readings, corrected by one estimate of the errors, with covariance by source.
 
-    The errors a and e are Gauss–Markov processes with steady covariances. At a reading, a may also have decayed to a
-    remaining share, with an added covariance.
+    The errors a and e are Gauss–Markov processes with steady covariances. Since the estimate, a may also have been
+    reduced to a remaining share, with an added covariance.
 
     Args:
-        since_ns: time since the estimate, ns, shape (N,); negative times count as 0.
+        since_ns: time from the estimate to each reading, ns, shape (N,); negative times count as 0.
         rotations: measured attitudes of the ship at the readings, shape (N, 3, 3).
-        rates: her angular velocity about her own axes, rad/s, shape (N, 3).
+        rates: angular velocities of the ship in d, rad/s, shape (N, 3).
         ship_variances: variance of a further error of each attitude, equal about all axes, rad², shape (N,).
         angles: encoder readings of azimuth and elevation, rad, shape (N, 2).
-        angle_variances: variance of the noise of each of the two, rad², shape (N,).
-        remaining_share: remaining share of a, shape (N, 3), or (0, 3) if a is unchanged at all readings.
+        angle_variances: noise variance of each of the two encoder angles, rad², shape (N,).
+        remaining_share: remaining share of a, shape (N, 3), or (0, 3) if a is not reduced at any reading.
         added_covariance: covariance added to a, rad², shape (N, 3, 3), or (0, 3, 3).
         errors: estimated errors, shape (14,).
-        exceeds_model: true for each of the first six whose mean does not decay, shape (6,).
-        time_s: correlation time of the first six, s, shape (6,).
+        exceeds_model: true for each component of a and e whose mean does not decay, shape (6,).
+        time_s: correlation times of a and e, s, shape (6,).
         steady: steady covariance of a and of e, rad², shape (2, 3, 3).
-        parts: covariance of the errors by source, of the first 13 or of all 14, shape (n_sources, k, k).
+        parts: covariance of the first k = 13 or 14 errors by error source, shape (n_sources, k, k).
         ship: index of the error source of a.
         bending: index of the error source of e.
         encoder: index of the error source of the encoder noise.
@@ -294,8 +299,8 @@ def pointings(
 
     Returns:
         The main frame in the horizon, shape (N, 3, 3).
-        Its derivative, as rotation vector in n, by the errors, shape (N, 3, k).
-        The covariance of that vector by error source, rad², shape (N, n_sources, 3, 3).
+        Derivative of the main frame, as rotation vector in n, with respect to the errors, shape (N, 3, k).
+        Covariance of the main frame's rotation vector by error source, rad², shape (N, n_sources, 3, 3).
     """
     count: cython.Py_ssize_t = since_ns.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]
@@ -401,17 +406,17 @@ def totals(
     added: cython.const[cython.uchar][:],
     source: cython.Py_ssize_t,
 ):
-    """Add the covariance of further errors to one source in place; return the sums over sources before and after.
+    """Add the covariance of further errors to one error source, in place.
 
     Args:
         parts: covariance by error source, shape (N, n_sources, 3, 3).
-        by_error: derivative by the errors, shape (N, 3, k).
+        by_error: derivative with respect to the errors, shape (N, 3, k).
         further_covariance: symmetric covariance of the further errors, shape (k, k).
-        added: true for each of the N to which it is added, shape (N,).
+        added: true for each reading at which the further covariance is added, shape (N,).
         source: index of the error source.
 
     Returns:
-        Shape (N, 3, 3) each.
+        Sums over the error sources before and after the addition, shape (N, 3, 3) each.
     """
     count: cython.Py_ssize_t = parts.shape[0]
     sources: cython.Py_ssize_t = parts.shape[1]

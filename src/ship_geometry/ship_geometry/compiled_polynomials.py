@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled cubic interpolation between a few samples, with its error by the polynomial through all of them.
+"""Compiled cubic interpolation between a few samples, with an error estimate from the polynomial through all of them.
 
-This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
-are documented where they are called, in :mod:`ship_geometry.interpolation_error` and
-:mod:`ship_geometry.vector_track`; the tests contain the same in plain numpy.
+There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. The
+functions are documented where they are called, in :mod:`ship_geometry.interpolation_error` and
+:mod:`ship_geometry.vector_track`; the tests compare their results with plain numpy.
 """
 
 import cython
@@ -30,7 +30,10 @@ def _polynomial_error(
     next_term_share: cython.double,
     out: cython.p_double,
 ) -> cython.void:
-    """Write the error of a value by Newton's polynomial through samples, which are overwritten, and its last term."""
+    """Write the error of a value by Newton's polynomial through samples, and a share of the polynomial's last term.
+
+    ``values`` is overwritten.
+    """
     order: cython.Py_ssize_t
     row: cython.Py_ssize_t
     i: cython.Py_ssize_t
@@ -65,16 +68,16 @@ def polynomial_errors(
 
     Args:
         nodes: times of the samples, shape (n,), n at most 8.
-        values: the samples, shape (n, k).
-        at: time of the value.
-        found: the value, shape (k,).
-        next_term_share: share of the last term that estimates the missing ones.
+        values: values of the samples, shape (n, k).
+        at: time of the interpolated value.
+        found: the interpolated value, shape (k,).
+        next_term_share: share of the polynomial's last term that estimates the missing terms.
     """
     count: cython.Py_ssize_t = values.shape[0]
     width: cython.Py_ssize_t = values.shape[1]
     check("samples", nodes.shape[0] == count and 1 < count <= 8)  # size of the arrays below
     check("values", found.shape[0] == width)
-    # The samples, followed by the value.
+    # The samples, followed by the interpolated value.
     room: cython.double[::1] = np.empty((count + 1) * width + 1)
     places = cython.declare(cython.double[8])
     errors = np.empty((2, width))
@@ -118,12 +121,12 @@ def interpolate_vector(
     """Interpolate a vector between two of a few neighbouring samples without a gap.
 
     Args:
-        times_ns: stamps of the neighbours: at most two before the interval, at most one after it, shape (n,).
-        vectors: the samples, shape (n, k).
-        left: number of the sample at which the interval begins.
-        time_ns: the time.
+        times_ns: stamps of the samples: both ends of the interval, at most two before and one after it, shape (n,).
+        vectors: vectors of the samples, shape (n, k).
+        left: index of the sample at which the interval begins.
+        time_ns: time of the interpolated vector.
         period: period of all components; infinite for lengths.
-        value0: weight of :func:`ship_geometry.sample_track.hermite_weights`.
+        value0: weight by :func:`ship_geometry.sample_track.hermite_weights`.
         slope0: likewise.
         value1: likewise.
         slope1: likewise.
@@ -131,16 +134,17 @@ def interpolate_vector(
         any_direction: likewise.
 
     Returns:
-        The vector, shape (k,), its variance per variance of the samples' noise, and the covariance of the interpolation
-        error, shape (k, k).
+        The vector, shape (k,).
+        The variance of the vector, divided by the variance of the samples' noise.
+        The covariance of the interpolation error, shape (k, k).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
     width: cython.Py_ssize_t = vectors.shape[1]
     check("samples", times_ns.shape[0] == count and 0 <= left <= 2 and left + 1 < count <= left + 3)
     interval_ns: cython.longlong = times_ns[left + 1] - times_ns[left]
     fraction: cython.double = cython.cast(cython.double, time_ns - times_ns[left]) / interval_ns
-    # The changes from the sample at the start of the interval: to its two ends, the sample before, the sample after,
-    # and the second before, as far as they exist.
+    # Samples to which the change from the start of the interval is computed: both ends of the interval, and, if they
+    # exist, the sample before, the sample after and the second sample before.
     around = cython.declare(cython.Py_ssize_t[5])
     nodes = cython.declare(cython.double[5])
     rows: cython.Py_ssize_t = 2
@@ -179,7 +183,7 @@ def interpolate_vector(
         change[i] = slope0 * slope_before + value1 * changes[width + i] + slope1 * slope_after
         result[i] = vectors[left, i] + change[i]
     if rows == 2:
-        # Without other samples: as if the whole change began, or ended, within the interval.
+        # Without other samples: error of a straight line if the rate changes from 0.5 to 1.5 times its mean.
         for i in range(width):
             errors[i] = 0.5 * fraction * (1.0 - fraction) * changes[width + i]
     else:
@@ -202,7 +206,7 @@ def _change(
     component: cython.Py_ssize_t,
     period: cython.double,
 ) -> cython.double:
-    """Return the change of a component from one sample to another, each step taken the short way round."""
+    """Return the change of a component from one sample to another; each step is shorter than half a period."""
     change: cython.double = 0.0
     step: cython.double
     i: cython.Py_ssize_t
@@ -220,7 +224,7 @@ def _share(
     before: cython.Py_ssize_t,
     after: cython.Py_ssize_t,
 ) -> cython.double:
-    """Return the length of the interval over the time between two samples."""
+    """Return the length of the interval that begins at ``left``, divided by the time between two samples."""
     return cython.cast(cython.double, times_ns[left + 1] - times_ns[left]) / (times_ns[after] - times_ns[before])
 
 

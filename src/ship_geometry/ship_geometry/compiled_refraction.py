@@ -1,8 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled refraction of a few stars: refraction angles and apparent directions.
 
-This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
-are documented where they are called, in :mod:`ship_geometry.refraction`; the tests contain the same in plain numpy.
+There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. The
+functions are documented where they are called, in :mod:`ship_geometry.refraction`; the tests compare their results with
+plain numpy.
 """
 
 import cython
@@ -17,7 +18,7 @@ if not cython.compiled:
 from cython.cimports.libc.math import NAN, atan2, cos, hypot, sin, tan
 
 _TINY = cython.declare(cython.double, 1e-300)
-"""Least horizontal component of a direction: at the zenith there is no azimuth, and no refraction."""
+"""Minimum of the horizontal component of a direction by which is divided; at the zenith refraction is zero."""
 
 
 @cython.cfunc
@@ -31,7 +32,10 @@ def _refraction(
     sigmas: cython.const[cython.double][::1],
     angles: cython.p_double,
 ) -> cython.double:
-    """Write the angle and its derivatives by pressure and temperature; return the standard deviation of the model."""
+    """Write the refraction angle and its derivatives with respect to pressure and temperature.
+
+    Returns the standard deviation of the model.
+    """
     tan_z: cython.double = 1.0 / tan(elevation) if elevation >= lowest else NAN
     tan2_z: cython.double = tan_z * tan_z
     divisor: cython.double
@@ -44,8 +48,9 @@ def _refraction(
             angles[i] = coefficients[power, i] + angles[i] * x
         angles[i] *= tan_z
     if of_observed:
-        # The two coefficients A and B belong to the observed zenith distance. One step of Newton's method computes it
-        # from the true one, as in ERFA's atioq. The derivatives neglect the small change of this divisor.
+        # The two coefficients A and B belong to the observed zenith distance. One step of Newton's method from the
+        # true zenith distance takes this into account, as in ERFA's atioq. The derivatives neglect the small change of
+        # this divisor.
         divisor = 1.0 + (coefficients[0, 0] + 3.0 * coefficients[1, 0] * tan2_z) * (1.0 + tan2_z)
         for i in range(3):
             angles[i] /= divisor
@@ -80,17 +85,18 @@ def refraction_angles(
     """Return refraction at k elevations.
 
     Args:
-        elevation: without air, rad, shape (k,).
-        coefficients: cᵢ of tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), each with its derivatives by pressure and
-            temperature, shape (t, 3).
+        elevation: elevations without air, rad, shape (k,).
+        coefficients: cᵢ of tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), each with its derivatives with respect to
+            pressure and temperature, shape (t, 3).
         curvature: c; with c = 0 the terms are tan z, tan³ z, tan⁵ z ….
-        lowest: lowest elevation of the model, rad; below it the results are NaN.
-        of_observed: True if the coefficients belong to the zenith distance with air; there are two then.
-        sigmas: terms of the standard deviation of the model: constant, rad; factor of tan⁵ z, rad; factor of the angle;
-            shape (3,).
+        lowest: lowest elevation of the model, rad; at lower elevations the results are NaN.
+        of_observed: True if the coefficients belong to the zenith distance with air; then there are two coefficients.
+        sigmas: terms of the standard deviation of the model, shape (3,): a constant, rad; a factor of tan⁵ z, rad; a
+            factor of the angle.
 
     Returns:
-        The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).
+        Refraction angles, rad, with their derivatives, shape (k, 3).
+        Standard deviations of the model itself, rad, shape (k,).
     """
     _check_model(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = elevation.shape[0]
@@ -135,19 +141,20 @@ def seen_through_air(
     """Return the apparent directions of k stars through the air, and their displacement by common errors.
 
     Args:
-        without_air_n: unit vectors (North, Up, East), shape (k, 3).
+        without_air_n: unit vectors (North, Up, East) without air, shape (k, 3).
         coefficients: as in :func:`refraction_angles`.
         curvature: likewise.
         lowest: likewise.
         of_observed: likewise.
         sigmas: likewise.
-        pressure_sigma: of the air, hPa.
-        temperature_sigma: of the air, K.
-        turns_n: rotations of the whole sky, rotation vectors, rad, shape (m, 3).
+        pressure_sigma: standard deviation of the air pressure, hPa.
+        temperature_sigma: standard deviation of the air temperature, K.
+        turns_n: rotation vectors of the whole sky, rad, shape (m, 3).
 
     Returns:
-        Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each rotation, rad,
-        shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
+        Unit vectors with air, shape (k, 3).
+        Displacement of each vector by one sigma of refraction and by each rotation, rad, shape (k, 3, 1 + m).
+        Elevations without air, rad, shape (k,).
     """
     _check_model(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = without_air_n.shape[0]
@@ -171,7 +178,8 @@ def seen_through_air(
         sigma = hypot(hypot(angles[1] * pressure_sigma, angles[2] * temperature_sigma), sigma)
         _raise_direction(star, angles[0], cython.address(direction[k, 0]))
         star[0], star[1], star[2] = direction[k, 0], direction[k, 1], direction[k, 2]
-        # Perpendicular to the direction, upwards. At the zenith, where this is undefined, it is small instead of NaN.
+        # The displacement is upwards, perpendicular to the direction. At the zenith, where it has no azimuth, its
+        # horizontal components are small instead of NaN.
         level = hypot(star[0], star[2])
         upward = -star[1] / max(level, _TINY) * sigma
         shared[k, 0, 0], shared[k, 1, 0], shared[k, 2, 0] = star[0] * upward, level * sigma, star[2] * upward

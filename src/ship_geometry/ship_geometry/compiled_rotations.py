@@ -1,8 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled rotations for single calls, which are most calls of a live node; numpy is efficient for arrays only.
+"""Compiled rotations for single attitudes and vectors, which are most calls of a live node.
 
-It is Python with C types, compiled by Cython when the package is built. The functions are documented where they are
-called; :mod:`ship_geometry.rotations` has the same for arrays, and the tests compare the two.
+The module is Python with C types; Cython compiles it when the package is built. Numpy is efficient for arrays only. The
+functions are documented where they are called. :mod:`ship_geometry.rotations` has the same functions for arrays; the
+tests compare the results.
 """
 
 import cython
@@ -93,7 +94,10 @@ def jacobian(vector: cython.const[cython.double][:]):
 @cython.cfunc
 @cython.exceptval(check=False)
 def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
-    """Write the logarithm, by the antisymmetric part; near half a turn by R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ."""
+    """Write the rotation vector of a rotation matrix R, computed from the antisymmetric part of R.
+
+    Near half a turn t the axis n is computed from R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ.
+    """
     cosine: cython.double = 0.5 * (rotation[0] + rotation[4] + rotation[8] - 1.0)
     x: cython.double = rotation[7] - rotation[5]
     y: cython.double = rotation[2] - rotation[6]
@@ -155,14 +159,11 @@ def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) 
 
 
 def cumulative_rotations(rotation: cython.const[cython.double][:, :], vectors: cython.const[cython.double][:, :]):
-    """Return the N rotations that follow from a rotation by N successive rotation vectors about the rotated axes.
+    """Return the rotation after each of N successive rotation vectors about the rotated axes, shape (N, 3, 3).
 
     Args:
-        rotation: shape (3, 3).
-        vectors: rad, shape (N, 3).
-
-    Returns:
-        The rotation after each vector, shape (N, 3, 3).
+        rotation: rotation before the first vector, shape (3, 3).
+        vectors: rotation vectors, rad, shape (N, 3).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
     check("rotation", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
@@ -189,15 +190,12 @@ def differences(
     others: cython.const[cython.double][:, :, :],
     turn: cython.const[cython.double][:, :],
 ):
-    """Return the rotation vectors of R Oᵀ T, for N rotations R and O, in the left frame of R.
+    """Return the rotation vectors of R Oᵀ T, for N rotations R and O, in the left frame of R, rad, shape (N, 3).
 
     Args:
         rotations: R, shape (N, 3, 3).
-        others: O, with another frame on the left, shape (N, 3, 3).
-        turn: T, approximate rotation between the left frames of O and R, shape (3, 3).
-
-    Returns:
-        rad, shape (N, 3).
+        others: O, with another left frame than R, shape (N, 3, 3).
+        turn: T, approximate rotation from the left frame of R to the left frame of O, shape (3, 3).
     """
     count: cython.Py_ssize_t = rotations.shape[0]
     check("rotations", rotations.shape[1] == rotations.shape[2] == others.shape[1] == others.shape[2] == 3)
@@ -229,7 +227,7 @@ def differences(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
-    """Write the product of two 3 × 3 matrices, the first one transposed."""
+    """Write the product of the transpose of a 3 × 3 matrix and another 3 × 3 matrix."""
     i: cython.int
     j: cython.int
     for i in range(3):
@@ -252,26 +250,26 @@ def composed_attitude(
 ):
     """Return the attitude composed of a rotating base and a sequence of rotations (links), with its derivatives.
 
-    The product is formed from right to left: the rotation of each link, exp(v) of three states v, then a fixed rotation
-    on its left. The base is on the left of the fixed rotation of one of the links.
+    The product is formed from right to left. Each link adds the rotation exp(v) of three states v, and on its left a
+    fixed rotation. To the left of the fixed rotation of one of the links, ``base_link``, the base is added.
 
     Args:
         mean: all states, shape (n,).
-        links: first state of each link, shape (k,).
-        after: the fixed rotations, shape (k, 3, 3).
-        base_link: the link to the left of which the base is.
-        white: a link whose states are multiplied by ``white_scale``.
-        white_scale: this factor.
-        clocks: states whose sum shifts the time of the base, s, shape (c,).
-        signs: sign of each in that sum, shape (c,).
+        links: index of the first of the three states of each link, shape (k,).
+        after: fixed rotation of each link, shape (k, 3, 3).
+        base_link: index of the link after which the base is added.
+        white: index of the link whose states are multiplied by ``white_scale``.
+        white_scale: factor of the states of the link ``white``.
+        clocks: indices of the states whose sum shifts the time of the base, s, shape (c,).
+        signs: sign of each of these states in the sum, shape (c,).
         base: attitude of the base, shape (3, 3).
-        rate: angular velocity of the base about its own axes, rad/s, shape (3,).
-        base_error: covariance of an error of the base about its own axes, rad², shape (3, 3).
+        rate: angular velocity about the axes of the base, rad/s, shape (3,).
+        base_error: covariance of the error of the base about the axes of the base, rad², shape (3, 3).
 
     Returns:
         The attitude, shape (3, 3).
-        Its derivative by the states as a rotation vector in the frame on the right, shape (3, n).
-        The covariance of the base's error in that frame, rad², shape (3, 3).
+        Derivative of the attitude, as rotation vector in its right frame, with respect to the states, shape (3, n).
+        Covariance of the error of the base in the right frame, rad², shape (3, 3).
     """
     n: cython.Py_ssize_t = mean.shape[0]
     count: cython.Py_ssize_t = links.shape[0]
@@ -327,7 +325,7 @@ def composed_attitude(
 
 
 def turn_between(first: cython.const[cython.double][:, :], second: cython.const[cython.double][:, :]):
-    """Return the rotation vector from one attitude to another about the axes of the first one, rad, shape (3,)."""
+    """Return the rotation vector from one attitude to another about the axes of the first attitude, rad, shape (3,)."""
     check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     before = cython.declare(cython.double[9])
     after = cython.declare(cython.double[9])
@@ -344,7 +342,7 @@ def turn_between(first: cython.const[cython.double][:, :], second: cython.const[
 @cython.cfunc
 @cython.exceptval(check=False)
 def _inverse_times(matrix: cython.p_double, vector: cython.p_double, out: cython.p_double) -> cython.void:
-    """Write the inverse of a transposed 3 × 3 matrix times a vector, by Cramer's rule."""
+    """Write the inverse of the transpose of a 3 × 3 matrix, times a vector, by Cramer's rule."""
     minors = cython.declare(cython.double[9])
     determinant: cython.double
     i: cython.int
@@ -376,7 +374,10 @@ def _cubic(
     rotation: cython.p_double,
     rate: cython.p_double,
 ) -> cython.void:
-    """Evaluate the cubic of :func:`cubic`; ``start`` is its slope at the start, the arguments after it are output."""
+    """Evaluate the cubic of :func:`cubic`, whose slope at the start is ``start``.
+
+    The arguments from ``end`` on are output: slope at the end, rotation vector, rotation and rate.
+    """
     matrix = cython.declare(cython.double[9])
     slope = cython.declare(cython.double[3])
     i: cython.int
@@ -409,18 +410,18 @@ def cubic(
     interval_s: cython.double,
     at: cython.double,
 ):
-    """Interpolate between two attitudes, by a cubic of the rotation vector with given rates at both ends.
+    """Interpolate between two attitudes by a cubic of the rotation vector with given rates at both ends.
 
     Args:
-        first: shape (3, 3).
-        turn: rotation vector from the first to the second one about the axes of the first, rad, shape (3,).
-        start_rate: about the axes of the first one, rad/s, shape (3,).
-        end_rate: about those of the second one.
-        interval_s: time between the two.
-        at: fraction of it.
+        first: the first attitude, shape (3, 3).
+        turn: rotation vector from the first to the second attitude, about the axes of the first, rad, shape (3,).
+        start_rate: rate at the first attitude, about its axes, rad/s, shape (3,).
+        end_rate: rate at the second attitude, about its axes, rad/s, shape (3,).
+        interval_s: time between the two attitudes.
+        at: requested time as a fraction of the interval.
 
     Returns:
-        Rotation and rate there, and the rotation vector from the first one.
+        Rotation and rate at the requested time, and the rotation vector from the first attitude.
     """
     check("cubic", first.shape[0] == first.shape[1] == turn.shape[0] == start_rate.shape[0] == end_rate.shape[0] == 3)
     of_rotation, of_rate, of_vector = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -456,32 +457,32 @@ def interpolate_attitude(
     any_direction: cython.double,
     largest: cython.double,
 ):
-    """Interpolate between two attitudes with measured rates by :func:`cubic`, with the error of the cubic.
+    """Interpolate between two attitudes with measured rates by :func:`cubic`, with estimates of the cubic's error.
 
-    The error of a cubic with the right values and slopes is the fourth derivative / 24 times t² (1 - t)². The
-    difference at another sample gives this factor. A second estimate, the only one without another sample, uses the
-    cubic's third derivative, as if it grew from zero within the interval.
+    At a fraction t of the interval the error of a cubic with the right values and slopes is the fourth derivative / 24
+    times t² (1 - t)². The difference at another sample gives this factor. A second estimate, which needs no other
+    sample, uses the third derivative of the cubic, as if it grew from zero within the interval.
 
     Args:
-        first: shape (3, 3).
-        second: the next one.
-        other: the sample before the first.
-        first_rate: about the axes of the first one, rad/s, shape (3,).
-        second_rate: about those of the second one.
-        interval_s: time between the two.
-        at: fraction of it.
-        other_at: time of the other sample, in units of the interval; 0 if there is none.
-        bound_share: share of the bound by the third derivative that is used with another sample.
+        first: the first attitude, shape (3, 3).
+        second: the second attitude, shape (3, 3).
+        other: attitude of the sample before the first, shape (3, 3).
+        first_rate: rate at the first attitude, about its axes, rad/s, shape (3,).
+        second_rate: rate at the second attitude, about its axes, rad/s, shape (3,).
+        interval_s: time between the two attitudes.
+        at: requested time as a fraction of the interval.
+        other_at: time of the other sample in units of the interval, negative; 0 if there is no other sample.
+        bound_share: factor of the second estimate if there is another sample.
         any_direction: share of an error that may have any direction.
-        largest: bound of the sum of the errors' squares, rad².
+        largest: maximum of the sum of the errors' squares, rad².
 
     Returns:
-        The rotation.
-        The rate.
-        The variance of the attitude per variance of the samples' noise.
-        The estimates of the error, rotation vectors about the axes of the deck, rad, shape (k, 3): two, or one without
+        Rotation at the requested time.
+        Rate at the requested time.
+        Variance of the attitude, divided by the variance of the samples' noise.
+        Estimates of the error, rotation vectors about the axes of the deck, rad, shape (2, 3), or (1, 3) without
         another sample.
-        Their covariance, rad², shape (3, 3).
+        Covariance of the error, rad², shape (3, 3).
     """
     check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)
@@ -559,15 +560,15 @@ def propagate_by_rates(
     """Propagate N samples, each by its rate and by the change of the rates before it.
 
     Args:
-        rotations: shape (N, 3, 3).
-        rates: of each sample and of those before it, rad/s, newest first, at least two, shape (N, k, 3).
-        steps_s: intervals between them, s, shape (N, k - 1).
+        rotations: attitudes of the samples, shape (N, 3, 3).
+        rates: rates of each sample and of the samples before it, newest first, rad/s, shape (N, k, 3), k at least 2.
+        steps_s: intervals between these samples, s, shape (N, k - 1).
         ahead_s: time by which each sample is propagated, s, shape (N,).
         any_direction: share of an error that may have any direction.
-        largest: bound of the squares of the error, rad².
+        largest: maximum of the sum of the error's squares, rad².
 
     Returns:
-        The rotations, the rates, and the covariance of the propagation error, rad².
+        The propagated attitudes, their rates, and the covariance of the propagation error, rad².
     """
     samples: cython.Py_ssize_t = rotations.shape[0]
     count: cython.Py_ssize_t = rates.shape[1]
@@ -610,7 +611,7 @@ def propagate_by_rates(
                     jerk[i] -= (rates[n, back + 1, i] - rates[n, back + 2, i]) / steps_s[n, back + 1]
                     jerk[i] *= 2.0 / (steps_s[n, back] + steps_s[n, back + 1])
                 else:
-                    # With two rates only, the largest jerk: the whole change within the step.
+                    # With two rates only, the jerk is bounded: the acceleration grows from zero within the step.
                     jerk[i] /= steps_s[n, 0]
                 jerk[i] *= lacking
                 squares += jerk[i] * jerk[i]
@@ -647,23 +648,23 @@ def corrected_attitudes(
 
     Args:
         by: index of the estimate for each sample, shape (N,).
-        since_s: time since the estimate, s, shape (N,).
+        since_s: time from the estimate to each sample, s, shape (N,).
         rotations: attitudes of the samples, shape (N, 3, 3).
-        rates: angular velocity about their own axes, rad/s, shape (N, 3).
-        noise_gains: gain of the samples' white noise, shape (N,).
-        own_errors: covariance of a further error of each about its own axes, rad², shape (N, 3, 3).
-        errors: estimated correlated error, rad, shape (e, 3).
-        exceeds_model: true for each element that does not decay, shape (e, 3).
-        time_s: correlation time of the error, s, shape (3,).
-        steady_variance: steady variance of the error, rad², shape (3,).
+        rates: angular velocity of each sample about its axes, rad/s, shape (N, 3).
+        noise_gains: variance of each attitude, divided by the variance of the samples' white noise, shape (N,).
+        own_errors: covariance of a further error of each sample about its axes, rad², shape (N, 3, 3).
+        errors: estimates of the correlated error, rad, shape (e, 3).
+        exceeds_model: true for each component of the estimates that does not decay, shape (e, 3).
+        time_s: correlation time of the correlated error, s, shape (3,).
+        steady_variance: steady variance of the correlated error, rad², shape (3,).
         white_variance: variance of the samples' white noise, rad², shape (3,).
-        parts: covariance of error and clock offset (rad, s) by error source, shape (e, n_sources, 4, 4).
+        parts: covariance of correlated error and clock offset (rad, s) by error source, shape (e, n_sources, 4, 4).
         drift_source: index of the error source of the correlated error.
         white_source: index of the error source of the white noise.
         own_source: index of the error source of the further error.
 
     Returns:
-        Attitudes, shape (N, 3, 3), and their covariance by error source, rad², shape (N, n_sources, 3, 3).
+        Corrected attitudes, shape (N, 3, 3), and covariance of each by error source, rad², shape (N, n_sources, 3, 3).
     """
     count: cython.Py_ssize_t = since_s.shape[0]
     estimates: cython.Py_ssize_t = errors.shape[0]

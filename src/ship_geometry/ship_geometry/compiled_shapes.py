@@ -11,8 +11,8 @@ def check(what: str, fits: bool) -> None:
     """Raise an error if the shapes of arrays do not match.
 
     Args:
-        what: name of the arrays.
-        fits: True if their shapes match.
+        what: name of the arrays, for the error text.
+        fits: True if the shapes match.
 
     Raises:
         ValueError: the shapes do not match.

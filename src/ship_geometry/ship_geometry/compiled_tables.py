@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled reading of the numbers in the columns of a text table; see :mod:`ship_geometry.text_tables`.
 
-It is Python with C types, compiled by Cython when the package is built.
+The module is Python with C types; Cython compiles it when the package is built.
 """
 
 import cython
@@ -19,17 +19,18 @@ _MINUS = cython.declare(cython.uchar, 45)
 _POINT = cython.declare(cython.uchar, 46)
 _ZERO = cython.declare(cython.uchar, 48)
 _MOST_DIGITS = cython.declare(cython.int, 15)
-"""Maximum number of digits of an integer that is exact as a double, as are these powers of ten."""
+"""Maximum number of digits of a plain number; integers and powers of ten of this size are exact as doubles."""
 
 
 def plain_numbers(records: cython.const[cython.uchar][:, :], columns: cython.const[cython.Py_ssize_t][:, :]):
-    """Return the numbers in columns of n lines, shape (c, n), NaN if blank; and True for each plain number.
+    """Return the plain numbers in columns of n lines, shape (c, n), and True for each of them, shape (c, n).
 
-    A plain number has optional blanks and minus, digits with at most one point, and optional blanks. Its digits are an
-    integer that is divided once by a power of ten, which rounds as ``float`` does. Other numbers are zero.
+    A plain number has optional blanks and minus, digits with at most one point, and optional blanks. The digits form an
+    integer that is divided once by a power of ten, which rounds as ``float`` does. A blank column is a plain number,
+    NaN; a number that is not plain is returned as zero.
 
     Args:
-        records: the lines, shape (n, length).
+        records: characters of the lines, shape (n, length).
         columns: first and last character of each column, counted from 1, shape (c, 2).
     """
     of_numbers = np.zeros((columns.shape[0], records.shape[0]))
@@ -56,7 +57,7 @@ def _read(
     end: cython.Py_ssize_t,
     number: cython.p_double,
 ) -> cython.bint:
-    """Read the number between two characters of a line; return False if it is not plain."""
+    """Read the number between two characters of a line; return False if the number is not plain."""
     whole: cython.double = 0.0
     power: cython.double = 1.0
     digits: cython.int = 0

@@ -1,8 +1,8 @@
-"""Deck masks: obstructions of the sky on deck, as polygons over azimuth and elevation for one sensor.
+"""Deck masks: obstructions of the sky by structures on deck, as polygons in azimuth and elevation for one sensor.
 
-Azimuth is counted from the bow, clockwise seen from above; elevation over the deck. The edges of a polygon are
-straight in azimuth and elevation. A polygon across the bow has corners below 0 or over a whole turn: (350°, 370°), not
-(350°, 10°), which is the long way round.
+Azimuth is counted from the bow, clockwise seen from above; elevation is counted from the deck plane. The edges of a
+polygon are straight in azimuth and elevation. A polygon across the bow has azimuths below 0° or above 360°: (350°,
+370°), because (350°, 10°) would be the long way round.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 EDGE_STEP = np.deg2rad(0.25)
-"""Spacing of points on the edge of a mask, rad. A mask that reaches into a field by less may be overlooked."""
+"""Spacing of points on the edge of a mask, rad. A mask that enters a field by less than this may be missed."""
 
 BoolArray = NDArray[np.bool_]
 
@@ -28,7 +28,7 @@ class DeckMasks:
 
     Attributes:
         names: names of the masks.
-        corners: azimuth and elevation of the corners of each mask, shape (k, 2), rad, at least three corners.
+        corners: azimuth and elevation of the corners of each mask, rad, shape (k, 2), k at least 3.
 
     Example:
         A funnel astern, 50° high, hides a star astern at 30° elevation, but not at 60°:
@@ -44,9 +44,11 @@ class DeckMasks:
     corners: tuple[FloatArray, ...]
 
     def hidden_by_mask(self, directions_d: FloatArray) -> BoolArray:
-        """Return True for each mask that hides a direction (bow, up, starboard), shape (..., 3); shape (masks, ...).
+        """Return True for each mask that hides a direction, shape (masks, ...).
 
-        A direction that is not finite counts as hidden by every mask.
+        Args:
+            directions_d: directions (bow, up, starboard), shape (..., 3). A direction that is not finite counts as
+                hidden by every mask.
         """
         azimuth = np.arctan2(directions_d[..., 2], directions_d[..., 0]) % (2.0 * np.pi)
         elevation = np.arctan2(directions_d[..., 1], np.hypot(directions_d[..., 0], directions_d[..., 2]))
@@ -55,18 +57,18 @@ class DeckMasks:
         return np.array(inside, dtype=bool).reshape(len(self.corners), *azimuth.shape)
 
     def is_hidden(self, directions_d: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Return True for each direction (bow, up, starboard), shape (n, 3), that a mask hides, shape (n,).
+        """Return True for each direction that a mask hides, shape (n,).
 
         Args:
-            directions_d: unit vectors.
-            margin: a direction counts as hidden only if it is at least this far inside the edge of a mask, rad.
+            directions_d: unit vectors (bow, up, starboard), shape (n, 3).
+            margin: minimum distance of a hidden direction from the edge of the mask, rad.
         """
         hidden = self.hidden_by_mask(directions_d)
         if margin > 0.0:
             for number in np.flatnonzero(hidden.any(axis=1)):
                 within = hidden[number]
                 nearest = np.max(directions_d[within] @ self._edges[number].T, axis=-1)
-                # The edge is up to half a step from its nearest point.
+                # A place on the edge is up to half a step from the nearest edge point.
                 within[within] = ~(nearest >= np.cos(min(margin + EDGE_STEP / 2.0, np.pi)))
         anywhere: BoolArray = np.any(hidden, axis=0)
         return anywhere
@@ -74,7 +76,7 @@ class DeckMasks:
     def masks_in_field(self, rotations_ds: FloatArray, half_field: FloatArray) -> BoolArray:
         """Return True for each mask that reaches into a rectangular field of view, shape (masks, n).
 
-        A mask reaches into a field if its edge enters the field, or if the whole field is inside.
+        A mask reaches into a field if the edge of the mask enters the field, or if the whole field is inside the mask.
 
         Args:
             rotations_ds: deck from sensor (forward, up, right), for each of n mountings, shape (n, 3, 3).
@@ -90,7 +92,7 @@ class DeckMasks:
         return reaches
 
     def covering_masks(self, directions_d: FloatArray) -> list[str]:
-        """Return the masks that together hide all directions, shape (n, 3); an empty list if one is clear."""
+        """Return the names of the masks if they hide all directions, shape (n, 3); an empty list otherwise."""
         hiding = self.hidden_by_mask(directions_d)
         if not hiding.any(axis=0).all():
             return []
@@ -104,11 +106,11 @@ class DeckMasks:
 
 @dataclass(frozen=True)
 class SensorMasks:
-    """The masks of the deck in the frame of a star sensor.
+    """Deck masks for directions in the frame of a star sensor.
 
     Attributes:
         masks: masks of the deck.
-        rotation_ds: deck from sensor, as mounted, shape (3, 3).
+        rotation_ds: orientation of the sensor (deck from sensor), shape (3, 3).
 
     Example:
         A sensor that looks over the port side, and a crane there:
@@ -123,21 +125,21 @@ class SensorMasks:
     rotation_ds: FloatArray
 
     def is_hidden(self, directions_s: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Return :meth:`DeckMasks.is_hidden` for directions in the sensor frame, shape (n, 3); shape (n,)."""
+        """Return :meth:`DeckMasks.is_hidden`, shape (n,), for directions in the sensor frame, shape (n, 3)."""
         return self.masks.is_hidden(directions_s @ self.rotation_ds.T, margin)
 
     def hiding_names(self, direction_s: FloatArray) -> str:
-        """Return the names of the masks that hide a direction in the sensor frame, shape (3,); empty if none does."""
+        """Return the names of the masks that hide a direction in the sensor frame, shape (3,), joined by commas."""
         hiding = self.masks.hidden_by_mask(direction_s @ self.rotation_ds.T)
         return ", ".join(name for name, hides in zip(self.masks.names, hiding, strict=True) if hides)
 
     def covering_masks(self, directions_s: FloatArray) -> list[str]:
-        """Return the masks that together hide all directions, shape (n, 3); an empty list if one is clear."""
+        """Return :meth:`DeckMasks.covering_masks` for directions in the sensor frame, shape (n, 3)."""
         return self.masks.covering_masks(directions_s @ self.rotation_ds.T)
 
 
 def field_directions(half_field: FloatArray) -> FloatArray:
-    """Return a grid of directions over a rectangular field of view, its edge included: (forward, up, right), (n, 3).
+    """Return a grid of directions (forward, up, right) over a rectangular field of view with its edge, shape (n, 3).
 
     Args:
         half_field: tangents of half the field to the right and up, shape (2,).
@@ -153,14 +155,14 @@ def field_directions(half_field: FloatArray) -> FloatArray:
 
 
 def _is_inside(corners: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> BoolArray:
-    """Return True for directions inside a polygon: a ray upward from there crosses an odd number of edges.
+    """Return True for each direction inside a polygon: the ray upwards from it crosses an odd number of edges.
 
     Azimuths are compared modulo 360°.
 
     Args:
-        corners: shape (k, 2), rad.
-        azimuth: in [0, 2 pi), shape (...).
-        elevation: shape (...).
+        corners: azimuth and elevation of the corners, rad, shape (k, 2).
+        azimuth: azimuths of the directions in [0, 2 pi), rad, shape (...).
+        elevation: elevations of the directions, rad, shape (...).
     """
     inside = np.zeros(np.shape(azimuth), dtype=bool)
     ends = np.roll(corners, -1, axis=0)

@@ -1,7 +1,7 @@
 """Earth orientation parameters (EOP): UT1 − UTC and polar motion from the IERS's finals2000A, with their errors.
 
-An error of UT1 of one second rotates the sky by 15″. The table comes with `astropy-iers-data`. It has measured values
-up to its issue and predictions for the year after it. For later times an error states the reason.
+A UT1 error of one second rotates the sky by 15″. The table comes with `astropy-iers-data`. It has measured values up
+to its date of issue and predictions for a year after this date. A later time raises an error that states the reason.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.text_tables import numbers, read_lines
 from ship_geometry.time_scales import DAY_NS, UNIX_EPOCH_MJD, LeapSeconds, TimeNs, leap_seconds, utc_text
 
-# Columns (first, last; counted from 1) of finals2000A, from its ReadMe. Values of Bulletin B (_b) replace those of
-# Bulletin A.
+# Columns (first, last; counted from 1) of finals2000A, from its ReadMe. Values of Bulletin B (_b) replace the values
+# of Bulletin A.
 _RECORD_LENGTH = 188
 _UT1_FLAG = 58
 _MEASURED, _PREDICTED = b"IP"
@@ -35,27 +35,27 @@ _COLUMNS = {
     "ut1_b": (155, 165),
 }
 
-# Between the daily values: linear interpolation of UT1 − TAI (18 µs), tides within the day (30 µs), and the difference
-# between Bulletins A and B (30 µs since 2000, six times A's own error). Together 0.7 mas.
+# Error of UT1 between the daily values: linear interpolation of UT1 − TAI (18 µs), tides within the day (30 µs), and
+# the difference between Bulletins A and B (30 µs since 2000, six times the stated error of A). The sum is 0.7 mas.
 _UT1_FLOOR_S = 50e-6
-# The same for the pole: linear interpolation 0.04 mas, tides within the day 0.5 mas.
+# Error of the pole between the daily values: linear interpolation (0.04 mas) and tides within the day (0.5 mas).
 _POLE_FLOOR = 0.5e-3 * ARCSEC
 
 
 class OutsideEarthOrientation(ValueError):
-    """Error for a time without a value in the table; the text contains the time, the table and what to do."""
+    """Error for a time that the table does not cover; the text states the time, the table and what to do."""
 
 
 @dataclass(frozen=True)
 class EarthOrientation:
-    """Orientation of the Earth at one time, or at several, with arrays of one shape.
+    """Orientation of the Earth at one or several times; all arrays have the shape of the times.
 
     Attributes:
         ut1_minus_utc_s: UT1 − UTC.
-        ut1_sigma_s: its standard deviation.
+        ut1_sigma_s: standard deviation of UT1 − UTC.
         pole_x: polar motion, rad.
         pole_y: polar motion, rad.
-        pole_sigma: standard deviation of either, rad.
+        pole_sigma: standard deviation of each coordinate of the pole, rad.
     """
 
     ut1_minus_utc_s: FloatArray
@@ -68,7 +68,7 @@ class EarthOrientation:
 def prediction_sigma_s(days_ahead: FloatArray | float) -> FloatArray:
     """Return the standard deviation of a predicted UT1 − UTC, s: 5 ms · (days ahead / 30)^1.2.
 
-    It was measured over six past issues of the table, and is two to four times the value in the table.
+    The formula is fitted to the errors of six past issues of the table; it is two to four times the value in the table.
 
     Example:
         A month ahead the Earth's rotation is known to 5 ms, which is 0.075″:
@@ -81,18 +81,18 @@ def prediction_sigma_s(days_ahead: FloatArray | float) -> FloatArray:
 
 @dataclass(frozen=True)
 class EarthOrientationTable:
-    """Daily values at 0h UTC, shape (n,) each.
+    """Daily values at 0h UTC, arrays of shape (n,).
 
     Attributes:
-        source: the file, for messages.
-        mjd: days, increasing by one.
-        ut1_minus_tai_s: without the jumps of UT1 − UTC, so that it can be interpolated.
-        ut1_sigma_s: the file's own error.
-        pole_x: rad.
-        pole_y: rad.
-        pole_sigma: the file's own error, rad.
+        source: name of the file, for messages.
+        mjd: modified Julian date of each day; the days have no gap.
+        ut1_minus_tai_s: UT1 − TAI; it has no leap seconds, so it can be interpolated.
+        ut1_sigma_s: standard deviation of UT1 in the file.
+        pole_x: polar motion, rad.
+        pole_y: polar motion, rad.
+        pole_sigma: standard deviation of each coordinate of the pole in the file, rad.
         measured_until_mjd: last day with a measured value.
-        leap_seconds: TAI − UTC.
+        leap_seconds: table of TAI − UTC.
 
     Example:
         >>> table = earth_orientation_table()
@@ -112,16 +112,16 @@ class EarthOrientationTable:
 
     @property
     def first_ns(self) -> int:
-        """Start of the table."""
+        """Time at which the table begins."""
         return _ns_from_mjd(self.mjd[0])
 
     @property
     def last_ns(self) -> int:
-        """End of the predictions, or of the validity of the leap seconds if that is earlier."""
+        """Time at which the predictions end, or the leap seconds expire if that is earlier."""
         return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
 
     def unavailable_text(self, time_ns: TimeNs) -> str | None:
-        """Return the reason why a time, or one of several, has no value; None if each has one."""
+        """Return the reason why the table has no value for one of the times; None if it covers all times."""
         times = np.asarray(time_ns, dtype=np.int64)
         outside = times[(times < self.first_ns) | (times > self.last_ns)]
         if not outside.size:
@@ -133,7 +133,7 @@ class EarthOrientationTable:
         )
 
     def at(self, time_ns: TimeNs) -> EarthOrientation:
-        """Return the orientation at a time, or at several.
+        """Return the orientation of the Earth at one or several times.
 
         Raises:
             OutsideEarthOrientation: a time is outside the table.
@@ -143,7 +143,7 @@ class EarthOrientationTable:
             raise OutsideEarthOrientation(reason)
         mjd = UNIX_EPOCH_MJD + np.asarray(time_ns, dtype=np.int64) / DAY_NS
         days_predicted = np.maximum(mjd - self.measured_until_mjd, 0.0)
-        # A measured value has the error of the file. A prediction adds its own error to that of the last measurement.
+        # A measured value has the error in the file. A prediction adds its error to the error of the last measurement.
         own_sigma_s = np.interp(np.minimum(mjd, self.measured_until_mjd), self.mjd, self.ut1_sigma_s)
         variance_s2 = own_sigma_s**2 + _UT1_FLOOR_S**2 + prediction_sigma_s(days_predicted) ** 2
         return EarthOrientation(
@@ -168,7 +168,7 @@ def earth_orientation_table() -> EarthOrientationTable:
 
 
 def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
-    """Read a file in the IERS format finals2000A.all: Bulletin B if given, otherwise A.
+    """Read a file in the IERS format finals2000A.all; values of Bulletin B replace the values of Bulletin A.
 
     Raises:
         ValueError: the format is wrong, or values are missing; the text names the file.
@@ -206,7 +206,7 @@ def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
 
 
 def _final_or_rapid(final: FloatArray, rapid: FloatArray) -> FloatArray:
-    """Return the final values of Bulletin B, or the rapid ones of Bulletin A if there are no final ones yet."""
+    """Return the final values of Bulletin B, or the rapid values of Bulletin A where no final value exists."""
     return np.where(np.isnan(final), rapid, final)
 
 

@@ -1,13 +1,13 @@
-"""Mean over an exposure of a rotating camera, from attitudes of the body that carries it.
+"""Mean over an exposure of a rotating camera, from attitudes of the body that carries the camera.
 
-The image of a star moves over the detector during the exposure. Its centroid is the mean of its positions p(t) over the
-exposure T. It differs from the position at the middle, and the light is spread along the path:
+The image of a star moves over the detector during the exposure. The centroid of the image is the mean of its positions
+p(t) over the exposure T. It differs from the position p(0) at the middle, and the light is spread along the path:
 
     mean of p - p(0) = p̈ T²/24 + p⁗ T⁴/1920 + ...          spread of p about its mean = ṗ ṗᵀ T²/12 + ...
 
-Both follow from p at a few times, the nodes: the middle and two outer nodes for a short exposure, Simpson's rule for a
-long one. The outer nodes are a tenth of a second from the middle even if the exposure is shorter, because the noise of
-the samples would dominate p̈ with closer ones.
+Mean and spread are computed from p at a few times, the nodes. A short exposure has the middle and two outer nodes; a
+long exposure has the nodes of Simpson's rule. The outer nodes are a tenth of a second from the middle even if the
+exposure is shorter, because with closer nodes the noise of the samples would dominate p̈.
 """
 
 import math
@@ -27,12 +27,11 @@ _STEP_S = 0.1
 
 @dataclass(frozen=True)
 class Nodes:
-    """Quadrature nodes of an exposure: the weighted mean of values at these times is their mean over the exposure.
+    """Quadrature nodes of an exposure: the mean of a quantity over the exposure is its weighted mean over the nodes.
 
     Attributes:
-        offset_ns: time of each node relative to the middle of the exposure, increasing, with the middle itself; shape
-            (m,).
-        weight: weight of each in the mean, none negative, their sum 1, shape (m,).
+        offset_ns: time of each node relative to the middle of the exposure, increasing, shape (m,); one of them is 0.
+        weight: weight of each node, not negative, shape (m,); the sum of the weights is 1.
     """
 
     offset_ns: tuple[int, ...]
@@ -40,7 +39,7 @@ class Nodes:
 
     @property
     def reach_ns(self) -> int:
-        """Time from the middle of the exposure to the outermost nodes."""
+        """Time from the middle of the exposure to the last node."""
         return self.offset_ns[-1]
 
     def times_and_weights(self, middle_ns: int) -> list[tuple[int, float]]:
@@ -49,12 +48,12 @@ class Nodes:
         return [(middle_ns + offset_ns, weight) for offset_ns, weight in offsets]
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Return the mean of values at the nodes, shape (m, ...)."""
+        """Return the weighted mean, shape (...), of values at the nodes, shape (m, ...)."""
         mean: FloatArray = np.tensordot(self.weight, values, axes=1)
         return mean
 
     def covariance(self, values: FloatArray) -> FloatArray:
-        """Return the covariance of values at the nodes about their mean, shape (m, ..., n) → (..., n, n)."""
+        """Return the covariance, shape (..., n, n), of values at the nodes, shape (m, ..., n), about their mean."""
         off = values - self.mean(values)
         covariance: FloatArray = np.einsum("m,m...i,m...j->...ij", self.weight, off, off)
         return covariance
@@ -64,7 +63,7 @@ def exposure_nodes(exposure_s: float) -> Nodes:
     """Return the nodes of an exposure.
 
     Args:
-        exposure_s: length, s, above 0 and up to :data:`LONGEST_EXPOSURE_S`.
+        exposure_s: length of the exposure, s, above 0 and up to :data:`LONGEST_EXPOSURE_S`.
 
     Example:
         An exposure of 0.1 s uses the attitudes at its middle and 0.1 s before and after it:
@@ -78,7 +77,7 @@ def exposure_nodes(exposure_s: float) -> Nodes:
         outer_weight = (exposure_s / _STEP_S) ** 2 / 24.0
         weight, half_s = np.array([outer_weight, 1.0 - 2.0 * outer_weight, outer_weight]), _STEP_S
     else:
-        # Simpson's rule, weights 1 4 2 4 ... 4 1. The number of steps is even, so one node is at the middle.
+        # Simpson's rule has the weights 1 4 2 4 ... 4 1. The number of steps is even, so one node is at the middle.
         weight = np.full(2 * pairs + 1, 2.0)
         odd_nodes, end_nodes = slice(1, None, 2), [0, -1]
         weight[odd_nodes], weight[end_nodes] = 4.0, 1.0
@@ -95,11 +94,12 @@ class ExposureMotion:
         nodes: nodes of the exposure.
         turns: rotations "body at the node from body at the middle", shape (m, 3, 3).
         rate: mean angular velocity between the outermost nodes about the body's axes at the middle, rad/s, shape (3,).
-        noise_gain: variance of the mean attitude by the white noise of the samples, divided by that noise's variance.
-        correction_gain: the same for the difference mean attitude - attitude at the middle.
+        noise_gain: variance of the mean attitude due to the white noise of the samples, divided by the noise variance.
+        correction_gain: likewise for the difference mean attitude - attitude at the middle.
         error_covariance: covariance of the interpolation error of the mean attitude, rotation vector in the body's
             frame, rad², shape (3, 3).
-        correction_error: variance of the interpolation error of that difference, sum over the three axes, rad².
+        correction_error: variance of the interpolation error of the difference mean attitude - attitude at the middle,
+            sum over the three axes, rad².
     """
 
     nodes: Nodes
@@ -111,10 +111,10 @@ class ExposureMotion:
     correction_error: float
 
     def in_device_frame(self, rotation_ds: FloatArray) -> "ExposureMotion":
-        """Return the rotation of a device on the body, in the device's axes.
+        """Return the same rotation about the axes of a device on the body.
 
         Args:
-            rotation_ds: rotation "body from device", shape (3, 3).
+            rotation_ds: orientation of the device (body from device), shape (3, 3).
         """
         return replace(
             self,
@@ -146,8 +146,8 @@ def exposure_motion(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Exposur
     if middle is None or len(around) < len(moments):
         return None
     # The interpolation errors at the nodes are not independent. The mean of their covariances is an upper bound of the
-    # covariance of their mean. For the difference mean - middle, the errors at the middle and at the outer nodes are
-    # assumed to have opposite signs, which is an upper bound too.
+    # covariance of their mean. For the difference mean - middle, the assumption that the errors at the middle and at
+    # the outer nodes have opposite signs gives an upper bound too.
     errors = np.array([found.error_covariance_d for found in around])
     outer_weights = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
     share, variances = float(outer_weights.sum()), np.trace(errors, axis1=-2, axis2=-1)

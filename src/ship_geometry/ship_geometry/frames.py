@@ -1,8 +1,8 @@
-"""A device frame (forward, up, right) in its parent frame: three angles, one matrix, one covariance.
+"""Orientation of a device frame (forward, up, right) in its parent frame: angles, rotation matrix and covariances.
 
-[Z14] (1)-(3), [P15] (17)-(19), docs/explanation/frames.md. Angles are azimuth (clockwise seen from above, from the
-parent's forward axis), elevation (up positive) and roll (right side down positive). All functions accept
-leading dimensions.
+The angles are azimuth (clockwise seen from above, from the parent's forward axis), elevation (up positive) and roll
+(right side down positive). All functions accept leading dimensions. Formulas: [Z14] (1)-(3), [P15] (17)-(19),
+docs/explanation/frames.md.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray, wrap_two_pi
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
-"""Elevation beyond which azimuth and roll cannot be separated and their covariance is NaN, rad."""
+"""Elevation beyond which azimuth and roll are not separated, and the covariance of the angles is NaN, rad."""
 
 
 def rotation_from_angles(
@@ -49,7 +49,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     """Return azimuth in [0, 2 pi), elevation in [-pi/2, pi/2] and roll in [-pi, pi] (rad), shape (..., 3).
 
     At the zenith and the nadir only the sum, or the difference, of azimuth and roll is defined. The returned angles are
-    one choice, from which :func:`rotation_from_angles` gives the same rotation.
+    one solution; :func:`rotation_from_angles` returns the same rotation from them.
 
     Example:
         >>> rotation_nd = rotation_from_angles(*np.deg2rad([359.0, 5.0, -3.0]))
@@ -63,7 +63,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     # atan2 keeps full precision near the zenith, where an arcsine would not.
     horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
     elevation = np.arctan2(rotation[..., 1, 0], horizontal)
-    # Roll is computed with this azimuth. The usual atan2(-R23, R22) fails at the zenith, where both elements vanish.
+    # Roll is computed from the azimuth. The usual atan2(-R23, R22) fails at the zenith, where both elements vanish.
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
     cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
@@ -71,7 +71,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: float | FloatArray) -> FloatArray:
-    """Return the matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame.
+    """Return the matrix B, shape (..., 3, 3), with ``delta = B @ [dA, dE, droll]``; delta is in the parent frame.
 
     Example:
         An azimuth error of one degree is a rotation by -1° about Up, at any elevation:
@@ -98,7 +98,7 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: Fl
     It is NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
-        A tilt by 20″ about North is 35″ of azimuth (20″ tan 60°) for a sensor that looks North at 60° elevation:
+        A sensor looks North at 60° elevation. A tilt by 20″ about North changes its azimuth by 35″ (20″ tan 60°):
 
         >>> matrix = angle_errors_from_rotation_vector(0.0, np.deg2rad(60.0))
         >>> print((matrix @ [20.0, 0.0, 0.0]).round(1))  # azimuth, elevation, roll, in arcseconds
@@ -124,12 +124,12 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: Fl
 
 
 def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Return the covariance of (azimuth, elevation, roll), rad², from that of the rotation vector in the parent frame.
+    """Return the covariance of (azimuth, elevation, roll), rad², from the covariance of the rotation vector.
 
-    It is NaN beyond :data:`SINGULAR_ELEVATION`.
+    The rotation vector is in the parent frame. The result is NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
-        For an attitude with 3″ about each axis, at 45° elevation, azimuth and roll are worse by √2:
+        At 45° elevation, an attitude with a sigma of 3″ about each axis has a sigma of √2 · 3″ in azimuth and roll:
 
         >>> covariance = angle_covariance(9.0 * np.eye(3), 0.0, np.deg2rad(45.0))  # arcsec²
         >>> print(np.sqrt(np.diagonal(covariance)).round(2))
@@ -142,10 +142,12 @@ def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevati
 def rotation_vector_covariance(
     covariance_angles: FloatArray, azimuth: float | FloatArray, elevation: float | FloatArray
 ) -> FloatArray:
-    """Return the covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll).
+    """Return the covariance of the rotation vector in the parent frame, rad², from a covariance of the angles.
+
+    The order of the angles is azimuth, elevation, roll.
 
     Example:
-        A level ship heading North, with sigmas of 72″ in heading, 10″ in pitch and roll, as (North, Up, East):
+        A level ship heading North has sigmas of 72″ in heading, 10″ in pitch and roll; about (North, Up, East):
 
         >>> covariance_n = rotation_vector_covariance(np.diag([72.0, 10.0, 10.0]) ** 2, 0.0, 0.0)  # arcsec²
         >>> print(np.sqrt(np.diagonal(covariance_n)).round(1))

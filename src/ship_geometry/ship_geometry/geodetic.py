@@ -1,7 +1,7 @@
-"""Positions on the WGS 84 ellipsoid, the horizon there, and its rotation with the distance travelled.
+"""Positions on the WGS 84 ellipsoid, their horizons, and the rotation of the horizon with the distance travelled.
 
 ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
-ellipsoid normal. The vertical of a level instrument differs from it by the deflection of the vertical.
+ellipsoid normal. The vertical of a level instrument differs from the normal by the deflection of the vertical.
 All functions except :func:`normal_gravity` accept arrays of positions.
 """
 
@@ -28,9 +28,9 @@ class GeodeticPosition:
     """A position on WGS 84.
 
     Attributes:
-        latitude: geodetic, north positive, rad, shape (...).
-        longitude: east positive, rad, shape (...).
-        height_m: above the ellipsoid (not above sea level), shape (...).
+        latitude: geodetic latitude, north positive, rad, shape (...).
+        longitude: longitude, east positive, rad, shape (...).
+        height_m: height above the ellipsoid (not above sea level), shape (...).
     """
 
     latitude: FloatArray | float
@@ -66,14 +66,14 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
     """Return the rotation "horizon (North, Up, East) from ECEF" at a place (rad), shape (..., 3, 3).
 
     Example:
-        At 45° north on the meridian of Greenwich the Earth's pole (z) stands 45° over the North point:
+        At 45° north on the meridian of Greenwich the celestial pole (z) is 45° above the North point:
 
         >>> pole_n = rotation_horizon_from_ecef(np.deg2rad(45.0), 0.0) @ [0.0, 0.0, 1.0]
         >>> print(pole_n.round(4))  # North, Up, East
         [0.7071 0.7071 0.    ]
     """
     single = isinstance(latitude, float) and isinstance(longitude, float)
-    # A live node has single places: arrays would take several times as long.
+    # A live node calls this for single places, for which arrays would take several times as long.
     sine, cosine = (math.sin, math.cos) if single else (np.sin, np.cos)
     sin_lat, cos_lat, sin_lon, cos_lon = sine(latitude), cosine(latitude), sine(longitude), cosine(longitude)
     north = -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat
@@ -99,10 +99,10 @@ def normal_gravity(latitude: float) -> float:
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
     """Return the radii of curvature in the meridian and in the prime vertical, each plus the height, m.
 
-    A displacement by such a radius to the north, or to the east, rotates the horizon by one radian.
+    A displacement to the north by the first radius, or to the east by the second, rotates the horizon by one radian.
 
     Example:
-        A minute of arc at the equator:
+        One arcminute to the north and to the east at the equator:
 
         >>> north_m, east_m = horizon_radii_m(GeodeticPosition(latitude=0.0, longitude=0.0, height_m=0.0))
         >>> print(f"{north_m * np.pi / 180.0 / 60.0:.1f} m, {east_m * np.pi / 180.0 / 60.0:.1f} m")

@@ -1,7 +1,6 @@
-"""Base class of all errors in user input: a file, a parameter, an argument.
+"""Base class of all errors in user input: in a file, a parameter or an argument.
 
-It is in the lowest package because all packages derive errors from it, which commands distinguish from defects of the
-code.
+Errors of all packages derive from this class, so commands can distinguish them from defects of the code.
 """
 
 from typing import Any
@@ -10,21 +9,15 @@ from typing import Any
 class InputError(ValueError):
     """Error in user input.
 
-    The text is for users and is never parsed: programs use the attributes.
+    The text of the error is for users and is never parsed; programs use the attributes. The arguments are the
+    attributes; file and line precede the reason in the text.
 
     Attributes:
-        reason: what is wrong, without the file and the line.
-        file: name of the file; empty if the input is not a file, or the file is not known here.
-        line: line of the file, from 1; None if it is not known.
-        parameters: dotted names of the parameters, the most relevant one first; empty if the input is not a parameter.
-        value: the refused value; None if there is none.
-
-    Args:
-        reason: as above; one line.
-        file: as above; precedes the reason in the text.
-        line: as above; follows the file.
-        parameters: as above.
-        value: as above.
+        reason: reason for the refusal in one line, without the file and the line.
+        file: name of the file; empty if the input is not a file or its file is not known.
+        line: line of the file, from 1; None if the line is not known.
+        parameters: dotted names of the parameters, the most relevant first; empty if the input is not a parameter.
+        value: refused value; None if no single value is refused.
     """
 
     def __init__(

@@ -1,11 +1,11 @@
 """Interpolation error as a covariance, estimated from the neighbouring samples.
 
-Values between two samples are interpolated by a cubic. Its error is estimated from its differences to the other
-neighbouring samples. With measured rates, the difference at one other sample is scaled to the requested time
-(:func:`ship_geometry.compiled_rotations.interpolate_attitude`). Without them, the cubic is compared with the polynomial
-through all neighbouring samples (:func:`polynomial_errors`).
+Values between two samples are interpolated by a cubic. The error of the cubic is estimated from its differences to the
+other neighbouring samples. With measured rates, the difference at one other sample is scaled to the requested time
+(:func:`ship_geometry.compiled_rotations.interpolate_attitude`). Without measured rates, the cubic is compared with the
+polynomial through all neighbouring samples (:func:`polynomial_errors`).
 
-The noise of the samples contributes to the estimates, but by a fraction of itself only: it is not divided by the time
+The noise of the samples contributes only a fraction of itself to the estimates, because it is not divided by the time
 between samples. At high sample rates the estimate is therefore a small part of the noise. Derivation and numbers:
 docs/explanation/interpolation.md.
 """
@@ -20,25 +20,25 @@ from ship_geometry import compiled_polynomials
 from ship_geometry.rotations import FloatArray
 
 MOST_SAMPLES = 5
-"""Maximum number of samples for a polynomial: with more of them the samples' noise dominates."""
+"""Maximum number of samples for a polynomial; with more samples their noise dominates."""
 
 NEXT_TERM_SHARE = 0.5
 """Share of the next term of the error that is added to an estimate.
 
-In a wave the terms of successive orders are out of phase: if one is zero, the next one is largest."""
+In a wave the terms of successive orders are out of phase: if one term is zero, the next term is largest."""
 
 ANY_DIRECTION = 0.3
-"""Relative error of an estimated interpolation error, the same in all directions."""
+"""Relative error of an estimated interpolation error, equal in all directions."""
 
 
 def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = math.inf) -> FloatArray:
-    """Return the covariance of an error from estimates of it, shape (k, k).
+    """Return the covariance of an error from several estimates of the error, shape (k, k).
 
-    The estimates are assumed to be independent. Each adds a covariance of 0.3² times its square in every direction.
+    The estimates are assumed to be independent. Each also adds a variance of 0.3² times its square in every direction.
 
     Args:
         errors: one estimate in each row, shape (k,) each.
-        largest: upper limit of the sum of their squares; the covariance is scaled down if the sum exceeds it.
+        largest: upper limit of the sum of the estimates' squares; a covariance with a larger sum is scaled down.
 
     Example:
         An estimated error of 2 along the first axis:
@@ -56,20 +56,20 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
 
 
 def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatArray:
-    """Return the joint covariance of the errors of several interpolated values, from estimates of them.
+    """Return the joint covariance of the errors of n interpolated values, from estimates of these errors.
 
-    Within one interval the error is one curve: its values are correlated, and nearly equal at two close times. In
-    different intervals the errors are treated as independent.
+    Within one interval the error is one curve: the errors of its values are correlated, and nearly equal at two close
+    times. Errors in different intervals are treated as independent.
 
     Args:
         errors: signed estimates as for :func:`as_covariance`, shape (n, n_estimates, k); zero for an exact value.
-        interval: number of the interval of each value, shape (n,).
+        interval: index of the interval of each value, shape (n,).
 
     Returns:
-        Shape (n, k, n, k).
+        Joint covariance, shape (n, k, n, k).
 
     Example:
-        The difference of two values with errors of 2 and 1.5, in one interval and in different intervals:
+        Variance of the difference of two values with errors of 2 and 1.5, in one interval and in different intervals:
 
         >>> errors = np.array([[[2.0]], [[1.5]]])
         >>> for interval in ([0, 0], [0, 1]):
@@ -89,14 +89,15 @@ def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: F
     """Estimate the error of an interpolated value from the polynomial through all neighbouring samples.
 
     Args:
-        nodes: times of the samples in units of the interval, shape (n,). The first two are its ends, 0 and 1.
-        values: the samples, shape (n, k).
-        at: time of the value, in units of the interval.
+        nodes: times of the samples in units of the interval, shape (n,); the first two are the ends of the interval, 0
+            and 1.
+        values: values of the samples, shape (n, k).
+        at: time of the interpolated value, in units of the interval.
         found: the interpolated value, shape (k,).
 
     Returns:
-        Estimates for :func:`as_covariance`, shape (k,) each: the difference from the polynomial, and an estimate of its
-        missing terms. With only two samples there is one estimate, at most an eighth of the change between them.
+        Estimates for :func:`as_covariance`, shape (k,) each: the difference from the polynomial, and an estimate of the
+        polynomial's missing terms. Two samples give one estimate, at most an eighth of the change between the samples.
 
     Example:
         The function t² is 0.25 at t = 0.5. Linear interpolation between t = 0 and t = 1 gives 0.5:
@@ -109,7 +110,7 @@ def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: F
     if len(nodes) == 2:
         # Without other samples: error of a straight line if the rate changes from 0.5 to 1.5 times its mean.
         return (0.5 * at * (1.0 - at) * (values[1] - values[0]),)
-    # The missing terms are estimated as a share of the polynomial's last term; with fewer samples, as all of it.
+    # The missing terms are estimated as a share of the polynomial's last term, or as the whole term with fewer samples.
     next_term_share = NEXT_TERM_SHARE if len(nodes) == MOST_SAMPLES else 1.0
     error, missing_terms = compiled_polynomials.polynomial_errors(nodes, values, at, found, next_term_share)
     return error, missing_terms

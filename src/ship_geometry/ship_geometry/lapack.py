@@ -1,8 +1,8 @@
-"""LAPACK as scipy wraps it, without the rest of scipy: ``lapack.dposv``.
+"""Functions of ``scipy.linalg.lapack``, imported without the rest of scipy: ``lapack.dposv``.
 
-``import scipy.linalg.lapack`` imports five hundred modules, which takes longer than all other imports of a node, and
-``import scipy`` forty. The wrapped functions are in one library of scipy. They are the same objects as in
-``scipy.linalg.lapack``.
+``import scipy.linalg.lapack`` imports five hundred modules, which takes longer than all other imports of a node;
+``import scipy`` imports forty. All functions of ``scipy.linalg.lapack`` are in one library of scipy, and only this
+library is imported here.
 """
 
 import sys
@@ -14,7 +14,7 @@ _FUNCTIONS = ("dgesdd", "dposv", "dpotrf", "dpotri")
 
 
 def _wrapped_library() -> ModuleType:
-    """Import the library under its own name, so that a later import of scipy finds it."""
+    """Import the library under its name in scipy, so that a later import of scipy uses it."""
     if _LIBRARY in sys.modules:
         return sys.modules[_LIBRARY]
     import importlib.util
@@ -34,7 +34,7 @@ def _wrapped_library() -> ModuleType:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a function of the library, which is imported on first use: a node without stars never needs it."""
+    """Return a function of the library, which is imported on first use; a node without stars never imports it."""
     if name not in _FUNCTIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     library = _wrapped_library()

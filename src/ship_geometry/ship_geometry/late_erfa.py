@@ -1,6 +1,6 @@
 """The functions of ERFA, imported on first use: ``from ship_geometry import late_erfa as erfa``.
 
-Its import would take a tenth of the start of a node that needs neither stars nor positions.
+Nodes without stars and positions do not use ERFA; its import would be a tenth of their start time.
 """
 
 from typing import Any

@@ -1,22 +1,23 @@
-"""Refraction by tracing rays through a model of the air, valid at lower elevations than a formula of two terms.
+"""Refraction by ray tracing through a model of the air, valid at lower elevations than a formula of two terms.
 
-The model is that of Hohenkerk and Sinclair (NAO Technical Note 63, 1985), also in the Explanatory Supplement to the
+The model is by Hohenkerk and Sinclair (NAO Technical Note 63, 1985), also in the Explanatory Supplement to the
 Astronomical Almanac (1992, §3.281):
 
 - Surfaces of equal density are spheres about the Earth's centre, of radius 6 378 120 m at sea level.
-- Up to the tropopause at 11 km the temperature falls by 6.5 K/km from the measured one; above it is constant.
-- Air and vapour are ideal gases at rest under gravity, which depends on latitude and is the same at all heights.
+- Up to the tropopause at 11 km the temperature falls by 6.5 K/km, from the measured value; above the tropopause it is
+  constant.
+- Air and vapour are ideal gases at rest under gravity, which depends on latitude and is equal at all heights.
 - The vapour pressure is proportional to the 18.36th power of the temperature up to the tropopause, and zero above. At
   the ground it is the relative humidity times the saturation pressure (Gill, Atmosphere-Ocean Dynamics, 1982).
-- The refractivity of dry air is that of the International Association of Geodesy (1999, Birmingham, Resolution 3);
+- The refractivity of dry air is from the International Association of Geodesy (1999, Birmingham, Resolution 3);
   vapour refracts less than the dry air that it replaces, by 11.2684e-6 K/hPa.
 
 Along a ray n r sin z is constant, with n the index of refraction, r the distance from the Earth's centre and z the
-zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Down to 5° the integrand is
-smooth enough for Gaussian quadrature with ten points in the troposphere (Legendre) and ten above it (Laguerre), with
-errors of 1e-6″. Auer and Standish integrate over the zenith distance instead, which is needed only near the horizon.
-The Laguerre points cover all heights above the tropopause. The Technical Note stops at 80 km, which gives 0.003″ less
-at a zenith distance of 80°.
+zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Gaussian quadrature uses ten
+points in the troposphere (Legendre) and ten above it (Laguerre). Down to an elevation of 5° the integrand is smooth and
+the quadrature error is 1e-6″. Auer and Standish integrate over the zenith distance instead, which is needed only near
+the horizon. The Laguerre points cover all heights above the tropopause. The Technical Note stops at 80 km, which gives
+0.003″ less at a zenith distance of 80°.
 """
 
 from dataclasses import dataclass
@@ -38,7 +39,7 @@ _UPPER_NODES, _UPPER_WEIGHTS = np.polynomial.laguerre.laggauss(10)
 
 @dataclass(frozen=True)
 class Atmosphere:
-    """Parameters of the air that barometer and thermometer do not measure; defaults of the Technical Note.
+    """Parameters of the air that no barometer or thermometer measures; the defaults are from the Technical Note.
 
     Attributes:
         lapse_k_per_m: decrease of the temperature with height up to the tropopause, above 0.
@@ -54,7 +55,7 @@ class Atmosphere:
 
     @property
     def gravity(self) -> float:
-        """Gravity at the centre of mass of the air above, m/s²."""
+        """Gravity at the centre of mass of the air above the observer, m/s²."""
         return float(9.784 * (1.0 - 0.0026 * np.cos(2.0 * self.latitude) - 2.8e-7 * self.height_m))
 
 
@@ -69,21 +70,19 @@ def traced_refraction(
     wavelength_um: float,
     atmosphere: Atmosphere = STANDARD,
 ) -> FloatArray:
-    """Return refraction at observed zenith distances, in several kinds of weather, rad.
+    """Return refraction at k observed zenith distances in w kinds of weather, rad, shape (w, k).
 
     Args:
-        observed_zenith_distance: with air, rad, shape (k,); up to 86°. Larger ones need more quadrature points.
-        pressure_hpa: at the observer, shape (w,).
-        temperature_c: at the observer, shape (w,).
-        relative_humidity: 0 to 1.
-        wavelength_um: wavelength of the light.
-        atmosphere: the air above.
-
-    Returns:
-        Shape (w, k).
+        observed_zenith_distance: zenith distances with air, up to 86°, rad, shape (k,). Larger zenith distances need
+            more quadrature points.
+        pressure_hpa: air pressures at the observer, shape (w,).
+        temperature_c: air temperatures at the observer, shape (w,).
+        relative_humidity: humidity at the observer, 0 to 1.
+        wavelength_um: wavelength of the light, µm.
+        atmosphere: parameters of the air above the observer.
 
     Example:
-        Refraction at an observed elevation of 5° is 9.65′ at 15 °C, and 9.8′ at 10 °C:
+        Refraction at an observed elevation of 5° is 9.65′ at 15 °C, and 9.85′ at 10 °C:
 
         >>> pressures_hpa, temperatures_c = np.full(2, 1013.25), np.array([15.0, 10.0])
         >>> traced = traced_refraction(np.deg2rad([85.0]), pressures_hpa, temperatures_c, 0.5, 0.55)
@@ -94,7 +93,8 @@ def traced_refraction(
     per_scale_k_per_m = atmosphere.gravity * _DRY_MASS / _GAS_CONSTANT
     power = per_scale_k_per_m / atmosphere.lapse_k_per_m
     vapour_hpa = _vapour_pressure(pressure_hpa, temperature_c, relative_humidity)
-    # Vapour is lighter than air: the difference follows the power law of vapour, and the partial pressure of air grows.
+    # Vapour is lighter than air. A part of the pressure therefore follows the power law of vapour and is subtracted;
+    # the part that follows the power law of air is larger by this amount.
     lighter_hpa = vapour_hpa * (1.0 - _VAPOUR_MASS / _DRY_MASS) * power / (_VAPOUR_POWER - power)
     dry = _dry_refractivity(wavelength_um)
     of_air = (dry * (pressure_hpa + lighter_hpa) / kelvin)[:, None]
@@ -110,19 +110,19 @@ def traced_refraction(
 def _points(
     atmosphere: Atmosphere, kelvin: FloatArray, of_air: FloatArray, of_vapour: FloatArray, per_scale_k_per_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return height above the observer, m, n - 1 and the weighted decrease of n at all quadrature points, (w, i) each.
+    """Return height above the observer (m), n - 1 and weighted decrease of n at i quadrature points, shape (w, i) each.
 
     Args:
-        atmosphere: the air above.
+        atmosphere: parameters of the air above the observer.
         kelvin: temperature at the observer, K, shape (w, 1).
-        of_air: part of n - 1 that decreases with height as air does, at the observer, shape (w, 1).
-        of_vapour: part that decreases as vapour does, at the observer; it is subtracted; shape (w, 1).
-        per_scale_k_per_m: temperature over the scale height of isothermal air, K/m.
+        of_air: part of n - 1 at the observer that decreases with height as air does, shape (w, 1).
+        of_vapour: part of n - 1 at the observer that decreases as vapour does, shape (w, 1). It is subtracted.
+        per_scale_k_per_m: temperature divided by the scale height of isothermal air, K/m.
     """
     thickness_m = atmosphere.tropopause_m - atmosphere.height_m
     power, cooling_per_m = per_scale_k_per_m / atmosphere.lapse_k_per_m, atmosphere.lapse_k_per_m / kelvin
     lower_m = 0.5 * thickness_m * (1.0 + _LOWER_NODES)
-    # Temperature relative to that at the observer; the tropopause is the last point.
+    # Temperature divided by the temperature at the observer; the last point is the tropopause.
     warmth = 1.0 - cooling_per_m * np.append(lower_m, thickness_m)
     air, vapour = of_air * warmth ** (power - 1.0), of_vapour * warmth ** (_VAPOUR_POWER - 1.0)
     lower, top = (air - vapour)[:, :-1], (air - vapour)[:, -1:]
@@ -145,6 +145,6 @@ def _vapour_pressure(pressure_hpa: FloatArray, temperature_c: FloatArray, relati
 
 
 def _dry_refractivity(wavelength_um: float) -> float:
-    """Return the refractivity n - 1 of dry air times its temperature over its pressure, K/hPa."""
+    """Return the refractivity n - 1 of dry air, times temperature and divided by pressure, K/hPa."""
     per_square = 1.0 / wavelength_um**2
     return (287.6155 + 1.62887 * per_square + 0.01360 * per_square**2) * 1e-6 * _ZERO_C_K / 1013.25

@@ -1,11 +1,13 @@
 """Refraction of starlight by the air, and its dependence on the weather.
 
-There are three models. The argument of each function is the elevation without air, which is computed from catalogue,
-time and place; so no prior attitude is needed ([P15] §3). ``erfa`` is A tan z + B tan³ z of the observed zenith
-distance, with A and B of ERFA's ``refco``; one step of Newton's method solves for the observed zenith distance.
-``almanac`` is [P15] (8)-(12) of the true zenith distance. ``ray_trace`` is the result of
-:mod:`ship_geometry.ray_trace`, expanded in the true zenith distance once for each weather, with tan⁵ z and higher
-terms. Below its lowest elevation a model gives NaN.
+The argument of each function is the elevation without air, which is computed from catalogue, time and place; so no
+prior attitude is needed ([P15] §3). There are three models; below its lowest elevation a model gives NaN.
+
+- ``erfa`` is A tan z + B tan³ z of the observed zenith distance, with A and B of ERFA's ``refco``; one step of
+  Newton's method solves for the observed zenith distance.
+- ``almanac`` is [P15] (8)-(12) of the true zenith distance.
+- ``ray_trace`` is the result of :mod:`ship_geometry.ray_trace`, expanded in the true zenith distance once for each
+  weather, with tan⁵ z and higher terms.
 """
 
 from dataclasses import dataclass
@@ -29,29 +31,30 @@ LOWEST_ELEVATION: dict[ModelName, float] = {
     "almanac": np.deg2rad(14.0),
     "ray_trace": np.deg2rad(5.0),
 }
-"""Lowest elevation (rad, without air) at which each model is valid; stars below it cannot be used."""
+"""Lowest elevation without air at which each model is valid, rad; lower stars are not used."""
 
 # Steps of the numerical derivatives with respect to pressure and temperature; refraction is linear over these steps.
 _STEP_HPA, _STEP_K = 1.0, 1.0
 _TINY = 1e-300
 
-# Error of the models in standard air. The description of refco has a table: 0.03″ up to 70° of zenith distance, 0.57″
-# at 80°; it grows like the first neglected term, tan⁵ z. The almanac's model does not contain humidity or the colour of
-# the light, and differs from erfa by 0.7 %.
-# The error of a traced ray comes from properties of the air that are not measured aboard. At 5°, 10° and 45° these are,
-# by further traces: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″, 0; gravity at the pole
-# or the equator 0.17″, 0.03″, 0. A pressure gradient of 1 hPa in 100 km, as in a wind of 10 m/s, bends by
-# ∫ ∂n/∂x dh / sin² E: 0.62″, 0.16″, 0.01″. The refractivity is known to 0.02 %. The sum is less than the values here.
+# Errors of the models in standard air. The description of refco has a table: 0.03″ up to 70° of zenith distance, 0.57″
+# at 80°; the error grows like the first neglected term, tan⁵ z. The almanac's model does not contain humidity or the
+# colour of the light, and differs from erfa by 0.7 %.
+# The error of a traced ray is due to properties of the air that are not measured aboard. Further traces give these
+# errors at elevations of 5°, 10° and 45°: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″,
+# 0; gravity at the pole or the equator 0.17″, 0.03″, 0. A pressure gradient of 1 hPa in 100 km, as in a wind of 10 m/s,
+# bends the ray by ∫ ∂n/∂x dh / sin² E: 0.62″, 0.16″, 0.01″. The relative error of the refractivity is 0.02 %. The
+# standard deviations here are larger than the sum of these errors.
 _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
     "erfa": np.array([0.03 * ARCSEC, 1e-4 * ARCSEC, 0.0]),
     "almanac": np.array([0.0, 0.0, 0.007]),
     "ray_trace": np.array([0.0, 5e-6 * ARCSEC, 6e-4]),
 }
-"""Standard deviation of each model, three terms to add: constant, rad; factor of tan⁵ z, rad; factor of the angle."""
+"""Standard deviation of each model, a sum of three terms: constant, rad; factor of tan⁵ z, rad; factor of the angle."""
 
-# Rays are expanded as tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), z without air. With c = 0 it is the series in
-# tan z, tan³ z, tan⁵ z …, which converges slowly for long paths through curved air. The c of curved air is 2 H/R with
-# the scale height H; with about this value, seven terms equal the rays to 2e-4″ down to 5° in any weather.
+# Traced refraction is expanded as tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z) and z without air. With c = 0 the terms
+# are tan z, tan³ z, tan⁵ z …, a series that converges slowly for long paths through curved air. For curved air c is
+# 2 H/R with the scale height H. With about this c, seven terms equal the rays to 2e-4″ down to 5° in any weather.
 _TERMS, _CURVATURE = 7, 0.003
 _LOWEST_RAY = np.deg2rad(85.0)
 _SAMPLE_ANGLES = np.pi * (np.arange(_TERMS) + 0.5) / _TERMS
@@ -65,12 +68,12 @@ class Weather:
     """The air at the ship.
 
     Attributes:
-        pressure_hpa: at the ship's height, not reduced to sea level.
-        temperature_c: degrees Celsius.
-        relative_humidity: 0 to 1.
+        pressure_hpa: pressure at the ship's height, not reduced to sea level.
+        temperature_c: temperature, °C.
+        relative_humidity: relative humidity, 0 to 1.
 
     Raises:
-        ValueError: an impossible value, often because of its unit: Pa for hPa, K for °C, % for a fraction.
+        ValueError: a value is impossible, often because of a wrong unit: Pa for hPa, K for °C, % for a fraction.
     """
 
     pressure_hpa: float
@@ -89,12 +92,13 @@ class Weather:
 
 @dataclass(frozen=True)
 class Refraction:
-    """Refraction at elevations. Each array has the shape of the elevations; it is NaN below the lowest of the model.
+    """Refraction at given elevations; each array has the shape of the elevations.
 
-    An error of the pressure, of the temperature or of the model is common to all stars.
+    The values are NaN below the lowest elevation of the model. An error of the pressure, of the temperature or of the
+    model is common to all stars.
 
     Attributes:
-        angle: the angle by which refraction raises the elevation, rad.
+        angle: angle by which refraction raises the elevation, rad.
         per_hpa: derivative with respect to pressure, rad/hPa.
         per_kelvin: derivative with respect to temperature, rad/K.
         model_sigma: standard deviation of the model itself in standard air, rad.
@@ -106,7 +110,7 @@ class Refraction:
     model_sigma: FloatArray
 
     def sigma(self, pressure_sigma_hpa: float, temperature_sigma_k: float) -> FloatArray:
-        """Return the standard deviation of the angle for given sigmas of the weather, rad."""
+        """Return the standard deviation of the angle for given sigmas of pressure and temperature, rad."""
         of_weather = np.hypot(self.per_hpa * pressure_sigma_hpa, self.per_kelvin * temperature_sigma_k)
         return np.hypot(of_weather, self.model_sigma)
 
@@ -118,7 +122,7 @@ def refraction(
 
     Args:
         model: one of MODELS.
-        elevation: without air (true elevation), rad, shape (...).
+        elevation: elevation without air (true elevation), rad, shape (...).
         weather: the air at the ship.
         wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
 
@@ -143,9 +147,9 @@ class StarsThroughAir(NamedTuple):
 
     Attributes:
         direction_n: unit vectors (North, Up, East), shape (k, 3); NaN below the model's lowest elevation.
-        shared_n: displacement of each star by errors common to all: by one sigma of refraction (first column), and by
-            each of m rotations of the sky; rad, shape (k, 3, 1 + m).
-        elevation: without air, rad, shape (k,).
+        shared_n: displacement of each star by errors common to all stars, rad, shape (k, 3, 1 + m): by one sigma of
+            refraction (first column), and by each of m rotations of the sky.
+        elevation: elevations without air, rad, shape (k,).
     """
 
     direction_n: FloatArray
@@ -165,14 +169,14 @@ def seen_through_air(
 
     Args:
         model: one of MODELS.
-        without_air_n: unit vectors (North, Up, East), shape (k, 3).
+        without_air_n: unit vectors (North, Up, East) without air, shape (k, 3).
         weather: the air at the ship.
         wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
-        weather_sigma: standard deviation of the pressure, hPa, and of the temperature, K.
-        turns_n: rotations of the whole sky, rotation vectors, rad, shape (m, 3).
+        weather_sigma: standard deviations of the pressure, hPa, and of the temperature, K.
+        turns_n: rotation vectors of the whole sky, rad, shape (m, 3).
 
     Example:
-        A star at 45° in the north is raised by 58″, with a sigma of 1.0″ for a temperature known to 5 K:
+        A star at 45° in the north is raised by 58″. A temperature sigma of 5 K gives a sigma of 1.0″:
 
         >>> north_up_n = np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2.0)
         >>> air = Weather(1013.25, 10.0)
@@ -189,14 +193,15 @@ def seen_through_air(
 def refraction_slopes(
     model: ModelName, elevation: float, weather: Weather, wavelength_um: float = 0.55
 ) -> tuple[float, float]:
-    """Return the first and second derivative of refraction by elevation, rad/rad and rad/rad².
+    """Return the first and second derivative of refraction with respect to elevation, rad/rad and rad/rad².
 
-    They are NaN below the lowest elevation. Those of ``erfa`` have a relative error of 0.1 %/sin² E, because the small
-    difference between observed and true zenith distance is neglected; the others are exact.
+    The derivatives are NaN below the lowest elevation of the model. They have a relative error of 0.1 %/sin² E for
+    ``erfa``, because the difference between observed and true zenith distance is neglected, and are exact for the
+    other models.
 
     Args:
         model: one of MODELS.
-        elevation: rad, without air.
+        elevation: elevation E without air, rad.
         weather: the air at the ship.
         wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
 
@@ -210,7 +215,7 @@ def refraction_slopes(
     t = 1.0 / np.tan(elevation) if elevation >= LOWEST_ELEVATION[model] else np.nan
     coefficients, curvature, *_ = _model_in_air(model, weather, wavelength_um)
     stretch, steep = 1.0 + curvature * t * t, 1.0 + t * t
-    # First derivative with respect to tan z, and half of the second over tan z, term by term from the last.
+    # First derivative with respect to tan z, and half of the second divided by tan z, summed from the last term.
     by_tan = bend = 0.0
     for power in range(len(coefficients) - 1, -1, -1):
         share = 1.0 + 2.0 * power / stretch
@@ -234,7 +239,7 @@ def _model_in_air(
         Coefficients of the powers of x, shape (t, 3): value (rad), derivatives with respect to pressure (hPa) and
             temperature (K).
         The curvature c in x.
-        The lowest elevation.
+        The lowest elevation of the model.
         True if the coefficients belong to the observed zenith distance.
         Standard deviations of the model.
     """
@@ -263,7 +268,7 @@ def _expanded_rays(
 ) -> FloatArray:
     """Return the coefficients of traced refraction in w kinds of weather, shape (_TERMS, w).
 
-    One ray is traced for each term, at the zeros of a Chebyshev polynomial; the expansion interpolates them.
+    One ray is traced for each term, at the zeros of a Chebyshev polynomial; the expansion is exact for these rays.
     """
     lowest = np.tan(_LOWEST_RAY) ** 2
     sampled = 0.5 * (1.0 + np.cos(_SAMPLE_ANGLES)) * lowest / (1.0 + _CURVATURE * lowest)
@@ -280,7 +285,7 @@ def raised_directions(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
 
     Args:
         direction_n: unit vectors (North, Up, East) without air, shape (..., 3).
-        angle: refraction, rad, shape (...).
+        angle: refraction angles, rad, shape (...).
 
     Returns:
         Apparent unit vectors (North, Up, East), shape (..., 3).
@@ -299,10 +304,10 @@ def raised_directions(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def raising_axis(direction_n: FloatArray) -> FloatArray:
-    """Return the level unit vector about which refraction raises a direction, direction × Up; zero at the zenith.
+    """Return the horizontal unit vector about which refraction raises a direction: direction × Up; zero at the zenith.
 
     Args:
-        direction_n: (North, Up, East), shape (3,).
+        direction_n: unit vector (North, Up, East), shape (3,).
 
     Example:
         >>> print(raising_axis(np.array([0.0, 0.6, 0.8])))  # a star in the east is raised about South

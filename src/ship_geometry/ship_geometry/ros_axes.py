@@ -1,8 +1,9 @@
-"""Conversion between the axes of ROS and of the suite: quaternions ENU <- FLU, and matrices horizon <- device.
+"""Conversion between the axes of ROS and of the suite, for quaternions, rotation matrices, vectors and covariances.
 
-ROS (REP-103) uses East, North, Up and forward, left, up; the suite uses North, Up, East and forward, up, right. Both
-pairs differ by fixed permutations with signs. ROS yaw = 90° - heading, ROS pitch = -pitch, ROS roll = roll.
-Quaternions are ordered x, y, z, w. No other module converts axes.
+ROS (REP-103) uses the parent axes East, North, Up and the device axes forward, left, up. The suite uses North, Up, East
+and forward, up, right. The axes differ by fixed permutations with signs. ROS yaw = 90° - heading, ROS pitch = -pitch,
+ROS roll = roll. "ENU <- FLU" is a rotation that transforms FLU vectors into ENU vectors. Quaternions are ordered x, y,
+z, w. No other module converts axes.
 """
 
 import numpy as np
@@ -11,27 +12,27 @@ from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray
 
 ENU_FROM_HORIZON = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""(East, North, Up) from (North, Up, East)."""
+"""Rotation "(East, North, Up) from (North, Up, East)"."""
 
 FLU_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""(forward, left, up) from (forward, up, right)."""
+"""Rotation "(forward, left, up) from (forward, up, right)"."""
 
 NED_FROM_HORIZON = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""(North, East, Down) from (North, Up, East)."""
+"""Rotation "(North, East, Down) from (North, Up, East)"."""
 
 FRD_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""(forward, right, down) from (forward, up, right)."""
+"""Rotation "(forward, right, down) from (forward, up, right)"."""
 
 
 def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu") -> FloatArray:
     """Return the rotation "horizon from device", shape (..., 3, 3), of quaternions x, y, z, w of any norm above zero.
 
     Args:
-        quaternion: shape (..., 4), ENU <- FLU, or NED <- FRD if ``convention`` is ``"ned_frd"``.
+        quaternion: ENU <- FLU, or NED <- FRD if ``convention`` is ``"ned_frd"``; shape (..., 4).
         convention: ``"enu_flu"`` (REP-103) or ``"ned_frd"``.
 
     Example:
-        With the unit quaternion of ROS the bow points East: yaw 0 is heading 90°.
+        With the identity quaternion of ROS the bow points East, because yaw 0° is heading 90°.
 
         >>> rotation_nd = rotation_from_quaternion([0.0, 0.0, 0.0, 1.0])
         >>> print(rotation_nd[:, 0])  # North, Up, East
@@ -45,7 +46,7 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
 
 
 def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
-    """Return the rotation "ICRS from device (forward, up, right)", shape (3, 3), of a quaternion ICRS <- FLU.
+    """Return the rotation "ICRS from device (forward, up, right)", shape (3, 3), of one quaternion ICRS <- FLU.
 
     Example:
         >>> rotation_cs = celestial_rotation_from_quaternion([0.0, 0.0, 0.0, 1.0])
@@ -60,7 +61,7 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     """Return quaternions x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device".
 
     Example:
-        A level ship heading North has ROS yaw 90°: half of that is in z and in w.
+        A level ship heading North has ROS yaw 90°; the quaternion has sine and cosine of 45° in z and w.
 
         >>> print(quaternion_from_rotation(np.eye(3)).round(4))  # x, y, z, w
         [0.     0.     0.7071 0.7071]
@@ -86,7 +87,7 @@ def mounting_quaternion(rotation_dv: FloatArray) -> FloatArray:
 
 
 def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> FloatArray:
-    """Return (forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3).
+    """Return vectors (forward, up, right), shape (..., 3), from vectors (forward, left, up) or (forward, right, down).
 
     Example:
         >>> print(device_vector_from_ros([1.0, 2.0, 3.0]))  # 2 to the left and 3 up
@@ -96,7 +97,7 @@ def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> F
 
 
 def flu_from_device_vector(vector: FloatArray) -> FloatArray:
-    """Return (forward, left, up) from (forward, up, right): shape (..., 3).
+    """Return vectors (forward, left, up), shape (..., 3), from vectors (forward, up, right).
 
     Example:
         >>> print(flu_from_device_vector([1.0, 3.0, -2.0]))  # 3 up and 2 to the left
@@ -107,7 +108,7 @@ def flu_from_device_vector(vector: FloatArray) -> FloatArray:
 
 
 def enu_covariance(covariance_n: FloatArray) -> FloatArray:
-    """Return a covariance in (East, North, Up) from one in (North, Up, East), shape (..., 3, 3).
+    """Return a covariance about (East, North, Up), shape (..., 3, 3), from a covariance about (North, Up, East).
 
     Example:
         >>> print(np.diagonal(enu_covariance(np.diag([1.0, 2.0, 3.0]))))  # from North, Up, East
@@ -118,7 +119,7 @@ def enu_covariance(covariance_n: FloatArray) -> FloatArray:
 
 
 def horizon_covariance(covariance_enu: FloatArray) -> FloatArray:
-    """Return a covariance in (North, Up, East) from one in (East, North, Up), shape (..., 3, 3).
+    """Return a covariance about (North, Up, East), shape (..., 3, 3), from a covariance about (East, North, Up).
 
     Example:
         >>> print(np.diagonal(horizon_covariance(np.diag([3.0, 1.0, 2.0]))))  # from East, North, Up
@@ -142,10 +143,10 @@ def _quaternion_of_one(matrix: FloatArray) -> FloatArray:
 
 
 def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
-    """Return quaternions x, y, z, w (w >= 0) of matrices, each from its largest component."""
+    """Return quaternions x, y, z, w (w >= 0) of matrices, each computed from the quaternion's largest component."""
     diagonal = np.einsum("...ii->...i", matrix)
     trace = diagonal.sum(axis=-1, keepdims=True)
-    # Four times the products of each component of the quaternion with each.
+    # Four times the products of all pairs of components of the quaternion.
     products = np.empty((*matrix.shape[:-2], 4, 4))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         products[..., i, i] = 1.0 - trace[..., 0] + 2.0 * diagonal[..., i]

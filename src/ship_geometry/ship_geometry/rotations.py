@@ -1,8 +1,8 @@
 """Rotation vectors and rotation matrices: exponential, logarithm and their Jacobians.
 
-All functions accept any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3).
-Single ones are computed by :mod:`ship_geometry.compiled_rotations`. Formulas: Sola, Deray, Atchuthan, "A micro Lie
-theory" (2018), section on SO(3).
+All functions accept any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3). A
+single vector or matrix is converted by :mod:`ship_geometry.compiled_rotations`. Formulas: Sola, Deray, Atchuthan, "A
+micro Lie theory" (2018), section on SO(3).
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 ARCSEC = np.pi / (180.0 * 3600.0)
 """One arcsecond in radians."""
 
-# [v x] is linear in v: its nine elements, row by row, for each component of v.
+# [v x] is linear in v. Each row has the nine elements of [v x], row by row, for one unit vector v.
 _SKEW = np.array(
     [
         [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
@@ -36,7 +36,7 @@ def wrap_pi(angle: FloatArray | float) -> FloatArray:
         [-170.  170. -180.]
     """
     wrapped = (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
-    # Just below -pi the remainder is rounded up to 2 pi itself.
+    # The remainder of an angle just below -pi is rounded up to 2 pi.
     return np.where(wrapped == np.pi, -np.pi, wrapped)[()]
 
 
@@ -48,7 +48,7 @@ def wrap_two_pi(angle: FloatArray | float) -> FloatArray:
         [350.  10.]
     """
     wrapped = np.asarray(angle, dtype=float) % (2.0 * np.pi)
-    # A tiny negative angle is rounded up to 2 pi itself by the remainder.
+    # The remainder of a tiny negative angle is rounded up to 2 pi.
     return np.where(wrapped == 2.0 * np.pi, 0.0, wrapped)[()]
 
 
@@ -66,7 +66,7 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return sin t / t, (1 - cos t) / t² and (t - sin t) / t³, for given t²."""
+    """Return sin t / t, (1 - cos t) / t² and (t - sin t) / t³ for a given t²."""
     small = angle_squared < _SMALL_ANGLE**2
     t2 = np.where(small, 1.0, angle_squared)
     t = np.sqrt(t2)
@@ -88,7 +88,7 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
     """Return the rotation matrix of a rotation vector (rad), shape (..., 3, 3).
 
     Example:
-        A rotation by 30° about Up takes North towards West: positive rotations are counter-clockwise from above:
+        A rotation by 30° about Up turns North towards West; positive rotations are counter-clockwise from above:
 
         >>> up, north = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
         >>> print((exp_rotation(np.deg2rad(30.0) * up) @ north).round(3))
@@ -105,7 +105,7 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
 def left_jacobian(vector: FloatArray) -> FloatArray:
     """Return J with ``exp(v + dv) = exp(J dv) exp(v)`` to first order in dv, shape (..., 3, 3).
 
-    The right Jacobian, ``exp(v + dv) = exp(v) exp(J_r dv)``, is its transpose.
+    The transpose of J is the right Jacobian J_r, with ``exp(v + dv) = exp(v) exp(J_r dv)``.
 
     Example:
         >>> vector, change = np.array([0.3, -0.2, 0.5]), 1e-6 * np.array([1.0, 2.0, -1.0])
@@ -124,8 +124,8 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 def log_rotation(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector (rad, norm at most pi) of a rotation matrix, shape (..., 3).
 
-    It is accurate over the whole range: for small and medium angles from the antisymmetric part, near half a turn from
-    the largest diagonal element of the symmetric part.
+    It is accurate for all angles. Small and medium angles are computed from the antisymmetric part of the matrix,
+    angles near half a turn from the largest diagonal element of the symmetric part.
 
     Example:
         >>> vector = np.deg2rad([10.0, -20.0, 30.0])
@@ -153,7 +153,10 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def _log_near_half_turn(rotation: FloatArray, twice_sine: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return the logarithm near half a turn, with the axis from R + R^T = 2 cos t I + 2 (1 - cos t) n n^T."""
+    """Return the rotation vector for an angle t near pi; its axis n follows from the symmetric part of the matrix R.
+
+    R + R^T = 2 cos t I + 2 (1 - cos t) n n^T
+    """
     symmetric = 0.5 * (rotation + np.swapaxes(rotation, -1, -2))
     outer = symmetric - np.cos(angle)[..., None, None] * np.eye(3)
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
@@ -167,7 +170,7 @@ def _log_near_half_turn(rotation: FloatArray, twice_sine: FloatArray, angle: Flo
 def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the angle (rad) between vectors of shape (..., 3), accurate for small angles.
 
-    It is Kahan's form ``2 atan2(|a/|a| - b/|b||, |a/|a| + b/|b||)``; an arccosine would lose arcseconds.
+    The formula is Kahan's ``2 atan2(|a/|a| - b/|b||, |a/|a| + b/|b||)``; an arccosine would have errors of arcseconds.
 
     Example:
         >>> star, neighbour = np.array([1.0, 0.0, 0.0]), np.array([1.0, 3.0 * ARCSEC, 0.0])

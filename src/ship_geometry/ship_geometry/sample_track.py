@@ -1,4 +1,4 @@
-"""Track of the samples of one source in the order of their stamps, for any order of arrival, with interpolation."""
+"""Track of one source: its samples in the order of their stamps, whatever the order of arrival, with interpolation."""
 
 import bisect
 from collections.abc import Iterable, Sequence
@@ -10,15 +10,15 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 RECENT_COUNT = 8
-"""Number of samples kept for the motion of the newest one, in addition to all of the last second."""
+"""Minimum number of samples kept to propagate the newest one; all samples of the last second are kept too."""
 
 
 class Stamped(Protocol):
-    """An object with a stamp."""
+    """Object with a stamp."""
 
     @property
     def time_ns(self) -> int:
-        """Time in the source's own stamps."""
+        """Stamp of the source, ns."""
         ...
 
 
@@ -26,7 +26,7 @@ Sample = TypeVar("Sample", bound=Stamped)
 
 
 def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
-    """Return the weights of value and slope at 0, and value and slope at 1, in a cubic at a fraction of [0, 1].
+    """Return the weights in a cubic on [0, 1], at a fraction: of value and slope at 0, and of value and slope at 1.
 
     Example:
         >>> print(hermite_weights(0.5))
@@ -37,25 +37,27 @@ def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
 
 
 class SampleTrack(Generic[Sample]):
-    """Samples with cubic interpolation; the slopes are measured rates, or differences of the neighbours.
+    """Samples of one source, for cubic interpolation by a derived class.
+
+    The slopes of the cubic are measured rates, or differences of the neighbouring samples. Derived classes are
+    :class:`ship_geometry.attitude_track.AttitudeTrack` and :class:`ship_geometry.vector_track.VectorTrack`.
 
     Args:
         max_gap_ns: maximum interval between two samples for interpolation.
 
     Example:
-        :class:`ship_geometry.attitude_track.AttitudeTrack` and :class:`ship_geometry.vector_track.VectorTrack` are used
-        like this:
+        Samples arrive in any order:
 
         >>> from ship_geometry.vector_track import VectorSample, VectorTrack
         >>> track = VectorTrack(max_gap_ns=2 * SECOND_NS)
-        >>> for second in (0, 2, 1, 3):  # in any order
+        >>> for second in (0, 2, 1, 3):
         ...     _ = track.insert(VectorSample(second * SECOND_NS, np.array([second**2 * 1.0])))
         >>> print(track.newest.time_ns // SECOND_NS, track.at(3 * SECOND_NS // 2).vector)
         3 [2.25]
     """
 
     history_ns = 0
-    """Time before a required time for which samples are kept, in addition to those for interpolation, ns."""
+    """Additional time before the time of :meth:`drop_before` for which samples are kept, ns."""
 
     def __init__(self, max_gap_ns: int) -> None:
         self.max_gap_ns = max_gap_ns
@@ -73,17 +75,17 @@ class SampleTrack(Generic[Sample]):
 
     @property
     def times_ns(self) -> tuple[int, ...]:
-        """Stamps of all samples in the track, increasing."""
+        """Stamps of all samples in the track in ascending order."""
         return tuple(self._times)
 
     def get(self, time_ns: int) -> Sample | None:
-        """Return the sample with exactly this stamp; None if there is none."""
+        """Return the sample with exactly this stamp, or None."""
         index = bisect.bisect_left(self._times, time_ns)
         found = index < len(self._times) and self._times[index] == time_ns
         return self._samples[index] if found else None
 
     def last_before(self, time_ns: int) -> Sample | None:
-        """Return the last sample with a stamp at or before ``time_ns``; None if there is none."""
+        """Return the last sample with a stamp at or before ``time_ns``, or None."""
         index = bisect.bisect_right(self._times, time_ns) - 1
         return self._samples[index] if index >= 0 else None
 
@@ -92,15 +94,15 @@ class SampleTrack(Generic[Sample]):
         return self._samples[bisect.bisect_left(self._times, first_ns) : bisect.bisect_right(self._times, last_ns)]
 
     def last_cut_ns(self, until_ns: int) -> int | None:
-        """Return the last time up to ``until_ns`` across which is not interpolated; None if there is none."""
+        """Return the last cut (:meth:`add_cut`) at or before ``until_ns``, or None."""
         return max((cut_ns for cut_ns in self._cuts_ns if cut_ns <= until_ns), default=None)
 
     def insert(self, sample: Sample) -> int | None:
-        """Insert a sample in time order; one with the same stamp is replaced.
+        """Insert a sample in time order, in place of a sample with the same stamp.
 
         Returns:
-            The stamp after which interpolated values may have changed; None if the sample is the newest one. Then no
-            value has changed for which :meth:`is_final_at` was true.
+            The stamp after which interpolated values may have changed. None if the sample is the newest one, which
+            changes no value for which :meth:`is_final_at` was true.
         """
         if not self._times or sample.time_ns > self._times[-1]:
             self._times.append(sample.time_ns)
@@ -115,29 +117,29 @@ class SampleTrack(Generic[Sample]):
         return self._changed_after_ns(index)
 
     def extend(self, samples: Sequence[Sample]) -> None:
-        """Append samples, all of them later than the newest one and in the order of their stamps."""
+        """Append samples that are all later than the newest sample and in the order of their stamps."""
         self._times.extend(sample.time_ns for sample in samples)
         self._samples.extend(samples)
 
     def add_cut(self, time_ns: int) -> int | None:
-        """Do not interpolate across a time, because the quantity has jumped there.
+        """Add a cut: a time at which the quantity has jumped, and across which it is not interpolated.
 
         Returns:
-            The stamp after which interpolated values have changed; None if no sample is later than this time.
+            The stamp after which interpolated values have changed; None if no sample is later than the cut.
         """
         self._cuts_ns.append(time_ns)
         later = bisect.bisect_right(self._times, time_ns)
         return None if later == len(self._times) else self._changed_after_ns(later)
 
     def _changed_after_ns(self, index: int) -> int:
-        """Return the stamp after which values may have changed if sample ``index`` is new, or the first after a cut."""
-        # A differenced rate uses one sample beyond the interval itself. Near the start of the track the first sample's
-        # own rate changes, or there was no value at all before.
+        """Return the stamp after which values may have changed if sample ``index`` is new or the first after a cut."""
+        # A differenced rate uses one sample before or after the interval. Near the start of the track the rate of the
+        # first sample changes too, or the times before the sample had no value.
         return self._times[index - 2] if index >= 2 else self._times[0] - 1
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop samples that are not needed to interpolate at or after ``time_ns``, or to propagate the newest one."""
-        # Three samples before the time are kept: the start of its interval, and two for the interpolation error.
+        """Drop samples that are not needed to interpolate from ``time_ns`` on, or to propagate the newest sample."""
+        # Three samples before the time are kept: the start of the time's interval, and two for the interpolation error.
         keep_from = bisect.bisect_right(self._times, time_ns - self.history_ns) - 3
         if keep_from <= 0:
             return
@@ -149,14 +151,14 @@ class SampleTrack(Generic[Sample]):
 
     @property
     def final_until_ns(self) -> int | None:
-        """Latest time at which later samples, arriving in order, cannot change the value; None if there is none."""
+        """Latest time at which the value is final if later samples arrive in order; None without such a time."""
         if self._times and self._has_rate(len(self._times) - 1):
             return self._times[-1]
         # A differenced rate at the newest sample needs a later neighbour.
         return self._times[-2] if len(self._times) > 1 else None
 
     def is_final_at(self, time_ns: int) -> bool:
-        """True if no later sample, arriving in order, can change the value at a time."""
+        """True if the value at a time is final, provided that later samples arrive in order."""
         until_ns = self.final_until_ns
         return until_ns is not None and time_ns <= until_ns
 
@@ -175,8 +177,8 @@ class SampleTrack(Generic[Sample]):
     def _indices_around(self, left: int) -> list[int]:
         """Return the indices of the samples for the error of a cubic without measured rates.
 
-        The two ends of the interval that begins at sample ``left`` come first. A sample that may still change when the
-        interval is final (:meth:`is_final_at`) is not among them.
+        The two ends of the interval that begins at sample ``left`` are first. The samples are those that cannot change
+        after the interval is final (:meth:`is_final_at`).
         """
         around = [left, left + 1]
         earlier = left > 0 and self._are_joined(left - 1)
@@ -189,15 +191,15 @@ class SampleTrack(Generic[Sample]):
         return around
 
     def _fractions(self, indices: list[int], left: int) -> FloatArray:
-        """Return the times of samples from the start of the interval that begins at ``left``, in units of it."""
+        """Return the times of samples after sample ``left``, in units of the interval that begins at this sample."""
         start_ns = self._times[left]
         since_ns = np.array([self._times[index] - start_ns for index in indices], dtype=float)
         return since_ns / (self._times[left + 1] - start_ns)
 
     def _interval(self, time_ns: int) -> tuple[int, float] | None:
-        """Return the index of the sample before a time, and the fraction of the interval; None outside or in a gap.
+        """Return the index of the sample at or before a time, and the fraction of the interval passed since the sample.
 
-        At the stamp of a sample the index is that of the sample and the fraction is 0.
+        The fraction is 0 at the stamp of a sample. The result is None outside the track, in a gap or across a cut.
         """
         if not self._times or not self._times[0] <= time_ns <= self._times[-1]:
             return None
@@ -215,7 +217,10 @@ class SampleTrack(Generic[Sample]):
         return (self._times[second] - self._times[first]) / SECOND_NS
 
     def _neighbours(self, index: int) -> tuple[int, int]:
-        """Return the indices of the samples whose difference gives the rate at ``index``; itself if one is missing."""
+        """Return the indices of the two samples whose difference gives the rate at sample ``index``.
+
+        ``index`` replaces a neighbour that is missing or beyond a gap or cut.
+        """
         before = index - 1 if index > 0 and self._are_joined(index - 1) else index
         after = index + 1 if index + 1 < len(self._samples) and self._are_joined(index) else index
         return before, after
@@ -229,26 +234,26 @@ class SampleTrack(Generic[Sample]):
         return bool(self._cuts_ns) and any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
 
     def noise_gain_of_mean(self, times_and_weights: Iterable[tuple[int, float]]) -> float:
-        """Return the variance of a weighted sum of interpolated values per variance of the samples' independent noise.
+        """Return the variance of a weighted sum of interpolated values, divided by the variance of the samples' noise.
 
         Args:
-            times_and_weights: (ns, weight) of each value; none outside the track or in a gap.
+            times_and_weights: time (ns) and weight of each value; each time is within the track and not in a gap.
         """
         return sum(weight * weight for weight in self._weights_of_sum(times_and_weights).values())
 
     def noise_covariance_of_sums(self, sums: Sequence[Iterable[tuple[int, float]]]) -> FloatArray:
-        """Return the covariance of weighted sums of interpolated values per variance of the samples' noise.
+        """Return the covariance of m weighted sums of interpolated values, divided by the samples' noise variance.
 
         Two values between the same samples have most of their noise in common; their difference has little noise.
 
         Args:
-            sums: for each of m sums (ns, weight) of its values; none outside the track or in a gap.
+            sums: for each sum, time (ns) and weight of its values; each time is within the track and not in a gap.
 
         Returns:
-            Shape (m, m).
+            Covariance of the sums, shape (m, m).
 
         Example:
-            Two values a tenth of an interval apart, and their difference:
+            Covariance of two values a tenth of an interval apart, and variance of their difference:
 
             >>> from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
             >>> track = AttitudeTrack(max_gap_ns=SECOND_NS)
@@ -280,7 +285,7 @@ class SampleTrack(Generic[Sample]):
         return weights
 
     def _noise_gain(self, left: int, fraction: float) -> float:
-        """Return the sum of the squared weights of the samples' values."""
+        """Return the sum of the squared weights of the samples in an interpolated value."""
         return sum(weight * weight for weight in self._weights(left, fraction).values())
 
     def _weights(self, left: int, fraction: float) -> dict[int, float]:

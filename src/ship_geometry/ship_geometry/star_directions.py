@@ -1,12 +1,12 @@
 """Directions of catalogue stars in the horizon of a moving ship: ICRS → (North, Up, East), without refraction.
 
-The steps are those of docs/explanation/stars.md, computed by ERFA: proper motion and parallax, light deflection by the
-Sun, annual aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal
-aberration. The aberration by the ship's own velocity is last (10 mas at 15 m/s). Refraction is added by
+ERFA computes the steps of docs/explanation/stars.md: proper motion and parallax, light deflection by the Sun, annual
+aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal aberration. The
+last step is the aberration by the velocity of the ship (10 mas at 15 m/s). Refraction is added by
 :mod:`ship_geometry.refraction`.
 
-:func:`directions` computes all steps for each time. :class:`RefreshedSky` computes the slow steps once in ten seconds.
-It is several times faster, and agrees within 0.1 mas for stars more than 5° from the Sun.
+:func:`directions` computes all steps for each time. :class:`RefreshedSky` computes the slow steps once in ten seconds,
+which is several times faster. The two agree within 0.1 mas for stars more than 5° from the Sun.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from ship_geometry.time_scales import SECOND_NS, JulianDate, TimeNs, julian_date
 
 SPEED_OF_LIGHT_M_PER_S = 299_792_458.0
 REFRESH_PERIOD_NS = 10 * SECOND_NS
-"""The annual aberration changes by 0.04 mas in this time."""
+"""Period of the slow steps, ns; in this time the annual aberration changes by 0.04 mas."""
 
 _J2000 = 2_451_545.0
 _JULIAN_YEAR_D = 365.25
 _INTERVALS_KEPT = 4
 
 _NO_REFRACTION = 0.0
-"""ERFA's refraction constants for no air; refraction is computed in :mod:`ship_geometry.refraction`."""
+"""Value of ERFA's refraction constants for no air; refraction is computed in :mod:`ship_geometry.refraction`."""
 
 
 @dataclass(frozen=True)
 class StarPositions:
-    """Stars in the ICRS at epoch J2000.0, in the form of ERFA; arrays of one shape.
+    """Places and motions of stars in the ICRS at epoch J2000.0, as ERFA needs them; all arrays have one shape.
 
     Attributes:
-        right_ascension: rad.
-        declination: rad.
-        pm_right_ascension: dα/dt, rad/year: **not** multiplied by cos δ.
-        pm_declination: dδ/dt, rad/year.
-        parallax_arcsec: not negative.
+        right_ascension: right ascension, rad.
+        declination: declination, rad.
+        pm_right_ascension: proper motion dα/dt, rad/year, **not** multiplied by cos δ.
+        pm_declination: proper motion dδ/dt, rad/year.
+        parallax_arcsec: parallax, not negative.
     """
 
     right_ascension: FloatArray
@@ -54,7 +54,7 @@ class StarPositions:
     parallax_arcsec: FloatArray
 
     def __getitem__(self, index: Any) -> StarPositions:
-        """Return the stars at an index or slice, or of a mask."""
+        """Return the stars selected by an index, a slice or a mask."""
         return StarPositions(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
@@ -62,8 +62,8 @@ def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPos
     """Return stars without proper motion and parallax.
 
     Args:
-        right_ascension: ICRS, J2000.0, rad.
-        declination: ICRS, J2000.0, rad.
+        right_ascension: right ascension in the ICRS at J2000.0, rad.
+        declination: declination in the ICRS at J2000.0, rad.
 
     Example:
         >>> vega = fixed_stars(np.deg2rad(279.2347), np.deg2rad(38.7837))
@@ -83,11 +83,11 @@ def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
     Radial velocities are assumed to be zero.
 
     Args:
-        stars: places and motions at ``epoch_year``; parallaxes may be negative, as measured ones are.
-        epoch_year: Julian year.
+        stars: places and motions at ``epoch_year``; parallaxes may be negative, because they are measurements.
+        epoch_year: Julian year of the places.
 
     Example:
-        Barnard's star moves by 10.4″ a year to the north, hence by 90.4″ from 1991.25 to 2000:
+        Barnard's star moves by 10.3″ a year to the north, so by 90.4″ from 1991.25 to 2000:
 
         >>> mas = np.deg2rad(1e-3 / 3600.0)
         >>> alpha, delta = np.deg2rad(269.4540), np.deg2rad(4.6683)
@@ -99,7 +99,7 @@ def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
     parallax_arcsec = np.maximum(stars.parallax_arcsec, 0.0)
     epoch_d = (epoch_year - 2000.0) * _JULIAN_YEAR_D
     with warnings.catch_warnings():
-        # "distance overridden": a star without parallax is placed at a large distance, as intended.
+        # ERFA warns "distance overridden" for a star without parallax, which it places at a large distance as intended.
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         alpha, delta, pm_alpha, pm_delta, _, _ = erfa.pmsafe(
             stars.right_ascension,
@@ -121,8 +121,8 @@ class Observer:
     """Position and velocity of the sensor.
 
     Attributes:
-        position: on WGS 84; the horizon is that of the ellipsoid.
-        velocity_n_m_per_s: over ground in (North, Up, East), shape (..., 3).
+        position: position on WGS 84, whose ellipsoid defines the horizon.
+        velocity_n_m_per_s: velocity over ground (North, Up, East), shape (..., 3).
     """
 
     position: GeodeticPosition
@@ -133,17 +133,17 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
     """Return unit vectors (North, Up, East) to stars, without refraction; all steps are computed for each time.
 
     Args:
-        stars: arrays of shape (...).
+        stars: positions of the stars, shape (...).
         time_ns: one time or several. Times, places and orientations broadcast against the stars.
         observer: position and velocity of the sensor at these times.
         orientation: orientation of the Earth at these times.
 
     Returns:
-        Shape (..., 3).
+        Unit vectors, shape (..., 3).
 
     Example:
-        Beta Lyrae from the ship of [P15], 2014-07-09 11:50:07.8 UTC (the paper prints azimuth 71.9528°, elevation
-        42.2207°: it lacks aberration and UT1):
+        Beta Lyrae from the ship of [P15] at 2014-07-09 11:50:07.8 UTC. The paper gives an azimuth of 71.9528° and an
+        elevation of 42.2207° without aberration and UT1:
 
         >>> from ship_geometry.earth_orientation import earth_orientation_table
         >>> mas = np.deg2rad(1e-3 / 3600.0)
@@ -175,7 +175,7 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
 
 @dataclass(frozen=True)
 class _SlowSteps:
-    """Results of the slow steps: ERFA's parameters from ICRS to CIRS at the geocentre, and the Earth's orientation."""
+    """Results of the slow steps: ERFA's parameters from ICRS to CIRS at the geocentre, and Earth orientation."""
 
     to_cirs: Any
     orientation: EarthOrientation
@@ -183,16 +183,16 @@ class _SlowSteps:
 
 
 class RefreshedSky:
-    """Directions of stars with the slow steps once in 10 s, and Earth rotation and the ship's place at each time.
+    """Directions of stars; the slow steps are computed once in 10 s, Earth rotation and ship's place for each time.
 
-    The slow steps are computed for the middle of fixed intervals, so the result does not depend on earlier calls. Leap
-    seconds fall between intervals.
+    The slow steps are computed for the middle of fixed intervals, so a direction does not depend on earlier calls. Leap
+    seconds are between two intervals.
 
     ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. It keeps the observer's first place, which gives
     an error of 6″ after the ship has moved by 150 m.
 
     Args:
-        table: orientation of the Earth.
+        table: table of Earth orientation parameters.
 
     Example:
         Vega over a ship at 45° N, 150° E, on 2014-07-09 at 11:50:07.8 UTC:
@@ -211,7 +211,7 @@ class RefreshedSky:
         self._slow_steps: dict[int, _SlowSteps] = {}
 
     def directions(self, stars: StarPositions, time_ns: int, observer: Observer) -> FloatArray:
-        """Return unit vectors (North, Up, East) without refraction, shape (..., 3).
+        """Return unit vectors (North, Up, East) to stars, without refraction, shape (..., 3).
 
         Raises:
             OutsideEarthOrientation: the table has no value for this time.
@@ -225,7 +225,7 @@ class RefreshedSky:
     def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
         """Return the rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
 
-        It transforms the axes of a body. Aberration is not included: it shifts the directions of stars, not axes.
+        It is for the axes of a body. Aberration is not included, because it shifts directions of stars and not axes.
 
         Raises:
             OutsideEarthOrientation: the table has no value for this time.
@@ -238,7 +238,7 @@ class RefreshedSky:
         return rotation_nc
 
     def orientation(self, time_ns: int) -> EarthOrientation:
-        """Return the Earth orientation used at a time, with its error."""
+        """Return the Earth orientation that is used at a time, with its standard deviations."""
         return self._slow_steps_at(time_ns).orientation
 
     def _slow_steps_at(self, time_ns: int) -> _SlowSteps:
@@ -266,8 +266,8 @@ def _site(time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) ->
 
 
 def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, observer: Observer) -> FloatArray:
-    """Return unit vectors (North, Up, East): ICRS to CIRS, CIRS to horizon, aberration by the ship's velocity."""
-    # atciq, not atciqz: only the former includes proper motion and parallax.
+    """Return unit vectors (North, Up, East) by the steps ICRS to CIRS, CIRS to horizon, aberration by the ship."""
+    # atciqz would neglect proper motion and parallax.
     cirs_alpha, cirs_delta = erfa.atciq(
         stars.right_ascension,
         stars.declination,
@@ -284,7 +284,7 @@ def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, obs
     direction[..., 0] = np.cos(azimuth) * horizontal
     direction[..., 1] = np.cos(zenith_distance)
     direction[..., 2] = np.sin(azimuth) * horizontal
-    # Aberration to first order: the square of beta is 1e-15, its product with the Earth's velocity 1 µas.
+    # Aberration to first order: beta² is 1e-15, and the product of beta and the Earth's velocity is 1 µas.
     direction += beta
     unit: FloatArray = direction / np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]
     return unit

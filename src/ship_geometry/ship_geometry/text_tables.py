@@ -1,4 +1,4 @@
-"""Text tables with lines of equal length and fixed columns: a star catalogue, Earth orientation."""
+"""Reading of text tables with lines of equal length and fixed columns: a star catalogue, Earth orientation."""
 
 from pathlib import Path
 
@@ -9,14 +9,14 @@ from ship_geometry import compiled_tables
 from ship_geometry.rotations import FloatArray
 
 Columns = tuple[int, int]
-"""First and last column of a number, counted from 1, as a catalogue's ReadMe gives them."""
+"""First and last character of a number in its line, counted from 1 as in the ReadMe of a catalogue."""
 
 
 def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
     r"""Return the characters of a file, shape (lines, length); each line ends with its newline.
 
     Raises:
-        ValueError: the lines do not have this length, or there are none.
+        ValueError: the lines do not have this length, or the file is empty.
 
     Example:
         >>> import tempfile
@@ -33,10 +33,10 @@ def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
 
 
 def numbers(lines: NDArray[np.uint8], *columns: Columns) -> FloatArray:
-    r"""Return the numbers in some columns, shape (columns, lines), bit for bit those of ``float``; NaN if blank.
+    r"""Return the numbers in some columns, shape (columns, lines), exactly as ``float`` reads them; NaN if blank.
 
     Raises:
-        ValueError: a text is not a number.
+        ValueError: the text in a column is not a number.
 
     Example:
         >>> lines = np.frombuffer(b"  1.50 -7\n -0.25   \n", dtype=np.uint8).reshape(-1, 10)

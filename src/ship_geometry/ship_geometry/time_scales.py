@@ -1,6 +1,6 @@
-"""Time scales: POSIX UTC in integer nanoseconds to TAI, TT and two-part Julian dates for ERFA.
+"""Time scales: conversion of POSIX UTC in integer nanoseconds to TAI, TT and two-part Julian dates for ERFA.
 
-Leap seconds come from the table in `astropy-iers-data`. POSIX time cannot represent a leap second: 23:59:60 has the
+Leap seconds are from the table in `astropy-iers-data`. POSIX time cannot represent a leap second: 23:59:60 has the
 same number as the following 00:00:00.
 """
 
@@ -23,7 +23,7 @@ TimeNs = int | NDArray[np.int64]
 """Nanoseconds of POSIX UTC: one time or an array."""
 
 JulianDate = tuple[Any, Any]
-"""A Julian date in two parts, whole (at midnight) and fraction, whose sum is the date: floats or float arrays."""
+"""Julian date as the sum of two floats or float arrays: the date at midnight, and the fraction of the day."""
 
 SECOND_NS = 1_000_000_000
 DAY_NS = 86_400 * SECOND_NS
@@ -39,9 +39,9 @@ class LeapSeconds:
     """TAI − UTC since 1972.
 
     Attributes:
-        starts_ns: times from which each value is valid, increasing, shape (n,).
-        tai_minus_utc_s: the values, shape (n,).
-        known_until_ns: expiry of the table; no leap second that it lacks is possible before.
+        starts_ns: times from which each value is valid, in ascending order, shape (n,).
+        tai_minus_utc_s: values of TAI − UTC, shape (n,).
+        known_until_ns: expiry of the table; before this time the table has all leap seconds.
     """
 
     starts_ns: NDArray[np.int64]
@@ -49,7 +49,7 @@ class LeapSeconds:
     known_until_ns: int
 
     def at(self, time_ns: TimeNs) -> FloatArray:
-        """Return TAI − UTC, s; before 1972 the first value, after the expiry of the table the last one."""
+        """Return TAI − UTC, s; before 1972 the first value, after the expiry of the table the last value."""
         index = np.searchsorted(self.starts_ns, time_ns, side="right") - 1
         return self.tai_minus_utc_s[np.maximum(index, 0)]
 
@@ -93,12 +93,12 @@ def read_leap_seconds(path: Path) -> LeapSeconds:
 def julian_date(time_ns: TimeNs, offset_s: FloatArray | float = 0.0) -> JulianDate:
     """Return the two-part Julian date of a time plus an offset.
 
-    With the offset (scale − UTC) it is the date in that time scale. Day and fraction are split in integer nanoseconds,
+    With the offset S − UTC it is the date in the time scale S. Day and fraction are split in integer nanoseconds,
     because a Julian date in one double has a resolution of 40 µs, which is 0.6 mas of Earth rotation.
 
     Args:
-        time_ns: time, or times.
-        offset_s: added offset, s.
+        time_ns: time, or array of times.
+        offset_s: offset to add, s.
 
     Example:
         >>> whole, fraction = julian_date(1_404_906_607_800_000_000)  # 2014-07-09 11:50:07.8 UTC

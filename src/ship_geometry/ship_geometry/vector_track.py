@@ -1,4 +1,7 @@
-"""Vectors between samples, such as baselines and encoder angles, by cubics with slopes from the neighbours."""
+"""Vectors of one source between its samples, such as baselines and encoder angles, by cubic interpolation.
+
+The slopes of the cubic are differences of neighbouring samples.
+"""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -17,14 +20,14 @@ class VectorSample:
 
     Attributes:
         time_ns: time in the source's own stamps.
-        vector: shape (k,).
+        vector: components of the vector, shape (k,).
     """
 
     time_ns: int
     vector: FloatArray
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated sample, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated sample and to sort conflicting samples."""
         return self.vector.tobytes()
 
 
@@ -33,8 +36,8 @@ class InterpolatedVector:
     """The vector at a time of the track.
 
     Attributes:
-        vector: shape (k,). A periodic component may differ from its principal value by whole periods.
-        noise_gain: variance of the result per variance of the samples' independent noise.
+        vector: interpolated vector, shape (k,). A periodic component is not reduced to one period.
+        noise_gain: variance of the vector, divided by the variance of the samples' independent noise.
         error_covariance: covariance of the interpolation error, estimated from neighbouring samples, shape (k, k).
     """
 
@@ -94,7 +97,7 @@ class VectorTrack(SampleTrack[Sample]):
         return InterpolatedVector(*found)
 
     def _change(self, first: int, second: int) -> FloatArray:
-        """Return the change from one sample to another, the sum of the steps, each taken the short way round."""
+        """Return the change from one sample to another as a sum of steps, each shorter than half a period."""
         if second < first:
             return -self._change(second, first)
         change = np.zeros_like(self._samples[first].vector)

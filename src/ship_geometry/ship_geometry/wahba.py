@@ -1,8 +1,8 @@
 """Wahba's problem: the rotation between two frames from directions known in both, with its covariance.
 
-The rotation R minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²,  where vᵢ are reference directions (n) and uᵢ measured ones (d), by the
-singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). If each direction has the same error σᵢ in both axes
-across the line of sight, the minimum is the maximum-likelihood attitude; its covariance is (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
+The rotation R minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²,  where vᵢ are reference directions (n) and uᵢ measured directions (d).
+It is computed by the singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). If each direction has one error
+σᵢ in both axes across the line of sight, R is the maximum-likelihood attitude with covariance (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
 
 All functions accept leading dimensions: many attitudes at once, with the same number of directions each.
 """
@@ -17,27 +17,27 @@ from ship_geometry import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)
-"""Limit of the standard deviation about the worst axis, rad; an attitude with a larger one counts as not solved.
+"""Maximum standard deviation about the worst axis, rad; an attitude with a larger one counts as not solved.
 
 The covariance is valid for small errors only."""
 
 _IDENTITY = np.eye(3)
 
 _DIAGONAL_OF_3_BY_3 = slice(None, None, 4)
-"""Diagonal of a flattened matrix (3, 3)."""
+"""Slice for the diagonal of a flattened matrix (3, 3)."""
 
 
 @dataclass(frozen=True)
 class WahbaSolution:
-    """Rotations with their covariance; shapes with the leading dimensions of the input.
+    """Rotations with their covariance; the leading dimensions are equal to those of the input.
 
     Attributes:
-        rotation_nd: "n from d", shape (..., 3, 3); NaN if not solved.
+        rotation_nd: rotation "n from d", shape (..., 3, 3); NaN if not solved.
         covariance_n: covariance of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN
             if not solved.
         information_n: information matrix Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3), also if not solved.
-        solved: True if the directions determine all three axes, shape (...). One direction, or nearly parallel ones,
-            do not determine the rotation about their line.
+        solved: True if the directions determine all three axes, shape (...). One direction, or nearly parallel
+            directions, do not determine the rotation about their line.
     """
 
     rotation_nd: FloatArray
@@ -47,19 +47,19 @@ class WahbaSolution:
 
 
 def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | float) -> WahbaSolution:
-    """Return the rotation that best transforms the measured directions into the reference ones.
+    """Return the rotation that best transforms the measured directions into the reference directions.
 
     Args:
-        reference_n: unit vectors, shape (..., k, 3).
-        measured_d: unit vectors, shape (..., k, 3).
-        sigma: error across the line of sight, rad per axis, shape (..., k) or one for all. A direction with infinite
-            sigma is not used.
+        reference_n: reference directions, unit vectors, shape (..., k, 3).
+        measured_d: measured directions, unit vectors, shape (..., k, 3).
+        sigma: standard deviation of each direction across the line of sight, rad per axis, shape (..., k), or one
+            value for all directions. A direction with infinite sigma is not used.
 
     Raises:
-        numpy.linalg.LinAlgError: directions or sigmas that are not finite.
+        numpy.linalg.LinAlgError: directions or sigmas are not finite.
 
     Example:
-        Two stars at right angles, each with 3″; the deck is rotated by 90° against the horizon:
+        Two stars at right angles, each with a sigma of 3″; the deck is rotated by 90° against the horizon:
 
         >>> reference_n = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         >>> rotation_nd = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -82,14 +82,14 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
     left, singular, right = np.linalg.svd(weighted @ measured_d)
     rotation_nd = left @ right
-    # If the best orthogonal fit is a reflection (determinant -1), the best rotation has the axis of the smallest
-    # singular value reversed.
+    # If the best orthogonal matrix is a reflection (determinant -1), reversing the axis of the smallest singular value
+    # gives the best rotation.
     handedness = np.copysign(1.0, np.linalg.det(rotation_nd))
     if np.any(handedness < 0.0):
         left[..., :, 2] *= handedness[..., None]
         rotation_nd = left @ right
-    # Information about the worst axis, from the singular values. It vanishes for parallel directions. It also vanishes
-    # for directions so inconsistent that two rotations fit equally well; information_n does not show this.
+    # The information about the worst axis vanishes for parallel directions. It also vanishes for directions so
+    # inconsistent that two rotations fit equally well, which information_n does not show.
     worst_information = singular[..., 1] + handedness * singular[..., 2]
     solved = worst_information > WORST_SIGMA**-2.0
     if np.all(solved):
@@ -105,7 +105,7 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
 
 def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArray) -> WahbaSolution:
-    """Return :func:`solve` for one attitude, several times faster: a live node solves one at a time."""
+    """Return :func:`solve` for one attitude, several times faster; a live node solves single attitudes."""
     weighted = (weight[:, None] * reference_n).T
     information_n = weighted @ -reference_n
     # The trace of Σ w v vᵀ is Σ w.

@@ -1,4 +1,4 @@
-"""Diagnosis hints for a lasting disagreement of a source with the INS: probable cause and parameters to check."""
+"""Diagnosis hints for a lasting disagreement between a source and the INS: probable cause and parameters to check."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ _HEADING_TOLERANCE_RAD: float = np.deg2rad(5.0)
 """Maximum remaining difference for a heading mistake to explain a disagreement, rad."""
 
 _MIN_HEADING_ERROR_RAD = np.deg2rad(10.0)
-"""Minimum heading difference for a hint, rad; near 45° and 225° any mistake would explain a smaller one."""
+"""Minimum heading difference for a hint, rad; near 45° and 225° any mistake would explain a smaller difference."""
 
 _SAME_TILT_RAD = np.deg2rad(15.0)
-"""Maximum tilt difference for a heading mistake, rad: a heading mistake does not change the tilt."""
+"""Maximum tilt difference for a heading mistake, rad, because a heading mistake does not change the tilt."""
 
 _QUARTER_TURN = 0.5 * np.pi
 _STAR = "star."
 _SAME_RATIO = 0.5
-"""Maximum difference of two equal residuals, as a ratio to the smaller one."""
+"""Maximum difference of two residuals that count as equal, divided by the smaller residual."""
 
 _RECENT_NS = 10_000_000_000
 """Maximum age of a measurement for a hint, ns."""
@@ -54,7 +54,7 @@ def diagnosis_hint(
     ins_nd: FloatArray,
     measured_nd: FloatArray,
 ) -> str:
-    """Return a diagnosis hint for a lasting disagreement of a source with the INS.
+    """Return a diagnosis hint for a lasting disagreement between a source and the INS.
 
     Args:
         source: source that disagrees with the INS.
@@ -110,11 +110,11 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
 
 
 def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mapping[str, AttitudeResidual]) -> str:
-    """Return a text about which sources are consistent with the INS and which are not.
+    """Return a text that states which sources are consistent with the INS and which are not.
 
     Args:
         source: source that disagrees with the INS.
-        consistent: other sources, consistent with the INS.
+        consistent: other sources that are consistent with the INS.
         inconsistent: residuals of the sources that disagree with the INS, ``source`` included.
     """
     others = [other for other in inconsistent if other != source]
@@ -139,7 +139,7 @@ def _are_same_residual(residuals: Sequence[AttitudeResidual]) -> bool:
 
 
 def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool:
-    """True if two residuals are equal within half the smaller one or within their noise."""
+    """True if two residuals are equal within half the smaller residual, or within their noise."""
     difference = first.turn_n - second.turn_n
     size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))
     if float(np.linalg.norm(difference)) <= _SAME_RATIO * size:

@@ -34,9 +34,9 @@ class PlausibilityChecks:
         self._latest_ns: dict[str, int] = {}
 
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
-        """Return the rejection of a measurement that is constant while other sources rotate; None if it is plausible.
+        """Return the rejection of a measurement that is constant while other sources rotate, or None.
 
-        A measurement older than the last one of its source is not checked, because streams are checked in order.
+        A measurement is not checked if a measurement of the same source with its stamp or a later stamp was checked.
 
         Args:
             measurement: measurement of any kind.
@@ -73,15 +73,15 @@ class PlausibilityChecks:
 
 
 def _stuck_check_value(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
-    """Return the value to check for being constant, its largest standard deviation, rad, and a text for a rejection.
+    """Return the value that must not stay constant, its largest standard deviation, rad, and a text for a rejection.
 
-    None for a kind of measurement that is not checked.
+    The result is None for a kind of measurement that is not checked.
     """
     if isinstance(measurement, StarExposure):
         sigma_rad = float(measurement.sigma.max(initial=0.0))
         return measurement.directions_s, sigma_rad, "stars do not move on the detector"
     if isinstance(measurement, InertialAttitude):
-        # Relative to the stars even a ship at rest rotates.
+        # A ship at rest rotates relative to the stars.
         return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude relative to the stars is constant"
     if isinstance(measurement, BaselineMeasurement):
         sigma_rad = _sigma_rad(measurement.noise_n) / measurement.length_m

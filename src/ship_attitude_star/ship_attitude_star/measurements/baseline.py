@@ -1,4 +1,4 @@
-"""A baseline between two antennas aboard: a direction on the ship, measured relative to the horizon by RTK."""
+"""Measurement of the baseline between two antennas aboard: a direction of the ship in the horizon, measured by RTK."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ BASELINE = "baseline"
 """Source name of the baseline."""
 
 BASELINE_COMPONENTS = ("baseline up", "baseline right")
-"""Components of its residual: direction of the rover antenna, across the baseline, rad."""
+"""Components of the residual of a baseline: direction to the rover antenna, perpendicular to the baseline, rad."""
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,10 @@ class BaselineMeasurement:
     """One RTK solution for the vector from the base antenna to the rover antenna, both aboard.
 
     Attributes:
-        time_ns: stamp.
+        time_ns: stamp of the solution.
         vector_n: vector (North, Up, East), m, shape (3,).
-        noise_n: covariance of the noise, independent between solutions, m², shape (3, 3).
-        covariance_known: False if the message contained none and the configured sigma is used.
+        noise_n: noise covariance, m², shape (3, 3); the noise of different solutions is independent.
+        covariance_known: False if the message has no covariance, so that the configured sigma is used.
     """
 
     time_ns: int
@@ -32,16 +32,16 @@ class BaselineMeasurement:
     reach_ns = 0  # a baseline is valid at its stamp
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated message and to sort conflicting messages."""
         return self.vector_n.tobytes() + self.noise_n.tobytes()
 
     @property
     def direction_n(self) -> FloatArray:
-        """Unit vector from the base to the rover, (North, Up, East), shape (3,)."""
+        """Unit vector from the base antenna to the rover antenna, (North, Up, East), shape (3,)."""
         direction_n: FloatArray = self.vector_n / self.length_m
         return direction_n
 
     @property
     def length_m(self) -> float:
-        """Measured length, m."""
+        """Measured length of the baseline, m."""
         return float(np.linalg.norm(self.vector_n))

@@ -1,4 +1,4 @@
-"""Readings of star trackers, GNSS receivers, weather stations and gravity models, as plain structs.
+"""Readings of star trackers, GNSS receivers, weather stations and gravity models, as plain data classes.
 
 The stars of an exposure are in :class:`ship_attitude_star.stars.exposure.StarExposure`.
 """
@@ -16,7 +16,7 @@ class FieldOfView:
 
     Attributes:
         radius: radius of the field, rad; 0 if all stars are assumed at the boresight.
-        aberration_removed: True if the tracker attitude is already corrected for aberration.
+        aberration_removed: True if the attitude of the tracker is already corrected for annual aberration.
     """
 
     radius: float = 0.0
@@ -32,11 +32,11 @@ class InertialAttitude:
     """Attitude of a star tracker relative to the ICRS.
 
     Attributes:
-        source: ``star.<id>``.
-        time_ns: stamp of the sensor, middle of the exposure.
-        rotation_cs: celestial (ICRS) axes from sensor (forward, up, right), shape (3, 3).
-        noise_s: covariance of the error, rotation vector in the sensor frame, rad², shape (3, 3).
-        covariance_known: False if the message contained no covariance and the configured sigma is used.
+        source: name of the tracker, ``star.<id>``.
+        time_ns: stamp of the tracker, middle of the exposure.
+        rotation_cs: rotation "ICRS from sensor (forward, up, right)", shape (3, 3).
+        noise_s: error covariance, rotation vector in the sensor frame, rad², shape (3, 3).
+        covariance_known: False if the message has no covariance, so that the configured sigma is used.
         field: field of view of the tracker.
     """
 
@@ -49,7 +49,7 @@ class InertialAttitude:
     field: FieldOfView = AT_BORESIGHT
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated message and to sort conflicting messages."""
         return self.rotation_cs.tobytes() + self.noise_s.tobytes()
 
 
@@ -58,7 +58,7 @@ class PositionFix:
     """Ship position from a GNSS receiver.
 
     Attributes:
-        time_ns: stamp.
+        time_ns: stamp of the fix.
         position: position of the antenna.
         covariance_m2: covariance of the position in (North, Up, East), m², shape (3, 3).
     """
@@ -77,9 +77,9 @@ class AirReading:
     Attributes:
         quantity: ``pressure`` (hPa, at the ship, not reduced to sea level), ``temperature`` (°C, of the outside air)
             or ``humidity`` (relative, 0 to 1).
-        time_ns: stamp.
+        time_ns: stamp of the reading.
         value: value in the unit of the quantity.
-        sigma: standard deviation of the value; None if the message contains none.
+        sigma: standard deviation of the value; None if the message has no variance.
     """
 
     quantity: str
@@ -89,12 +89,12 @@ class AirReading:
 
     @property
     def source(self) -> str:
-        """Name of the measured quantity."""
+        """Name of the source, which is the name of the quantity."""
         return self.quantity
 
 
 SkyInput = PositionFix | AirReading
-"""An input of the sky model."""
+"""Input of the sky model."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ class DeflectionReading:
     """Deflection of the vertical at the ship, from a gravity model.
 
     Attributes:
-        time_ns: stamp.
-        deflection: (xi, eta), northward and eastward components of the gravity zenith, rad, shape (2,).
-        covariance: covariance of its error, rad², shape (2, 2); None if the message contains none.
+        time_ns: stamp of the reading.
+        deflection: deflection (xi, eta) of the gravity zenith, northward and eastward, rad, shape (2,).
+        covariance: error covariance of the deflection, rad², shape (2, 2); None if the message has no covariance.
     """
 
     source: ClassVar[str] = "gravity/deflection"
@@ -114,5 +114,5 @@ class DeflectionReading:
     covariance: FloatArray | None = None
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated message and to sort conflicting messages."""
         return self.deflection.tobytes() + (b"" if self.covariance is None else self.covariance.tobytes())

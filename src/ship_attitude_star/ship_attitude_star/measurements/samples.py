@@ -1,4 +1,4 @@
-"""Inputs and outputs of the ship-attitude core: plain structs in radians, metres and nanoseconds."""
+"""Inputs and outputs of the core of ``ship_attitude``, as plain data classes in radians, metres and nanoseconds."""
 
 import enum
 from dataclasses import dataclass, field
@@ -11,21 +11,21 @@ from ship_estimation.outcome import Measurement, MeasurementDecision, Outcome, S
 from ship_geometry.rotations import FloatArray
 
 StampArray = NDArray[np.int64]
-"""Stamps, ns."""
+"""Array of stamps, ns."""
 
 
 class Horizon(enum.IntEnum):
-    """Horizon of an attitude: normal to the ellipsoid (from stars), or normal to local gravity (from the INS alone)."""
+    """Horizon of an attitude: geodetic (Up is the ellipsoid normal, from stars) or of local gravity (INS alone)."""
 
     GEODETIC = 0
     GRAVITY = 1
 
 
 SHARED_BY_SKY = "sky"
-"""Name of the errors that all sensors share through the sky model: refraction, UT1 and position."""
+"""Name of the errors that all sensors share through the sky model: refraction, UT1, position and UTC."""
 
 SHARED_BY_MESSAGES = "message"
-"""Name of an error common to several messages, of which only the covariance is known."""
+"""Name of an error that is common to several messages; only its covariance is known."""
 
 SHARED_BY_GRAVITY = "gravity"
 """Name of the deflection of the vertical, which all systems levelled by gravity share."""
@@ -33,21 +33,22 @@ SHARED_BY_GRAVITY = "gravity"
 
 @dataclass(frozen=True)
 class AttitudeMeasurement:
-    """The attitude of a device fixed to the ship: a star sensor, or another attitude system.
+    """Attitude of a device fixed to the ship: a star sensor, or another attitude system.
 
     Attributes:
-        source: ``star.<id>`` or ``reference.<name>``.
+        source: name of the device, ``star.<id>`` or ``reference.<name>``.
         time_ns: stamp of the device.
-        rotation_nv: horizon from device (forward, up, right), shape (3, 3).
-        noise_v: covariance of the error that is independent between epochs, device frame, rad², shape (3, 3).
-        common_n: covariance of the error common to successive epochs, rotation vector in the horizon frame, rad²,
-            shape (3, 3).
-        covariance_known: False if the message contained none and the configured sigma is used.
+        rotation_nv: attitude (horizon from device: forward, up, right), shape (3, 3).
+        noise_v: covariance of the error that is independent in each measurement, rotation vector in the device frame,
+            rad², shape (3, 3).
+        common_n: covariance of the error that is common to successive measurements, rotation vector in the horizon
+            frame, rad², shape (3, 3).
+        covariance_known: False if the message has no covariance, so that the configured sigma is used.
         shared_n: rotation in the horizon frame by one standard deviation of each of n errors shared with other sensors,
-            rad, shape (3, n); None if there is none.
-        shared_by: kind of the shared errors: SHARED_BY_SKY, n = 4
-            (:data:`ship_attitude_star.sky.sky_model.SHARED_TERMS`), SHARED_BY_MESSAGES, n = 3, or SHARED_BY_GRAVITY,
-            n = 2, in rad instead of standard deviations.
+            rad, shape (3, n); None without such errors.
+        shared_by: kind of the shared errors. SHARED_BY_SKY: n = 4, or 5 with UTC
+            (:data:`ship_attitude_star.sky.sky_model.SHARED_TERMS`). SHARED_BY_MESSAGES: n = 3. SHARED_BY_GRAVITY:
+            n = 2; the rotations are per radian of deflection.
     """
 
     source: str
@@ -61,25 +62,25 @@ class AttitudeMeasurement:
     reach_ns = 0  # an attitude is valid at its stamp
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes, to recognise a repeated message and to sort conflicting messages."""
         shared = b"" if self.shared_n is None else self.shared_n.tobytes()
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes() + shared
 
     @property
     def correlated_n(self) -> FloatArray:
-        """Covariance of all errors that are correlated between epochs, horizon frame, rad², shape (3, 3)."""
+        """Covariance of all errors that are correlated between measurements, horizon frame, rad², shape (3, 3)."""
         return self.common_n if self.shared_n is None else self.common_n + self.shared_n @ self.shared_n.T
 
 
 @dataclass(frozen=True)
 class SolvedAttitude(AttitudeMeasurement):
-    """The attitude of a sensor that used position, UT1 and air data of the ship, before their errors are separated.
+    """Attitude of a sensor that used position, UT1 and air data of the ship, before the errors of these are separated.
 
     The errors shared with other sensors are part of ``common_n``, or of ``noise_v`` if the message has no separate
     noise covariance.
 
     Attributes:
-        has_noise_covariance: False if the message contains only one covariance for all errors.
+        has_noise_covariance: False if the message has only one covariance for all errors.
     """
 
     has_noise_covariance: bool = True
@@ -108,18 +109,18 @@ class AttitudeEstimate:
 
     Attributes:
         time_ns: time of validity.
-        rotation_nd: horizon from deck, shape (3, 3); NaN if INVALID.
+        rotation_nd: attitude (horizon from deck), shape (3, 3); NaN if INVALID.
         covariance_by_source_n: error covariance by error source, rotation vector in the horizon frame, rad²,
             shape (n_sources, 3, 3).
         covariance_n: total error covariance, shape (3, 3).
-        covariance_without_separation_n: covariance without the inflation for solution separations; used for the
+        covariance_without_separation_n: error covariance without the inflation for solution separations, for the
             protection levels.
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         status: status of the attitude.
         horizon: horizon of the attitude.
         sources: sources of the attitude, for example ``("ins", "star.fore")``.
-        star_age_s: time since the last accepted star measurement, s; NaN if there is none.
-        state: filter state that it was computed from.
+        star_age_s: time since the last accepted star measurement, s; NaN before the first.
+        state: filter state from which the attitude was computed.
         text: reason for DEGRADED or INVALID; else empty.
     """
 
@@ -139,21 +140,21 @@ class AttitudeEstimate:
 
 @dataclass(frozen=True)
 class AttitudeSeries:
-    """Ship attitudes at N times with one filter state; fields as in :class:`AttitudeEstimate`.
+    """Ship attitudes at N times with one filter state.
 
     Attributes:
         time_ns: times in ascending order, shape (N,).
-        rotation_nd: shape (N, 3, 3).
-        covariance_by_source_n: shape (N, n_sources, 3, 3).
-        covariance_n: shape (N, 3, 3).
-        covariance_without_separation_n: shape (N, 3, 3).
-        rate_d: shape (N, 3).
-        status: N statuses.
-        horizon: shape (N,).
-        sources: N tuples.
-        star_age_s: shape (N,).
-        state: the filter state.
-        text: N texts.
+        rotation_nd: as in :class:`AttitudeEstimate`, shape (N, 3, 3).
+        covariance_by_source_n: likewise, shape (N, n_sources, 3, 3).
+        covariance_n: likewise, shape (N, 3, 3).
+        covariance_without_separation_n: likewise, shape (N, 3, 3).
+        rate_d: likewise, shape (N, 3).
+        status: status of each attitude.
+        horizon: horizon of each attitude, shape (N,).
+        sources: sources of each attitude.
+        star_age_s: as in :class:`AttitudeEstimate`, shape (N,).
+        state: filter state from which all attitudes were computed.
+        text: text of each attitude.
     """
 
     time_ns: StampArray
@@ -171,7 +172,7 @@ class AttitudeSeries:
 
     @classmethod
     def from_estimate(cls, estimate: AttitudeEstimate) -> "AttitudeSeries":
-        """Return a series of one attitude."""
+        """Return a series with one attitude."""
         return cls(
             time_ns=np.array([estimate.time_ns]),
             rotation_nd=estimate.rotation_nd[None],

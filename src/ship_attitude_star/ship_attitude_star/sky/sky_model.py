@@ -1,12 +1,12 @@
-"""Apparent directions of stars over the ship at any time, and the errors that all of them share.
+"""Apparent directions of stars from the ship at any time, and the errors that all directions share.
 
-:class:`SkyModel` returns a :class:`LocalSky` for a time, computed from position fixes and air readings. It places stars
-in the horizon frame (North, Up, East), with refraction (SOFA's observed places). Errors of refraction, Earth rotation
-(UT1) and the ship's position are common to all stars and do not average. Each direction therefore comes with its
-displacement by one standard deviation of each of these errors (docs/explanation/stars.md).
+:class:`SkyModel` returns a :class:`LocalSky` for a time, from position fixes and air readings. The :class:`LocalSky`
+computes directions of stars in the horizon frame (North, Up, East), with refraction (SOFA's observed places). Errors of
+refraction, Earth rotation (UT1) and the ship's position are common to all stars and do not average. Each direction
+therefore has its displacement by one standard deviation of each of these errors (docs/explanation/stars.md).
 
-An error of UTC rotates the sky as one of UT1 does. It is a separate term because its cause is different. Where the
-clocks are taken as exact (``sky.utc_sigma_s`` 0), the term is absent.
+An error of UTC rotates the sky like an error of UT1. It is a separate term because its cause is different. The term is
+absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
 """
 
 import copy
@@ -30,7 +30,7 @@ from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_sta
 
 UTC = "utc"
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position", UTC)
-"""Error source of each column of :attr:`ApparentStars.shared_n`; the last is absent where UTC is taken as exact.
+"""Error source of each column of :attr:`ApparentStars.shared_n`; the last is absent if UTC is taken as exact.
 
 The ship's position has two columns, one for each of the independent errors of :func:`_sky_rotations`.
 """
@@ -40,7 +40,7 @@ EARTH_ROTATION_RATE = 15.041 * ARCSEC
 
 _MAX_CACHED_TIMES = 256
 _MAX_CACHED_STAR_SETS = 4
-"""Number of star sets cached per time: sensors that expose together share the time."""
+"""Number of star sets cached per time; sensors that expose together share the time."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ApparentStars:
         direction_n: unit vectors with refraction, shape (k, 3); NaN below the model's lowest elevation.
         shared_n: displacement of each direction by one sigma of each of SHARED_TERMS, rad, shape (k, 3, n_shared).
         elevation: elevation without refraction, rad, shape (k,).
-        visible: False where a star is below the elevation range of the refraction model, shape (k,).
+        visible: True for each star within the elevation range of the refraction model, shape (k,).
     """
 
     direction_n: FloatArray
@@ -65,10 +65,10 @@ class BrightStars:
     """Candidate stars for detections without an identity, sorted by magnitude.
 
     Attributes:
-        catalogue: all stars.
+        catalogue: catalogue of all stars.
         rows: rows of the candidates in the catalogue, shape (m,).
         directions_c: ICRS unit vectors of the candidates, shape (m, 3).
-        magnitudes: magnitudes of the candidates, increasing, shape (m,).
+        magnitudes: magnitudes of the candidates in ascending order, shape (m,).
     """
 
     catalogue: StarCatalogue
@@ -77,7 +77,7 @@ class BrightStars:
     magnitudes: FloatArray
 
     def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
-        """Return the number of candidates per steradian within a magnitude tolerance; a NaN magnitude fits them all."""
+        """Return the number of candidates per steradian within a magnitude tolerance; NaN fits all candidates."""
         faintest = np.where(np.isfinite(magnitude), magnitude + tolerance, np.inf)
         brightest = np.where(np.isfinite(magnitude), magnitude - tolerance, -np.inf)
         count = np.searchsorted(self.magnitudes, faintest, "right") - np.searchsorted(self.magnitudes, brightest)
@@ -89,17 +89,17 @@ class BrightStars:
 class LocalSky:
     """The sky over the ship at one time; created by :meth:`SkyModel.sky_at`.
 
-    Results are cached, so that an exposure that is applied again gets the same arrays.
+    Results are cached, so that an exposure that is applied again has the same arrays.
 
     Attributes:
-        time_ns: the time.
-        position: the ship's position at that time.
-        air: the air at the ship at that time.
-        airless_sky: computes directions without refraction.
+        time_ns: time of the directions.
+        position: ship's position at this time.
+        air: air at the ship at this time.
+        airless_sky: sky without refraction.
         model: refraction model.
         wavelength_um: effective wavelength of the sensors' light.
-        utc_sigma_s: standard deviation of the clocks that provide all stamps.
-        bright: candidate stars for detections.
+        utc_sigma_s: standard deviation of the clocks of all stamps.
+        bright: candidate stars for unidentified detections.
     """
 
     time_ns: int
@@ -114,7 +114,7 @@ class LocalSky:
 
     def apparent_stars(self, stars: StarPositions) -> ApparentStars:
         """Return apparent directions of stars; ``stars`` has shape (k,). The arrays are read-only."""
-        # The cache holds references to the stars, so that no other object can have their id.
+        # The cache contains references to the stars, so no other object can have their id.
         cached = self._cache.get(id(stars))
         if cached is not None:
             return cached[1]
@@ -161,14 +161,14 @@ class LocalSky:
         return float(found.angle), float(found.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
 
     def refraction_slopes_at(self, elevation: float) -> tuple[float, float]:
-        """Return the first and second derivative of refraction by elevation, rad/rad and rad/rad²."""
+        """Return the first and second derivative of refraction with respect to elevation, rad/rad and rad/rad²."""
         return refraction_slopes(self.model, elevation, self.air.weather, self.wavelength_um)
 
     def aberration_at(self, direction_n: FloatArray) -> FloatArray:
         """Return the displacement of a star by aberration and light deflection, rad, shape (3,).
 
         Args:
-            direction_n: geometric direction of the star (N, U, E): without aberration and refraction, shape (3,).
+            direction_n: geometric direction (N, U, E) without aberration and refraction, shape (3,).
         """
         rotation_nc = self.rotation_horizon_from_icrs()
         star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
@@ -177,7 +177,7 @@ class LocalSky:
         return displacement
 
     def sky_rotations(self) -> FloatArray:
-        """Return the sky's rotation vectors for one sigma of each of SHARED_TERMS except refraction, rad, (n, 3)."""
+        """Return the rotation vectors of the sky by one sigma of SHARED_TERMS except refraction, rad, shape (n, 3)."""
         return _sky_rotations(
             self.position, float(self.airless_sky.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s
         )
@@ -187,18 +187,18 @@ class SkyModel:
     """Apparent star directions for any time, from position fixes and readings of the air.
 
     Args:
-        config: refraction and age limits of fixes and readings.
-        table: Earth orientation.
-        catalogue: the stars.
+        config: parameters of the sky model.
+        table: table of Earth orientation parameters.
+        catalogue: star catalogue.
 
     Attributes:
-        catalogue: the stars.
-        surroundings: receives the position fixes and the readings of the air.
+        catalogue: star catalogue.
+        surroundings: position fixes and readings of the air.
     """
 
     def __init__(self, config: SkyConfig, table: EarthOrientationTable, catalogue: StarCatalogue) -> None:
         self._config = config
-        # The parameter allows only these names.
+        # The parameter allows only names of models.
         self._model = cast(ModelName, config.refraction_model)
         self._table = table
         self._refreshed = RefreshedSky(table)
@@ -215,7 +215,11 @@ class SkyModel:
         self._sky_by_time: dict[int, LocalSky] = {}
 
     def clone(self, with_surroundings: bool) -> "SkyModel":
-        """Return the same model for another estimator, with a copy of the surroundings or with empty ones."""
+        """Return the same model for another estimator.
+
+        Args:
+            with_surroundings: True to copy the position fixes and air readings; False for a model without them.
+        """
         clone = copy.copy(self)
         clone.reset()
         if with_surroundings:
@@ -223,7 +227,7 @@ class SkyModel:
         return clone
 
     def step_time_base(self, step_ns: int) -> None:
-        """Shift fixes and readings of the air by a step of their clocks."""
+        """Shift the stamps of fixes and air readings by a step of the clocks."""
         self.surroundings.step_time_base(step_ns)
         self._sky_by_time.clear()
 
@@ -259,23 +263,24 @@ class SkyModel:
 
 
 def load_sky_model(config: SkyConfig) -> SkyModel:
-    """Load the sky model with the installed catalogue and Earth orientation; this takes a second or two, once."""
+    """Load the sky model with the installed catalogue and Earth orientation, which takes a second or two at first."""
     return SkyModel(config, earth_orientation_table(), hipparcos())
 
 
 def _sky_rotations(position: ShipPosition, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
-    """Return the sky's rotation in the horizon frame by one sigma of UT1, position and UTC, rad, shape (n, 3).
+    """Return the rotation vectors of the sky in the horizon frame by one sigma of UT1, position and UTC, rad, (n, 3).
 
-    A ship farther north than assumed sees the sky rotated about East; one farther east sees it rotated about the
-    Earth's axis. 31 m correspond to 1″. The position has two independent errors, so that a filter may keep them as two
-    states: the error north with the correlated part of the error east, and the rest of the error east.
+    If the ship is farther north than assumed, the sky is rotated about East. If she is farther east, the sky is rotated
+    about the Earth's axis. 31 m correspond to 1″. The position has two independent errors, which may be two states of
+    a filter: the error north with the correlated part of the error east, and the rest of the error east.
     """
     covariance_m2, latitude = position.covariance_m2, float(position.observer.position.latitude)
     radius_north_m, radius_east_m = map(float, position.horizon_radii_m)
     north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
     east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
     east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
-    # The horizon rotates by +latitude about -East and by +longitude about the pole; the sky in it rotates oppositely.
+    # With a change of position the horizon rotates by +latitude about -East and by +longitude about the pole. Relative
+    # to the horizon the sky rotates in the opposite sense.
     by_north, with_north, by_east = north_m / radius_north_m, east_with_north_m / radius_east_m, east_m / radius_east_m
     tangent = math.tan(latitude)
     turns = [

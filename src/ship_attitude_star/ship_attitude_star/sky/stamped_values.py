@@ -1,21 +1,24 @@
 """Values ordered by stamp, with rejection of jumps; the result does not depend on the order of arrival.
 
-One receiver and one instrument provide the ship's position and the air for all stars. Star residuals do not reveal an
-error of these: all directions change equally, as if the INS tilted. But a ship's speed is limited, and so is the rate
-at which the air changes. A value whose distance from the last accepted one exceeds these limits (:class:`JumpLimits`)
-has jumped. It is rejected, and so are the values after it that are consistent with it, until
+One receiver and one instrument provide the ship's position and the air for all stars. Star residuals do not reveal
+errors of position and air, because all directions change equally, as if the INS tilted. But the speed of a ship is
+limited, and so is the rate of change of the air. A value has jumped if its distance from the last accepted value
+exceeds these limits (:class:`JumpLimits`). It is rejected, with the consistent values after it, until one of two
+conditions is met:
 
-- a value is again within the limits of the last accepted one, and is not on the course of the rejected ones; or
-- the rejected values have been consistent for the confirmation time. Then nothing older is valid any more, and they are
-  accepted.
+- A value is again within the limits of the last accepted value. For a value that is consistent with the rejected
+  values, the limits do not grow with the time since the last accepted value.
+- The rejected values have been consistent for the confirmation time. Then the next consistent value is accepted, and
+  older values are no longer valid.
 
-Nothing confirms a first value: where the second contradicts it, the third decides. Where ``JumpLimits.min_consistent``
-is given, values without a predecessor are provisional until that number of different values are consistent. Until then,
-the same number of consistent rejected values replace them. A value equal to the last one to the bit carries no
-information, since the source may be frozen; the ship may have moved meanwhile.
+No earlier value confirms the first value; if the second value contradicts the first, the third value decides. With
+``JumpLimits.min_consistent``, values without a predecessor are provisional until this number of different values are
+consistent. Until then, the same number of consistent rejected values replace the provisional values. If a value is
+bit-identical to the last value, the source may be frozen while the ship moves. Such a value does not count as a
+different value, and the limits grow with the time during which the value is constant.
 
-The decision on each value depends only on the values before it, by stamp. A late value is evaluated at its place, and
-those after it are evaluated again.
+The decision on a value depends only on values with earlier stamps. A late value is evaluated in the order of stamps,
+and the values after it are evaluated again.
 """
 
 import bisect
@@ -27,16 +30,16 @@ from ship_estimation.rejections import Content, Reason, Rejection, resolve_same_
 from ship_geometry.time_scales import SECOND_NS
 
 _NOISE_SIGMAS = 5.0
-"""Number of standard deviations of two values' difference that are attributed to noise."""
+"""Number of standard deviations of the difference of two values that are attributed to noise."""
 
 _MAX_FROZEN_S = 60.0
-"""Largest frozen time that widens the limits, s: a ship at anchor may really be stationary for days."""
+"""Maximum time of a constant value that widens the limits, s, because a ship at anchor may be stationary for days."""
 
 _TIME_STEP_HISTORY_NS = 10 * SECOND_NS
-"""Maximum age before the last value of the values that are kept over a step of the clocks, ns."""
+"""Time before the last value for which values are kept over a step of the clocks, ns."""
 
 _MAX_REJECTED = 100
-"""Number of rejected values that are kept with their stamps; a value older than these is late."""
+"""Number of rejected values that are kept with their stamps; a value older than the kept values is late."""
 
 
 class Quantity(Content, Protocol):
@@ -60,12 +63,12 @@ class JumpLimits:
     """Limits of the distance between a value and an earlier one.
 
     Attributes:
-        max_step: allowed distance without any time between the two, in addition to their noise.
-        max_rate: allowed distance per second between the two.
+        max_step: maximum distance of two values at the same time, in addition to their noise.
+        max_rate: additional distance per second between the values.
         confirmation_s: time after which consistent values beyond the limits are accepted, s.
-        unit: unit of these limits, for texts.
-        min_consistent: number of different consistent values after which they are no longer provisional; also the
-            number of rejected values that replace provisional ones. 1: no value is provisional.
+        unit: unit of the distance, for texts.
+        min_consistent: number of different consistent values from which on values are not provisional, and number of
+            consistent rejected values that replace provisional values. With 1, no value is provisional.
     """
 
     max_step: float
@@ -75,13 +78,13 @@ class JumpLimits:
     min_consistent: int = 1
 
     def max_distance(self, earlier: Quantity, later: Quantity, seconds: float) -> float:
-        """Return the maximum distance of two values that both have their stated accuracy."""
+        """Return the maximum distance of two values ``seconds`` apart."""
         return self.max_step + self.max_rate * seconds + _NOISE_SIGMAS * math.hypot(earlier.sigma, later.sigma)
 
 
 @dataclass(frozen=True, eq=False)
 class _Stamped(Generic[Value]):
-    """A value with its stamp; instances compare by identity."""
+    """Value with its stamp; instances are compared by identity."""
 
     time_ns: int
     value: Value
@@ -92,14 +95,13 @@ class _AcceptanceState(Generic[Value]):
     """State of acceptance after a value.
 
     Attributes:
-        last_accepted: the last accepted value.
-        constant_since_ns: stamp since which the value has been constant.
-        is_first: True if it was accepted without a predecessor.
-        last_rejected: the last one of the consistent rejected values; None if the last value was accepted.
-        rejected_since_ns: stamp of the first of them.
+        last_accepted: last accepted value.
+        constant_since_ns: stamp since which the accepted value has been constant.
+        is_first: True if the last accepted value has no predecessor.
+        last_rejected: last of the consistent rejected values; None if the last value was accepted.
+        rejected_since_ns: stamp of the first of the consistent rejected values.
         follows_jump: True if the last value was accepted although it had jumped.
-        consistent_count: number of different values consistent with the last accepted one, itself included, at most
-            ``min_consistent``.
+        consistent_count: number of different consistent values up to the last accepted one, at most ``min_consistent``.
         rejected_count: number of consistent rejected values.
     """
 
@@ -114,16 +116,19 @@ class _AcceptanceState(Generic[Value]):
 
 
 class StampedValues(Generic[Value]):
-    """Values in the order of their stamps; of two with the same stamp, the one whose bytes sort first is kept.
+    """Values in the order of their stamps, with decisions on jumps.
+
+    Of two values with the same stamp, the value whose bytes sort first is kept.
 
     Args:
-        limits: a value beyond these limits from the last accepted value has jumped.
+        limits: limits beyond which a value has jumped.
 
     Attributes:
-        times: stamps of the accepted values, increasing.
-        values: the accepted values, of the same length.
-        follows_jump: True if the value had jumped, so that it is not connected to the one before; of the same length.
-        conflict_changed_ns: stamp from which the last :meth:`insert` changed :meth:`has_conflict_at`; None if none.
+        times: stamps of the n accepted values in ascending order.
+        values: the n accepted values.
+        follows_jump: True for each of the n values that had jumped, so that it is not connected to the value before.
+        conflict_changed_ns: stamp from which the last :meth:`insert` changed :meth:`has_conflict_at`; None without a
+            change.
     """
 
     def __init__(self, limits: JumpLimits) -> None:
@@ -132,7 +137,8 @@ class StampedValues(Generic[Value]):
         self.follows_jump: list[bool] = []
         self._limits = limits
         self._confirmation_ns = limits.confirmation_s * SECOND_NS
-        # All values, and the state after each of them; `_initial_state` is the state after the dropped values.
+        # Stamps of all values, the values, and the state after each value.
+        # `_initial_state` is the state after the dropped values.
         self._stamps: list[int] = []
         self._inputs: list[_Stamped[Value]] = []
         self._states: list[_AcceptanceState[Value]] = []
@@ -143,7 +149,11 @@ class StampedValues(Generic[Value]):
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, time_ns: int, value: Value) -> Rejection | None:
-        """Return DUPLICATE or CONFLICT if a value with this stamp exists, LATE, or JUMP if the value has jumped."""
+        """Return the rejection of a value, or None.
+
+        DUPLICATE or CONFLICT: a value with this stamp exists. LATE: all stored stamps are later. JUMP: the value has
+        jumped.
+        """
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:
             return resolve_same_stamp(self._inputs[place].value, value)[1]
@@ -171,7 +181,7 @@ class StampedValues(Generic[Value]):
         return Rejection(Reason.JUMP, f"{jumped}; accepted once {condition}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
-        """Insert a value at its stamp; return the stamp from which accepted values changed, None if none did."""
+        """Insert a value at its stamp; return the stamp from which accepted values changed, None without a change."""
         self.conflict_changed_ns = None
         if self._is_dropped(time_ns):
             return None
@@ -187,7 +197,7 @@ class StampedValues(Generic[Value]):
         return self._evaluate_from(place)
 
     def drop_before(self, time_ns: int, keep: int = 1) -> None:
-        """Drop old values, but keep the last ``keep`` accepted ones at or before a time and all later ones."""
+        """Drop old values, but keep the last ``keep`` accepted values at or before a time, and all later values."""
         count = bisect.bisect_right(self.times, time_ns) - keep
         if count > 0:
             del self.times[:count], self.values[:count], self.follows_jump[:count]
@@ -201,9 +211,9 @@ class StampedValues(Generic[Value]):
             del self._stamps[:forgotten], self._inputs[:forgotten], self._states[:forgotten]
 
     def with_shifted_stamps(self, step_ns: int) -> "StampedValues[Value]":
-        """Return the accepted values of the last seconds, or the last one, with stamps later by a step.
+        """Return the accepted values of the last ten seconds before the last value, with stamps later by a step.
 
-        They are provisional only if the last one is.
+        They are provisional only if the last value is.
         """
         shifted: StampedValues[Value] = StampedValues(self._limits)
         for time_ns, value in zip(self.times, self.values, strict=True):
@@ -218,17 +228,17 @@ class StampedValues(Generic[Value]):
     # -- results --------------------------------------------------------------------------------------------
 
     def last_before(self, time_ns: int) -> int:
-        """Return the index of the last value accepted at or before a time; -1 if there is none."""
+        """Return the index of the last accepted value at or before a time; -1 without such a value."""
         return bisect.bisect_right(self.times, time_ns) - 1
 
     def has_conflict_at(self, time_ns: int) -> bool:
-        """True if provisional values are contradicted at a time: a single one by one value, several by two values."""
+        """True if one value contradicts a single provisional value at a time, or two values contradict several."""
         return self._has_conflict(self._state_before(bisect.bisect_right(self._stamps, time_ns)))
 
     # -- decisions ------------------------------------------------------------------------------------------
 
     def _evaluate_from(self, place: int) -> int | None:
-        """Evaluate a value and those after it until their state is unchanged; returns as :meth:`insert`."""
+        """Evaluate values from an index on until a state is unchanged; the result is as for :meth:`insert`."""
         state, first = self._state_before(place), place
         while place < len(self._inputs):
             state = self._next_state(state, self._inputs[place])
@@ -244,17 +254,17 @@ class StampedValues(Generic[Value]):
         return self._replace_accepted(first, place)
 
     def _replace_accepted(self, first: int, last: int) -> int | None:
-        """Replace the accepted values of a range by newly evaluated ones; returns as :meth:`insert`.
+        """Replace the accepted values of a range after a new evaluation; the result is as for :meth:`insert`.
 
         Args:
             first: index of the first value of the range, among all values.
-            last: index after the last one.
+            last: index after the last value of the range.
         """
         begin = bisect.bisect_left(self.times, self._stamps[first])
         end = bisect.bisect_right(self.times, self._stamps[last - 1])
         evaluated = zip(self._inputs[first:last], self._states[first:last], strict=True)
         good = [(one, belief.follows_jump) for one, belief in evaluated if belief.last_accepted is one]
-        # Skip the values that are unchanged; the rest differs from its first one on.
+        # Skip the unchanged values at the start; the first of the others differs.
         while (
             good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]
         ):
@@ -284,13 +294,13 @@ class StampedValues(Generic[Value]):
         if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(
             last_rejected.value, new.value, step_s
         ):
-            # Written so that NaN is rejected.
+            # Written so that a NaN distance leads to a rejection.
             is_near = distance <= self._max_distance(before, new.time_ns, new.value)
             rejected_state = replace(
                 before, last_rejected=new, rejected_since_ns=new.time_ns, follows_jump=False, rejected_count=1
             )
             return accepted if is_near else rejected_state
-        # For a value consistent with rejected ones, the time since the last accepted value does not widen the limit.
+        # For a value consistent with rejected values, the time since the last accepted value does not widen the limit.
         if distance <= limits.max_distance(last_accepted.value, new.value, step_s):
             return accepted
         count = before.rejected_count + 1
@@ -307,7 +317,7 @@ class StampedValues(Generic[Value]):
         return state.consistent_count < self._limits.min_consistent
 
     def _has_conflict(self, state: _AcceptanceState[Value]) -> bool:
-        """True if a value contradicts a single provisional one, or two values contradict several."""
+        """True if one value contradicts a single provisional value, or two values contradict several."""
         rejected_count = 0 if state.last_rejected is None else state.rejected_count
         return rejected_count >= min(2, state.consistent_count) and self._is_provisional(state)
 

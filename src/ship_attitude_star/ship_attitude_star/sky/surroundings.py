@@ -1,9 +1,9 @@
-"""The ship's position and the air around it at any time, from position fixes and readings of the air.
+"""The ship's position and the air at the ship at any time, from position fixes and readings of the air.
 
-The position comes from :mod:`ship_attitude_star.sky.position_from_fixes`. The air is the last reading stamped
+The position is computed by :mod:`ship_attitude_star.sky.position_from_fixes`. The air is the last reading with a stamp
 ``gnss_delay_s`` or more before the time; parameters replace missing readings. A fix or reading that has jumped is
-rejected; the last accepted one stays in use with a growing error (:mod:`ship_attitude_star.sky.stamped_values`). The
-results do not depend on the order of arrival.
+rejected (:mod:`ship_attitude_star.sky.stamped_values`), and the last accepted fix or reading stays in use with a
+growing error. The results do not depend on the order of arrival.
 """
 
 import math
@@ -19,16 +19,16 @@ from ship_geometry.refraction import Weather
 from ship_geometry.time_scales import SECOND_NS
 
 MAX_PRESSURE_STEP_HPA = 5.0
-"""Largest step of the measured pressure: gusts at the inlet (30 m/s: 5 hPa), heave (10 m: 1 hPa), a squall (2 hPa)."""
+"""Largest step of the measured pressure, by gusts at the inlet (30 m/s: 5 hPa), heave (10 m: 1 hPa), squall (2 hPa)."""
 
 MAX_PRESSURE_RATE_HPA_PER_H = 30.0
-"""Maximum rate of the pressure: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21), for a passing typhoon."""
+"""Maximum rate of pressure, as in a typhoon: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21)."""
 
 MAX_TEMPERATURE_STEP_K = 5.0
-"""Largest step of the measured temperature: the plume of the funnel, the sun."""
+"""Largest step of the measured temperature, by the plume of the funnel or the sun."""
 
 MAX_TEMPERATURE_RATE_K_PER_H = 40.0
-"""Maximum rate of the temperature: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21), for a thunderstorm."""
+"""Maximum rate of temperature, as in a thunderstorm: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21)."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Air:
     """The air at the ship at one time.
 
     Attributes:
-        weather: pressure, temperature, humidity.
-        pressure_sigma_hpa: standard deviation of the pressure; grows with the age of the reading.
-        temperature_sigma_k: standard deviation of the temperature; grows with the age of the reading.
+        weather: pressure, temperature and humidity.
+        pressure_sigma_hpa: standard deviation of the pressure; it grows with the age of the reading.
+        temperature_sigma_k: standard deviation of the temperature; it grows with the age of the reading.
     """
 
     weather: Weather
@@ -48,7 +48,7 @@ class Air:
 
 @dataclass(frozen=True)
 class _Value:
-    """A quantity of the air with its standard deviation, both in the unit of the quantity."""
+    """Value of an air quantity with its standard deviation, both in the unit of the quantity."""
 
     value: float
     sigma: float
@@ -65,9 +65,9 @@ class _Quantity:
 
     Args:
         default: value used without a recent reading.
-        measured_sigma: standard deviation of a reading whose message gives none.
-        limits: limits of a jump; their confirmation time is also the maximum age of a reading.
-        delay_ns: age from which a reading is used; it is used earlier if no earlier reading is valid.
+        measured_sigma: standard deviation of a reading if the message has no variance.
+        limits: limits of a jump; the confirmation time is also the maximum age of a reading.
+        delay_ns: age from which on a reading is used. A younger reading is used if no earlier reading is valid.
     """
 
     def __init__(self, default: _Value, measured_sigma: float, limits: JumpLimits, delay_ns: int) -> None:
@@ -80,32 +80,33 @@ class _Quantity:
         return _Value(reading.value, self._measured_sigma if reading.sigma is None else reading.sigma)
 
     def insert(self, reading: AirReading) -> int | None:
-        """Insert a reading; return the time (ns) after which results may have changed, None if none has."""
+        """Insert a reading; return the time (ns) after which results may have changed, None without a change."""
         changed_ns = self.readings.insert(reading.time_ns, self.value_of(reading))
         if changed_ns is None:
             return None
-        # While an earlier reading is in use until the delay is over, no result has depended on this one.
+        # If an earlier reading is used until the delay has passed, no result before that depends on the new reading.
         recent = self._recent_reading_index(changed_ns - self._delay_ns, changed_ns + self._delay_ns)
         return changed_ns - 1 + (0 if recent is None else self._delay_ns)
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the readings that times at or after ``time_ns`` do not need."""
+        """Drop the readings that are not needed for times from ``time_ns`` on."""
         self.readings.drop_before(time_ns - self._delay_ns)
 
     def reading_index(self, time_ns: int) -> int | None:
-        """Return the index of the reading used at a time; None if there is none."""
+        """Return the index of the reading used at a time, or None."""
         delayed = self._recent_reading_index(time_ns - self._delay_ns, time_ns)
         return self._recent_reading_index(time_ns, time_ns) if delayed is None else delayed
 
     def _recent_reading_index(self, before_ns: int, time_ns: int) -> int | None:
-        """Return the index of the last reading at or before ``before_ns``, None if it is too old at ``time_ns``."""
+        """Return the index of the last reading at or before ``before_ns``; None if it is too old at ``time_ns``."""
         last = self.readings.last_before(before_ns)
         return last if last >= 0 and time_ns - self.readings.times[last] <= self._max_age_ns else None
 
     def value_at(self, time_ns: int) -> _Value:
         """Return the value at a time.
 
-        The variance of a reading grows with its age up to that of the default, unless it is larger from the start.
+        The variance of a reading grows with its age up to the variance of the default, unless it is larger from the
+        start.
         """
         index = self.reading_index(time_ns)
         if index is None:
@@ -116,11 +117,11 @@ class _Quantity:
 
 
 _MAX_CACHED_RESULTS = 256
-"""Number of times with cached results: repeated exposures request the same times, 28 per second over two seconds."""
+"""Number of times with cached results; exposures that are applied again request up to 28 times per second, for 2 s."""
 
 
 class Surroundings:
-    """Position fixes and readings of the air by their stamps, and the position and air at any time.
+    """Position fixes and air readings in the order of their stamps, and the position and air at any time from them.
 
     Args:
         config: maximum ages of fixes and readings, and default values of the air.
@@ -147,11 +148,11 @@ class Surroundings:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, sky_input: SkyInput) -> Rejection | None:
-        """Return why an input is rejected or only partly used; call it before :meth:`insert`.
+        """Return the rejection or remark for an input, or None; call it before :meth:`insert`.
 
-        DUPLICATE or CONFLICT if an input of the same kind and stamp exists, LATE if it arrives too long after later
-        ones of its kind, JUMP if it has jumped. All inputs are inserted: of two with the same stamp, the one whose
-        bytes sort first is kept, and an input that has jumped affects the evaluation of later ones.
+        DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of its kind are
+        later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp the
+        one whose bytes sort first is kept, and an input that has jumped affects the evaluation of later inputs.
         """
         if isinstance(sky_input, PositionFix):
             return self._position.rejection(sky_input)
@@ -162,7 +163,7 @@ class Surroundings:
         """Insert a position fix or a reading of the air.
 
         Returns:
-            Time (ns) after which results may have changed; None if no result has changed.
+            Time (ns) after which results may have changed; None without a change.
         """
         if isinstance(sky_input, PositionFix):
             changed_after_ns = self._position.insert(sky_input)
@@ -175,13 +176,13 @@ class Surroundings:
         return changed_after_ns
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the inputs that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
+        """Drop the inputs that are not needed from ``time_ns`` on; earlier times must not be requested afterwards."""
         self._position.drop_before(time_ns)
         for quantity in self._air.values():
             quantity.drop_before(time_ns)
 
     def step_time_base(self, step_ns: int) -> None:
-        """Shift the accepted inputs by a step of the clocks."""
+        """Shift the stamps of the accepted inputs by a step of the clocks."""
         self._results.clear()
         self._position.step_time_base(step_ns)
         for quantity in self._air.values():
@@ -192,7 +193,7 @@ class Surroundings:
     def position_and_air_at(self, time_ns: int) -> tuple[ShipPosition, Air] | Rejection:
         """Return position and air at a time, or NO_FIX if no fix is near enough in time.
 
-        The same object is returned until an input changes the result.
+        The returned object is the same until an input changes the result.
         """
         known = self._results.get(time_ns)
         if known is not None:

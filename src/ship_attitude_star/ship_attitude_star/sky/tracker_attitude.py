@@ -1,13 +1,13 @@
-"""Conversion of a star tracker's attitude against the ICRS into the horizon, with the same sky model as single stars.
+"""Conversion of a star tracker's attitude from the ICRS to the horizon, with the same sky model as for single stars.
 
-A tracker matches the stars in its field with a catalogue and does not model the air. Refraction raises all its stars,
-so its attitude is rotated the other way. The rotation by refraction at the boresight must therefore be added. The same
-holds for aberration where the tracker does not correct it.
+A tracker matches the stars in its field with a catalogue and does not model the air. Refraction raises all stars, so
+the attitude is rotated the other way. The rotation by refraction at the boresight must therefore be added, and likewise
+the rotation by aberration if the tracker does not correct aberration.
 
 Refraction varies over the field. It compresses the image horizontally by ρ tan E and vertically by -dρ/dE, both in
-radians per radian (ρ the refraction, E the elevation). No rotation represents a compression. The
-residual error of the tracker's attitude depends on the positions of its stars, which the tracker does not report, and
-lasts as long as they stay there. Each tracker therefore has a correlated error of its own.
+radians per radian (ρ is the refraction, E the elevation). A rotation cannot correct this compression. The remaining
+error of the attitude depends on the positions of the stars in the field, which the tracker does not report. It is
+constant while the stars stay in place, so each tracker has a correlated error.
 """
 
 import numpy as np
@@ -32,12 +32,12 @@ def to_horizon_attitude(
     """Return the attitude in the horizon, with the shared errors of refraction, Earth rotation and position.
 
     Args:
-        attitude: against the ICRS, or already in the horizon as computed by a sensor.
+        attitude: attitude in the ICRS, or attitude in the horizon computed by the sensor.
         sky_model: the sky model.
 
     Returns:
-        The rejection if no star can be placed at that time, or if the boresight is below the elevation range of the
-        refraction model.
+        The attitude, or a rejection if the sky model gives no directions at its time, or if the boresight is below the
+        elevation range of the refraction model.
     """
     local_sky = sky_model.sky_at(attitude.time_ns)
     if isinstance(local_sky, Rejection):
@@ -50,7 +50,7 @@ def to_horizon_attitude(
 
 
 def _convert_to_horizon(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurement | Rejection:
-    """Convert an attitude against the ICRS into the horizon."""
+    """Convert an attitude in the ICRS into an attitude in the horizon."""
     field = inertial.field
     airless_ns = local_sky.rotation_horizon_from_icrs() @ inertial.rotation_cs
     if not field.aberration_removed:
@@ -80,18 +80,19 @@ def _field_refraction(
 ) -> tuple[float, FloatArray]:
     """Return the effect of refraction on the attitude in addition to raising the boresight by ``angle``.
 
-    The stars are assumed uniformly distributed over a disc of radius F. Each axis of a star's position then has the
-    variance F²/4, and that of the mean of n stars F²/(4 n). The compression shifts the mean. It also rotates the field
-    about the boresight where the stars lie along a diagonal: their Σxy/Σr² has the variance 1/(6 (n - 1)), for any F.
+    The stars are assumed to be uniformly distributed over a disc of radius F. Each coordinate of a star then has the
+    variance F²/4, and the mean of n stars has the variance F²/(4 n). The compression shifts this mean. It also rotates
+    the field about the boresight if the stars are along a diagonal; Σxy/Σr² of the stars has the variance
+    1/(6 (n - 1)), for any F.
 
     Returns:
-        Mean additional lift by the second derivative of refraction, rad; covariance of the remaining error, rotation
-        vector in the horizon frame, rad², shape (3, 3).
+        Mean additional lift due to the second derivative of refraction, rad.
+        Covariance of the remaining error, rotation vector in the horizon frame, rad², shape (3, 3).
     """
     if field.radius == 0.0:
         return 0.0, np.zeros((3, 3))
     slope, curvature = local_sky.refraction_slopes_at(elevation)
-    # ρ tan E; at the zenith it equals -dρ/dE.
+    # Horizontal compression ρ tan E; at the zenith it is equal to -dρ/dE.
     sideways = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
     middle = field.radius / (2.0 * np.sqrt(_ASSUMED_STARS))
     aberration = 0.0 if field.aberration_removed else _MAX_ABERRATION

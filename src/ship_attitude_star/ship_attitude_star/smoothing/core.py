@@ -1,6 +1,6 @@
-"""Core of ``ship_attitude`` with smoothing: each attitude is computed again later, with the measurements until then.
+"""Core of ``ship_attitude`` with smoothing: each attitude is computed again later, with later measurements.
 
-The real-time attitudes are bit-identical to those of :class:`ShipAttitudeCore`.
+The real-time attitudes are bit-identical to the attitudes of :class:`ShipAttitudeCore`.
 """
 
 from collections import deque
@@ -27,7 +27,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
-"""Indices of attitude error and time offset of the INS (:class:`InsErrorPredictor`)."""
+"""Indices of attitude error and time offset in the output of :class:`InsErrorPredictor`."""
 
 _BATCH_SIZE = 1000
 """Number of attitudes that are smoothed together at the end."""
@@ -40,7 +40,7 @@ class _RealTimeEstimate(NamedTuple):
 
     Attributes:
         estimate: the attitude without filter state and covariance by error source, to save memory.
-        separation_covariance_n: covariance added for solution separations, rad², shape (3, 3); None if there is none.
+        separation_covariance_n: covariance added for solution separations, rad², shape (3, 3); None if none is added.
         has_fault: True for an unresolved fault or an excluded INS; such an attitude is not smoothed.
     """
 
@@ -55,8 +55,8 @@ class SmoothingCore(ShipAttitudeCore):
     Args:
         config: parameters of the node.
         sky_model: sky model; None if no sensor needs it.
-        lag_s: delay of a smoothed attitude after its stamp, s, at least until all measurements up to it are final;
-            None to smooth only at the end (:meth:`smooth_remaining`).
+        lag_s: delay of a smoothed attitude after its stamp, s; None to smooth only at the end
+            (:meth:`smooth_remaining`). The delay is longer if measurements up to the stamp are not yet final.
     """
 
     filter_class: ClassVar[type[ShipFilter]] = TracedFilter
@@ -70,7 +70,7 @@ class SmoothingCore(ShipAttitudeCore):
         super().__init__(config, sky_model, self._committed.extend)
 
     def _new_estimator(self, sky_model: SkyModel | None) -> ShipAttitudeCore:
-        """See :meth:`ShipAttitudeCore._new_estimator`; the new one does not smooth before it is adopted."""
+        """See :meth:`ShipAttitudeCore._new_estimator`; the new core smooths only after :meth:`take_over_outputs`."""
         another = SmoothingCore(self.config, sky_model, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
         another._is_smoothing = False
         return another
@@ -87,7 +87,7 @@ class SmoothingCore(ShipAttitudeCore):
         self.restart_smoothing()
 
     def restart_smoothing(self) -> None:
-        """Restart smoothing from now; pending smoothed attitudes are discarded."""
+        """Restart smoothing at the oldest state of the estimator; pending smoothed attitudes are discarded."""
         self._committed.clear()
         self._pending.clear()
         oldest = self._estimator.oldest_state
@@ -100,7 +100,7 @@ class SmoothingCore(ShipAttitudeCore):
         self._smoother.predictor = self._new_predictor()
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: object) -> None:
-        """Return None: samples are processed one by one, because each attitude is stored."""
+        """Return None, because samples are processed one by one to store each attitude."""
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """See :meth:`ShipAttitudeCore.add_ins`."""
@@ -153,7 +153,7 @@ class SmoothingCore(ShipAttitudeCore):
     # -- smoothed attitudes ---------------------------------------------------------------------------------
 
     def _smoothed_until(self, time_ns: int) -> list[AttitudeEstimate]:
-        """Return the attitudes up to a time, smoothed where possible, else as published in real time."""
+        """Return the attitudes up to a time; an attitude that cannot be smoothed is as published in real time."""
         found = self._smoother.take_smoothed(time_ns)
         known = {
             moment_ns: GaussianEstimate(mean, covariance)
@@ -176,7 +176,7 @@ class SmoothingCore(ShipAttitudeCore):
         return estimates
 
     def _as_published(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
-        """Return a real-time attitude; its covariance is assigned to the error source INS drift."""
+        """Return a real-time attitude with all of its covariance assigned to the error source INS drift."""
         parts = np.zeros((len(self.filter.model.sources), 3, 3))
         parts[self._corrected.drift_index] = estimate.covariance_n
         return replace(estimate, covariance_by_source_n=parts)
@@ -189,13 +189,13 @@ class SmoothingCore(ShipAttitudeCore):
     def _correct_ins(
         self, corrections: Sequence[tuple[_RealTimeEstimate, GaussianEstimate, InterpolatedAttitude]]
     ) -> list[AttitudeEstimate]:
-        """Return INS attitudes corrected by the smoothed INS errors."""
+        """Return INS attitudes that are corrected by the smoothed INS errors."""
         corrected, estimates = self._corrected, []
         if not corrections:
             return []
         errors = np.array([corrects.mean[_ATTITUDE] for _, corrects, _ in corrections])
         parts = np.zeros((len(corrections), len(self.filter.model.sources), _TIME_OFFSET + 1, _TIME_OFFSET + 1))
-        # The covariance by error source is not smoothed; all of it is assigned to the INS drift.
+        # Smoothing gives no covariance by error source; the smoothed covariance is assigned to the INS drift.
         parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in corrections]
         rotations_nd, parts_n = compiled_rotations.corrected_attitudes(
             np.arange(len(corrections), dtype=np.intp),
@@ -228,7 +228,7 @@ class SmoothingCore(ShipAttitudeCore):
 
 
 def _copy_without_state(estimate: AttitudeEstimate) -> AttitudeEstimate:
-    """Return a copy of an attitude that shares no array with others and holds no filter state."""
+    """Return a copy of an attitude that shares no arrays with other attitudes and has no filter state."""
     covariance_n = estimate.covariance_n.copy()
     return replace(
         estimate,

@@ -1,4 +1,4 @@
-"""Prediction of the INS errors at times after an estimate, with their covariance to the next estimate."""
+"""Prediction of the INS errors at times after an estimate, with their cross-covariance to the next estimate."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from ship_estimation.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
 
 _TIME_OFFSET = 3
-"""Index of the INS time offset among the output quantities; the attitude error is before it."""
+"""Index of the INS time offset among the output quantities; the three components of the attitude error come first."""
 
 
 ShipAnchor = Anchor[LocalVertical | None]
-"""An estimate with the vertical at its time; None if the filter does not need the vertical."""
+"""Estimate with the vertical at its time; the vertical is None if the filter does not need it."""
 
 
 class _Transition(NamedTuple):
@@ -63,10 +63,10 @@ class InsErrorPredictor:
     def estimates_at(
         self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the four quantities that correct the INS; see :meth:`ship_estimation.rts_smoother.StatePredictor`.
+        """Return the four quantities that correct the INS; see :class:`ship_estimation.rts_smoother.StatePredictor`.
 
-        A jump inflates the covariance earlier by the bound of the clock offsets. Times in between are treated as the
-        time of the inflation.
+        For a jump, the covariance is inflated earlier than the jump by the bound of the clock offsets. Times between
+        inflation and jump are treated as the time of the inflation.
         """
         if later is not None:
             assert later.time_ns is not None
@@ -92,7 +92,7 @@ class InsErrorPredictor:
         return known, output_covariance @ np.swapaxes(onward, -1, -2)
 
     def _transition_to(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Transition:
-        """Return the propagation from an anchor to N times."""
+        """Return the propagation of the states from an anchor to N times."""
         assert anchor.time_ns is not None
         model, mean = self._model, anchor.estimate.mean
         dt_s = 1e-9 * (np.array(times_ns) - anchor.time_ns).astype(float)
@@ -123,14 +123,14 @@ class InsErrorPredictor:
         onward = _diagonal(model.transition(left_s)[0])
         propagation = self._process_propagation(anchor, [*times_ns, later_ns])
         if propagation is not None:
-            # The transition to the later time is the product of that to each time and the remaining one.
+            # The transition to the later time is the transition to each time, followed by the returned transition.
             to_each, to_later = propagation.transition[:-1], propagation.transition[-1]
             left = np.linalg.solve(np.swapaxes(to_each, -1, -2), np.broadcast_to(to_later.T, to_each.shape))
             onward[:, model.process_indices[:, None], model.process_indices] = np.swapaxes(left, -1, -2)
         return onward
 
     def _process_propagation(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Propagation | None:
-        """Return the propagation of the INS error process; None if there is none."""
+        """Return the propagation of the INS error process; None if the model has no such process."""
         process = self._model.ins_process
         if process is None:
             return None

@@ -1,4 +1,4 @@
-"""Ship filter whose states record the last update of the main filter, for smoothing."""
+"""Ship filter for smoothing, whose states record the last update of the main filter."""
 
 from dataclasses import dataclass
 
@@ -22,10 +22,10 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True)
 class TracedState(FilterState):
-    """A filter state with its last update.
+    """Filter state with its last update.
 
     Attributes:
-        last_update: update by the last accepted measurement or the last jump; None if there was none yet.
+        last_update: update by the last accepted measurement or jump; None before the first update.
     """
 
     last_update: StateUpdate | None = None
@@ -37,7 +37,7 @@ class TracedState(FilterState):
 
 
 class TracedFilter(ShipFilter):
-    """Filter with results bit-identical to those of :class:`ShipFilter`, whose states record their last update."""
+    """Ship filter whose states record their last update; the results are bit-identical to :class:`ShipFilter`."""
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         super().__init__(config, vertical)

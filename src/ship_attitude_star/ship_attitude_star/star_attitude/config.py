@@ -1,4 +1,4 @@
-"""Parameters of the ``star_attitude`` node, with unit, range and meaning; parameter names are dotted."""
+"""Parameters of the ``star_attitude`` node, with unit, range and meaning."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class ObservingSensorConfig(MountingConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class JointConfig:
-    """Parameters for joining exposures of different sensors to one attitude of the deck."""
+    """Parameters for joint solutions: one attitude of the deck from exposures of several sensors."""
 
     window_s: float = parameter(
         0.1,

@@ -1,9 +1,10 @@
 """Core of the node ``star_attitude``, shared with the replay: attitudes from exposures of star sensors.
 
-The core uses no ROS, no files and no clock. Each exposure yields the attitude of its sensor at the time of the
-exposure; exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time yield
-the attitude of the deck, in time order. No attitude depends on the one before, so the core uses only the window of
-arrivals of :mod:`ship_estimation.time_ordered_estimator`. Timeouts are measured by the timeout clock, as there.
+The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure;
+exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the
+attitude of the deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered
+estimator, only its :class:`ship_estimation.time_ordered_estimator.LagWindow`. Timeouts are measured by the timeout
+clock.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -56,7 +57,7 @@ class _PendingExposure:
         exposure: stars of the exposure.
         rejected_stars: stars of the message that were already rejected.
         arrival_ns: arrival time by the timeout clock.
-        reach_ns: time before and after its middle for which the motion of the deck is needed.
+        reach_ns: time before and after the middle of the exposure for which the motion of the deck is needed.
     """
 
     exposure: StarExposure
@@ -85,7 +86,7 @@ class JointWindow:
         self._last_ns: int | None = None
 
     def add(self, item: PlacedExposure, arrival_ns: int | None = None) -> bool:
-        """Add an exposure, replacing one of the same sensor and stamp; return False if its group is complete already.
+        """Add an exposure, in place of one of the same sensor and stamp; return False if its group is complete.
 
         Args:
             item: the exposure.
@@ -106,8 +107,8 @@ class JointWindow:
         """Yield the groups that are complete or have waited long enough, in time order.
 
         Args:
-            is_turn_known: returns True if the rotation of the deck between two times (ns) is known.
-            waiting_ns: current time by the timeout clock; None if not known.
+            is_turn_known: function that returns True if the rotation of the deck between two times (ns) is known.
+            waiting_ns: current time by the timeout clock; None if it is not known.
         """
         while self._items:
             group = self._group(is_turn_known)
@@ -125,7 +126,7 @@ class JointWindow:
             yield group
 
     def _group(self, is_turn_known: Callable[[int, int], bool]) -> list[PlacedExposure]:
-        """Return the earliest exposure, and of each other sensor the next one that is near enough in time."""
+        """Return the earliest exposure, with the next exposure of each other sensor that is near enough in time."""
         first_ns = self._items[0].time_ns
         group: dict[str, PlacedExposure] = {}
         for item in self._items:
@@ -159,12 +160,12 @@ class StarCore:
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> None:
-        """Discard all inputs; outputs may start again at earlier times, also without a jump of the clock."""
+        """Discard all inputs; outputs may start again at earlier times, even if the clock has not jumped."""
         self._sky_model.reset()
         self._start_without_samples()
 
     def step_time_base(self, step_ns: int, _state: None = None) -> None:
-        """Continue after a step of the time base: position and air data are shifted, exposures are discarded."""
+        """Continue after a step of the time base: shift position and air data, discard exposures and INS samples."""
         self._sky_model.step_time_base(step_ns)
         self._start_without_samples()
 
@@ -211,7 +212,7 @@ class StarCore:
                 batch.pending_outcomes.append((end - 1, outcome))
 
     def finish_batch(self, batch: MotionBatch) -> StarOutcome | None:
-        """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None without such a sample."""
         rejection = self._ins.finish_batch(batch)
         if batch.checked.last is None:
             return None
@@ -221,11 +222,11 @@ class StarCore:
         return outcome
 
     def batch_estimates(self, _turns: MotionBatch) -> list[tuple[slice, StarOutcome]]:
-        """Return no estimates: INS samples produce only the outcomes of :meth:`commit_batch`."""
+        """Return no estimates; INS samples give only the outcomes of :meth:`commit_batch`."""
         return []
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
-        """Add a position fix or an air reading; return why it is not used, else None."""
+        """Add a position fix or an air reading; return the rejection or remark, or None."""
         rejection = self._sky_model.surroundings.rejection(given)
         self._sky_model.surroundings.insert(given)
         return rejection
@@ -233,7 +234,7 @@ class StarCore:
     def add_exposure(
         self, exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...] = (), arrival_ns: int | None = None
     ) -> StarOutcome:
-        """Add an exposure. Of two different exposures with one stamp neither is solved.
+        """Add an exposure; two different exposures with one stamp are both not solved.
 
         Args:
             exposure: stars of the exposure.
@@ -252,12 +253,12 @@ class StarCore:
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        """Record that two publishers send as a source; an empty text ends it."""
+        """Record that two publishers send data of one source; an empty text ends this state."""
         contradictions = self._ins_stamp_conflicts if source == INS else self._stamp_conflicts
         contradictions.set_duplicate_publishers(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
-        """Solve exposures and groups that have waited long enough.
+        """Solve exposures and groups that have waited for the maximum time.
 
         Args:
             now_ns: current time.
@@ -274,7 +275,7 @@ class StarCore:
     # -- checks ---------------------------------------------------------------------------------------------
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
-        """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
+        """Return True if an exposure is used, and the rejection or remark for it, or None."""
         rejection = self._arrivals.late_rejection(exposure.time_ns)
         if rejection is not None:
             return False, rejection
@@ -285,13 +286,13 @@ class StarCore:
         conflict = resolve_same_stamp(known, exposure)[1]
         if conflict.reason is Reason.DUPLICATE:
             return False, conflict
-        # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
+        # Both exposures are not solved; a solution that was already published is replaced by an INVALID solution.
         self._stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
         text = "the same stamp with different content: do two sensors publish on one topic?"
         return True, replace(conflict, text=text)
 
     def _wait(self, new: _PendingExposure) -> None:
-        """Add an exposure to the pending ones, replacing one of the same sensor and stamp."""
+        """Add an exposure to the pending exposures, in place of one of the same sensor and stamp."""
         key = new.exposure.source, new.exposure.time_ns
         for index, old in enumerate(self._pending):
             if (old.exposure.source, old.exposure.time_ns) == key:
@@ -347,7 +348,7 @@ class StarCore:
         middle = self._ins.at_middle(waiting.exposure, sensor)
         exposure, prior = middle.exposure, self._ins.sensor_prior(waiting.exposure.time_ns, sensor)
         if prior is not None and exposure.length is not None and exposure.smear_s is None:
-            # The solution would be compared with the INS, but its errors along the streaks are not known.
+            # The solution would be compared with the INS, but the errors along the streaks are not known.
             return rejected_exposure(exposure, waiting.rejected_stars, exposure.length.coverage_rejection)
         placed, solved = solve_exposure(
             exposure, waiting.rejected_stars, prior, self._sky_model, middle.noise_variance, middle.error_variance
@@ -370,7 +371,7 @@ class StarCore:
             placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
             for placed in group
         ]
-        # Without a known rotation the exposures are so close in time that the ship does not rotate.
+        # If the rotation is not known, the exposures of a group are so close in time that it is neglected.
         turns = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
             MountedExposure(placed, turn @ self._sensor(placed.source).rotation_ds)
@@ -381,7 +382,7 @@ class StarCore:
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
     def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
-        """Return the rejection of an exposure for conflicting data of its sensor, position or air, or None."""
+        """Return the rejection of an exposure because of conflicting data of sensor, position or air, or None."""
         contested = [
             name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources
         ]

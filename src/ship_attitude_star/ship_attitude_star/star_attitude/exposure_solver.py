@@ -1,4 +1,4 @@
-"""Attitude of a sensor from one exposure, attitude of the deck from several, and the rejected stars."""
+"""Attitude of a sensor from one exposure, attitude of the deck from several exposures, and the rejected stars."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -27,12 +27,13 @@ class RejectedStar:
     """A star that is not part of a solution.
 
     Attributes:
-        source: ``star.<id>``, the sensor that measured it.
+        source: name of the sensor that measured the star, ``star.<id>``.
         time_ns: stamp of the exposure.
         name: name of the star for texts.
         rejection: reason of the rejection.
-        residual: measured minus predicted direction, up and right in the sensor, rad; empty if it was not compared.
-        sigma: standard deviation of each residual component, rad; NaN if it was not compared.
+        residual: measured minus predicted direction, up and right in the sensor, rad; empty for a star that was not
+            compared.
+        sigma: standard deviation of each residual component, rad; NaN for a star that was not compared.
     """
 
     source: str
@@ -45,14 +46,14 @@ class RejectedStar:
 
 @dataclass(frozen=True)
 class AttitudeSolution:
-    """An attitude from stars: of a sensor, or of the deck from several sensors.
+    """Attitude of a sensor from stars, or attitude of the deck from stars of several sensors.
 
     Attributes:
         sensor_id: id of the sensor, or JOINT.
-        time_ns: time of validity: stamp of the exposure; for a joint solution, that of its first exposure.
-        solution: the attitude.
-        rejected_stars: rejected stars.
-        sources: sensors whose stars are used, ``star.<id>``.
+        time_ns: time of validity, which is the stamp of the exposure, or of the first exposure for a joint solution.
+        solution: attitude and status.
+        rejected_stars: stars that are not part of the solution.
+        sources: names of the sensors whose stars are used, ``star.<id>``.
         text: remark for the user; mostly empty.
     """
 
@@ -74,7 +75,7 @@ class StarOutcome:
     """Outcome of one input of the core.
 
     Attributes:
-        rejection: rejection of this input; None if it was used or is pending.
+        rejection: rejection of the input; None if the input was used or is pending.
         solved: solutions to publish, in order.
         not_joined: exposures (source, stamp) that arrived too late for the joint solution of their time.
     """
@@ -89,13 +90,13 @@ class PlacedExposure:
     """An exposure with the apparent directions of its stars.
 
     Attributes:
-        source: ``star.<id>``.
+        source: name of the sensor, ``star.<id>``.
         time_ns: stamp of the exposure.
         exposure: the usable stars.
-        stars: the same stars with measured and apparent directions; None if no apparent direction is known.
+        stars: the usable stars with measured and apparent directions; None if no apparent direction is known.
         rejected_stars: stars rejected in the solution of the sensor.
-        turn_variance: variance of an error that rotates all directions equally, each axis, rad²: the remaining error of
-            the correction for the exposure time, without the INS noise.
+        turn_variance: variance of an error that rotates all directions equally, each axis, rad². It remains after the
+            correction for the motion during the exposure; the INS noise is not included.
     """
 
     source: str
@@ -112,7 +113,7 @@ class MountedExposure:
 
     Attributes:
         exposure: the exposure.
-        rotation_ds: deck at the common time from sensor at the exposure, shape (3, 3).
+        rotation_ds: rotation "deck at the common time from sensor at the exposure", shape (3, 3).
     """
 
     exposure: PlacedExposure
@@ -122,7 +123,7 @@ class MountedExposure:
 def rejected_exposure(
     exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...], rejection: Rejection
 ) -> tuple[PlacedExposure, AttitudeSolution]:
-    """Return an exposure that is rejected as a whole, without stars and without attitude."""
+    """Return the results for an exposure that is rejected as a whole: no stars and no attitude."""
     solution = invalid_solution(np.zeros(len(exposure), dtype=bool), rejection)
     placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, rejected_stars)
     return placed, AttitudeSolution(exposure.source.partition(".")[2], exposure.time_ns, solution, rejected_stars, ())
@@ -141,11 +142,11 @@ def solve_exposure(
     Args:
         exposure: stars of the exposure.
         rejected_stars: stars that were already rejected.
-        prior: attitude of the sensor for the selection of stars; None if not known.
+        prior: attitude of the sensor for the selection of stars, or None.
         sky_model: sky model.
-        noise_variance: variance of a rotation of all directions by INS noise, each axis, rad².
-        turn_variance: variance of a rotation of all directions by another error, independent between exposures, each
-            axis, rad².
+        noise_variance: variance of a rotation of all directions due to INS noise, each axis, rad².
+        turn_variance: variance of a rotation of all directions due to another error, each axis, rad²; this error is
+            independent in each exposure.
     """
     source, time_ns = exposure.source, exposure.time_ns
     sensor_id = source.partition(".")[2]
@@ -183,11 +184,11 @@ def solve_deck(
 
     Args:
         time_ns: time of the attitude.
-        group: the m exposures.
-        turn_covariance_d: covariance of the errors of the rotations to this time, rotation vectors in the deck frame,
-            rad², shape (m, 3, m, 3).
-        sensors: parameters of the sensors by id, with the uncertainty of their mountings.
-        prior: attitude of the deck for the selection of stars; None if not known.
+        group: the m exposures, each with its rotation to the time of the attitude.
+        turn_covariance_d: error covariance of these rotations, rotation vectors in the deck frame, rad², shape
+            (m, 3, m, 3).
+        sensors: parameters of the sensors by id, with the standard deviations of their mountings.
+        prior: attitude of the deck for the selection of stars, or None.
     """
     with_stars = [index for index, mounted in enumerate(group) if mounted.exposure.stars is not None]
     usable = group
@@ -240,9 +241,9 @@ def _stars_in_deck(
 
 
 def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: FloatArray) -> FloatArray | None:
-    """Return the rotation of each of m exposures by one standard deviation of each rotation error, rad, (m, 3, 3 m).
+    """Return the rotation of each of m exposures by one sigma of each rotation error, rad, shape (m, 3, 3 m).
 
-    None if there is no such error.
+    The result is None without rotation errors.
     """
     own = [mounted.exposure.turn_variance for mounted in group]
     if not (any(own) or turn_covariance_d.any()):
@@ -253,7 +254,7 @@ def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: Fl
 
 
 def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
-    """Return the covariance added by streaks to all stars, deck frame, rad², shape (k, 3, 3); None if there is none."""
+    """Return the covariance that streaks add to each star, deck frame, rad², shape (k, 3, 3); None without streaks."""
     if all(s.smear_b is None for s in stars):
         return None
     return np.concatenate(
@@ -265,21 +266,21 @@ def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposur
 
 
 def _false_match_density(stars: Sequence[MatchedStars]) -> FloatArray | None:
-    """Return the density of false matches for all stars, 1/sr, shape (k,); None if all identities are certain."""
+    """Return the density of false matches of each star, 1/sr, shape (k,); None if all identities are certain."""
     if all(s.false_match_density is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.false_match_density is None else s.false_match_density for s in stars])
 
 
 def _pixel_sigma(stars: Sequence[MatchedStars]) -> FloatArray | None:
-    """Return the pixel-spatial errors of all stars, rad per axis, shape (k,); None if no sensor has one."""
+    """Return the sigma of each star's pixel-spatial error, rad per axis, shape (k,); None without such errors."""
     if all(s.pixel_sigma is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.pixel_sigma is None else s.pixel_sigma for s in stars])
 
 
 def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
-    """Return star displacements by correlated camera errors, deck frame, rad, (k, 3, f); None if there are none."""
+    """Return star displacements by correlated camera errors, deck frame, rad, (k, 3, f); None without such errors."""
     count = sum(len(s.field_sources) for s in stars)
     if not count:
         return None

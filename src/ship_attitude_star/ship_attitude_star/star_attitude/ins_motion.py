@@ -3,11 +3,11 @@
 The attitude is used to select stars. Rotations propagate the stars of an exposure to its middle, and exposures of
 several sensors to one time.
 
-A rotation is the difference of two INS attitudes and has the noise of both. An interpolated attitude is a weighted mean
-of the samples around it, so attitudes close together share the noise of the same samples. A sample of weight w1 at one
-end and w2 at the other adds (w1 - w2)² times its variance to that of the rotation. The sum is zero if the ends
-coincide. If they have no sample in common, it is the sum of the variances at the two ends. Several rotations to one
-time share the noise at that time.
+A rotation is the difference of two INS attitudes, its ends, and has the noise of both. An interpolated attitude is a
+weighted mean of the samples around it, so attitudes close together share the noise of the same samples. A sample with
+the weight w1 at one end and w2 at the other end adds (w1 - w2)² times its variance to the variance of the rotation. The
+variance of the rotation is zero if the ends coincide. If the ends have no sample in common, it is the sum of their
+variances. Several rotations to one time share the noise at that time.
 """
 
 from collections.abc import Sequence
@@ -36,13 +36,13 @@ INS = "ins"
 
 @dataclass(frozen=True)
 class ExposureAtMiddle:
-    """An exposure reduced to its middle by the INS.
+    """An exposure reduced to its middle with the INS.
 
     Attributes:
-        exposure: the stars.
-        noise_variance: variance of a rotation of all directions by INS noise, each axis, rad².
-        error_variance: variance of a rotation of all directions by other errors of the reduction, each axis, rad²:
-            interpolation, or the unmeasured rotation during an exposure without INS samples.
+        exposure: stars with their directions at the middle.
+        noise_variance: variance of a rotation of all directions due to INS noise, each axis, rad².
+        error_variance: variance of a rotation of all directions due to interpolation, or due to the unmeasured rotation
+            in an exposure without INS samples, each axis, rad².
     """
 
     exposure: StarExposure
@@ -55,8 +55,8 @@ class DeckTurns:
     """Rotations of the deck from m exposures to one time.
 
     Attributes:
-        rotations: deck at that time from deck at the exposure, shape (m, 3, 3).
-        covariance_d: covariance of their errors, rotation vectors in the deck frame, rad², shape (m, 3, m, 3).
+        rotations: rotations "deck at this time from deck at the exposure", shape (m, 3, 3).
+        covariance_d: error covariance of the rotations, rotation vectors in the deck frame, rad², shape (m, 3, m, 3).
     """
 
     rotations: FloatArray
@@ -68,11 +68,11 @@ class MotionBatch:
     """A batch of checked INS samples.
 
     Attributes:
-        samples: samples of the batch, from the first of the block.
+        samples: samples of the batch, from the first sample of the block on.
         values: attitudes of all checked samples, shape (N, 3, 3).
         checked: results of the INS check, including a last sample that needs separate handling.
         committed_count: number of committed samples.
-        pending_outcomes: index of a sample and its outcome, not yet retrieved.
+        pending_outcomes: outcomes that are not yet retrieved, each with the index of its sample.
     """
 
     samples: list[AttitudeSample]
@@ -83,7 +83,7 @@ class MotionBatch:
 
 
 class InsMotion:
-    """Attitudes of the deck from the INS, with the configured INS errors.
+    """Attitudes and rotations of the deck from the INS, with the configured INS errors.
 
     Args:
         config: parameters of the INS.
@@ -111,7 +111,7 @@ class InsMotion:
         self._plausibility.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Rejection | None:
-        """Add a sample; return the rejection if it is not used."""
+        """Add a sample; return its rejection, or None."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
@@ -130,7 +130,7 @@ class InsMotion:
         newest, check = self.track.newest, self._plausibility.ins
         if newest is None or not check.can_check_block(int(block.times_ns[0])):
             return None
-        # No sample after a gap, and none that may be too late.
+        # A batch ends before a sample after a gap, and before a sample that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & is_within_lag(block.times_ns, arrivals_ns, lag_s)
         block = block.subset(slice(len(near) if near.all() else int(np.argmin(near))))
@@ -148,12 +148,12 @@ class InsMotion:
         batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
 
     def finish_batch(self, batch: MotionBatch) -> Rejection | None:
-        """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
+        """Finish a batch; use the sample that needs separate handling, if any, and return its rejection, or None."""
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)
 
     def _use(self, checked: CheckedInsSample) -> Rejection | None:
-        """Use a checked sample; return the rejection if it is not used."""
+        """Apply the results of the check of a sample, and insert the sample; return its rejection, or None."""
         if checked.rates_wrong_after_ns is not None:
             self.track.drop_rates(checked.rates_wrong_after_ns)
         for jump in checked.jumps:
@@ -172,14 +172,14 @@ class InsMotion:
         return rejection
 
     def is_awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
-        """True if samples to come may still determine the attitude up to ``reach_ns`` after a time."""
+        """True if later samples may still determine the attitude up to ``reach_ns`` after a time."""
         newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
         if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._is_contradictory(stamp_ns):
             return False
         return not self.track.is_final_at(stamp_ns + reach_ns)
 
     def deck_prior(self, time_ns: int) -> StarPrior | None:
-        """Return the attitude of the deck at a time, with all INS errors; None if it is not known."""
+        """Return the attitude of the deck at a time, with all INS errors; None without an INS attitude."""
         found = self._attitude_at(time_ns)
         if found is None:
             return None
@@ -194,7 +194,7 @@ class InsMotion:
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def is_turn_known(self, to_ns: int, from_ns: int) -> bool:
-        """True if the rotation of the deck between two times is known; always for equal times."""
+        """True if the rotation of the deck between two times is known, as it is for equal times."""
         if to_ns == from_ns:
             return True
         is_known = self._attitude_at(to_ns) is not None and self._attitude_at(from_ns) is not None
@@ -203,9 +203,9 @@ class InsMotion:
     def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
         """Return the rotations of the deck from the middles of exposures to one time.
 
-        The correlated error of the INS is constant over these times and cancels. Two errors remain: noise, and the time
-        offset if the rate changes. The noise includes that of the reduction to the middle (:meth:`at_middle`), because
-        the two are correlated. If a rotation is not known, the deck is assumed not to rotate.
+        The correlated error of the INS is constant over these times and cancels. Noise and interpolation errors remain,
+        and the time offset if the rate changes. The noise of the reduction to the middle (:meth:`at_middle`) is
+        included, because the noise of the rotation is correlated with it. A rotation that is not known is assumed zero.
         """
         turned_rows = [
             row
@@ -228,14 +228,14 @@ class InsMotion:
     def _turns_between(
         self, end: InterpolatedAttitude, starts: Sequence[InterpolatedAttitude]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the rotations from m INS attitudes to one, and the covariance of their errors without noise.
+        """Return the rotations from m INS attitudes to another INS attitude, and their error covariance without noise.
 
         Returns:
             Rotations, shape (m, 3, 3), and covariance of their rotation vectors, rad², shape (m, 3, m, 3).
         """
         to_end = np.array([end.rotation_nd.T @ start.rotation_nd for start in (end, *starts)])
         rates_d = np.array([found.rate_d for found in (end, *starts)])
-        # There is no interpolation error at a sample; between samples there are one or two estimates of it.
+        # The interpolation error is zero at a sample; between samples it has one or two estimates.
         errors_d = np.zeros((len(to_end), 2, 3))
         for row, found in enumerate((end, *starts)):
             if found.errors_d:
@@ -257,9 +257,9 @@ class InsMotion:
         return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
     def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> ExposureAtMiddle:
-        """Return an exposure reduced to its middle by the rotation of the deck during it.
+        """Return an exposure reduced to its middle, from the rotation of the deck during the exposure.
 
-        Constant INS errors do not affect the rotation. Without a known rotation the stars stay as measured.
+        Constant INS errors do not affect the rotation. If the rotation is not known, the stars are not changed.
         """
         length = exposure.length
         if length is None:
@@ -274,11 +274,11 @@ class InsMotion:
         return ExposureAtMiddle(corrected, white_variance, turning.correction_error)
 
     def drop_before(self, time_ns: int) -> None:
-        """Discard data that are not needed for times at or after ``time_ns``."""
+        """Discard data that are not needed for times from ``time_ns`` on."""
         self.track.drop_before(time_ns - self._offset_ns)
 
     def _noise_of_turn(self, to_ns: int, exposure: StarExposure) -> list[tuple[int, float]]:
-        """Return the INS stamps (ns) whose attitudes make up the rotation from an exposure, each with its weight."""
+        """Return INS stamps (ns) and weights of the attitudes whose weighted sum is the rotation from an exposure."""
         middle_ns, length = exposure.time_ns - self._offset_ns, exposure.length
         if length is not None and exposure.smear_s is not None:
             return [*length.nodes.times_and_weights(middle_ns), (to_ns - self._offset_ns, -1.0)]
@@ -295,7 +295,7 @@ class InsMotion:
         return stated + extra.white_rad2 + extra.jitter_s2 * float(found.rate_d @ found.rate_d)
 
     def _ins_jumps_n(self, time_ns: int) -> FloatArray:
-        """Return the sum of all INS jumps until a time, rotation vector, rad: the INS attitude may have this error."""
+        """Return the sum of all INS jumps before a time, rotation vector, rad; the INS attitude may have this error."""
         before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
         return np.sum(before, axis=0) if before else np.zeros(3)
 
@@ -304,5 +304,5 @@ class InsMotion:
         return None if self._is_contradictory(stamp_ns) else self.track.at(stamp_ns)
 
     def _is_contradictory(self, stamp_ns: int) -> bool:
-        """True if the INS recently sent different samples with one stamp; then it is not used."""
+        """True if the INS recently sent different samples with one stamp; its attitude is then not used."""
         return INS in self._stamp_conflicts.active_at(stamp_ns)

@@ -1,5 +1,5 @@
-"""From an exposure to an attitude: camera, identification, star positions, selection of stars, fit and solution.
+"""Attitude from an exposure: camera, identification, star positions, selection of stars, fit and solution.
 
-The folder may import ``measurements`` and ``sky``. It holds the parameters that both nodes share (``config``). It does
-not import the cores, so that the simulation may import its camera too.
+The folder may import ``measurements`` and ``sky``. ``config`` has the parameters that both nodes share. The folder does
+not import the cores of the nodes, so the simulation can import the camera without them.
 """

@@ -1,7 +1,7 @@
-"""Camera model of a star sensor: pixels to directions in the sensor frame (forward, up, right) and back, with errors.
+"""Camera model of a star sensor: conversion between pixels and directions in the sensor frame, with errors.
 
-Pixels are (u, v): u increases to the right and v down, as seen looking out of the sensor. Both start at 0 and are
-integers at the centres of the pixels.
+The sensor frame is (forward, up, right). Pixels are (u, v): u increases to the right and v down, as seen looking out of
+the sensor. Both coordinates start at 0 and are integers at the centres of the pixels.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _NEWTON_STEPS = 20
-# In focal lengths; corresponds to 2e-9″.
+# Largest last Newton step of a converged point, in focal lengths; it corresponds to 2e-9″.
 _CONVERGED = 1e-14
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """Brown–Conrady distortion. Points are x right, y down in focal lengths from the principal point.
+    """Brown–Conrady distortion of points (x right, y down), in focal lengths from the principal point.
 
-    The distorted point is the sum of two terms. The radial one is the ideal point times 1 + k1 r² + k2 r⁴ + k3 r⁶. The
-    tangential one is (2 p1 x y + p2 (r² + 2 x²), p1 (r² + 2 y²) + 2 p2 x y).
+    The distorted point is the sum of two terms. The radial term is the ideal point times 1 + k1 r² + k2 r⁴ + k3 r⁶. The
+    tangential term is (2 p1 x y + p2 (r² + 2 x²), p1 (r² + 2 y²) + 2 p2 x y).
     """
 
     k1: float = 0.0
@@ -43,11 +43,11 @@ class Distortion:
         )
 
     def jacobian(self, ideal: FloatArray) -> FloatArray:
-        """Return the derivative of the distorted by the ideal point, shape (..., 2, 2)."""
+        """Return the derivative of the distorted point with respect to the ideal point, shape (..., 2, 2)."""
         x, y = ideal[..., 0], ideal[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        # Derivative of the radial factor by r², times two.
+        # Derivative of the radial factor with respect to r², times two.
         slope = 2.0 * (self.k1 + r2 * (2.0 * self.k2 + r2 * 3.0 * self.k3))
         mixed = slope * x * y + 2.0 * (self.p1 * x + self.p2 * y)
         matrix = np.empty((*x.shape, 2, 2))
@@ -69,7 +69,7 @@ class Distortion:
 
 
 def _solve_symmetric(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive: the distortion folds over there."""
+    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive, as where the distortion folds over."""
     determinant = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] ** 2
     x, y = right_side[..., 0], right_side[..., 1]
     cofactors = np.stack(
@@ -87,7 +87,7 @@ class StarCamera:
         pixel_pitch_m: distance between pixel centres.
         principal_u_px: column of the boresight.
         principal_v_px: row of the boresight.
-        distortion: distortion of the lens; None if there is none.
+        distortion: distortion of the lens; None for a lens without distortion.
     """
 
     focal_length_m: float
@@ -97,11 +97,17 @@ class StarCamera:
     distortion: Distortion | None = None
 
     def directions(self, pixels: FloatArray) -> FloatArray:
-        """Return unit vectors (forward, up, right), shape (..., 3), of pixels (u, v), (..., 2); NaN if not finite."""
+        """Return unit vectors (forward, up, right), shape (..., 3), of pixels (u, v), shape (..., 2).
+
+        A pixel that is not finite gives NaN.
+        """
         return _unit_vectors(self._undistorted_points(pixels))
 
     def pixels(self, directions_s: FloatArray) -> FloatArray:
-        """Return pixels (u, v), shape (..., 2), of directions (forward, up, right), (..., 3); NaN behind the sensor."""
+        """Return pixels (u, v), shape (..., 2), of directions (forward, up, right), shape (..., 3).
+
+        A direction behind the sensor gives NaN.
+        """
         forward = np.where(directions_s[..., 0] > 0.0, directions_s[..., 0], np.nan)
         point = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
         if self.distortion is not None:
@@ -109,17 +115,17 @@ class StarCamera:
         return self._principal_px + point / self._pixel_size
 
     def measured_directions(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return directions of centroids and their errors.
+        """Return the directions of centroids, with their standard deviations.
 
-        Directions are NaN where a pixel is not finite; errors are NaN also where a sigma is not finite.
+        A pixel that is not finite gives a NaN direction and sigma; a sigma that is not finite gives a NaN sigma.
 
         Args:
             pixels: centroids (u, v), shape (k, 2).
-            sigma_px: their standard deviation in u and in v, shape (k,).
+            sigma_px: standard deviation of each centroid in u and in v, shape (k,).
 
         Returns:
-            Unit vectors (forward, up, right), shape (k, 3), and one sigma per axis (:func:`equivalent_sigma`), rad,
-            shape (k,).
+            Unit vectors (forward, up, right), shape (k, 3), and the standard deviation of each per axis
+            (:func:`equivalent_sigma`), rad, shape (k,).
         """
         ideal = self._undistorted_points(pixels)
         return _unit_vectors(ideal), equivalent_sigma(self._covariance(ideal, sigma_px))
@@ -129,19 +135,19 @@ class StarCamera:
 
         Args:
             pixels: centroids (u, v), shape (..., 2).
-            sigma_px: their standard deviation in u and in v, shape (...).
+            sigma_px: standard deviation of each centroid in u and in v, shape (...).
         """
         return self._covariance(self._undistorted_points(pixels), sigma_px)
 
     def optics_jacobian(self, directions_s: FloatArray) -> FloatArray:
-        """Return the derivative of directions by the parameters of the optics, shape (..., 3, 4), for constant pixels.
+        """Return the derivatives of the directions of given pixels with respect to the parameters of the optics.
 
         Args:
-            directions_s: as measured, unit vectors (forward, up, right), shape (..., 3).
+            directions_s: measured directions, unit vectors (forward, up, right), shape (..., 3).
 
         Returns:
-            Columns: by the logarithm of the focal length (rad), by ``principal_u_px`` and ``principal_v_px`` (rad per
-                pixel), by k1 of the distortion (rad).
+            Derivatives, shape (..., 3, 4). The columns are for the logarithm of the focal length (rad),
+            ``principal_u_px`` and ``principal_v_px`` (rad per pixel), and k1 of the distortion (rad).
         """
         forward = directions_s[..., 0]
         ideal = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
@@ -161,11 +167,11 @@ class StarCamera:
         return slopes
 
     def _covariance(self, ideal: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
-        """Return the covariance of directions, as :meth:`direction_covariance`, for ideal points in focal lengths."""
+        """Return :meth:`direction_covariance` for ideal points in focal lengths."""
         x, y = ideal[..., 0], ideal[..., 1]
         length2 = 1.0 + x * x + y * y
         across2 = 1.0 + x * x
-        # Derivative of the direction's components (up, right) by x and y.
+        # Derivative of the direction's components (up, right) with respect to x and y.
         slope = np.zeros((*x.shape, 2, 2))
         slope[..., 0, 0] = x * y / (np.sqrt(across2) * length2)
         slope[..., 0, 1] = -np.sqrt(across2) / length2
@@ -191,9 +197,9 @@ class StarCamera:
 
 
 def tangent_basis(directions_s: FloatArray) -> FloatArray:
-    """Return two unit vectors across each direction (forward, up, right), shape (..., 2, 3): first up, then right.
+    """Return two unit vectors, up and right, perpendicular to each direction (forward, up, right), shape (..., 2, 3).
 
-    They are NaN for the directions of the sensor's up axis and its opposite, 90° from the boresight.
+    The vectors are NaN for a direction along the sensor's up axis, 90° from the boresight.
     """
     basis = np.zeros((*directions_s.shape[:-1], 2, 3))
     forward, up, right = directions_s[..., 0], directions_s[..., 1], directions_s[..., 2]
@@ -209,8 +215,8 @@ def tangent_basis(directions_s: FloatArray) -> FloatArray:
 def equivalent_sigma(covariance: FloatArray) -> FloatArray:
     """Return the square root of the mean variance, rad per axis, shape (...), of a covariance of shape (..., 2, 2).
 
-    Wahba's problem has one sigma per direction. The sigmas up and right differ by the cosine of the angle from the
-    boresight: by 3 % at 14°.
+    Wahba's problem has one sigma per direction. The ratio of the sigmas up and right is the cosine of the angle from
+    the boresight, a difference of 3 % at 14°.
     """
     sigma: FloatArray = np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1]))
     return sigma

@@ -11,9 +11,9 @@ from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD
 from ship_estimation.kalman import StateBlock, block
 
 _WALK_PER_SQRT_S = 0.1 / 60.0
-"""Random walk of the optics errors by temperature, in sigmas per √s: 0.1 sigma in an hour.
+"""Random walk of the optics errors due to temperature, in sigmas per √s; it is 0.1 sigma in an hour.
 
-A focal length changes by 1e-5 per kelvin, and the temperature by some kelvin per night; the sigma of a surveyed focal
+A focal length changes by 1e-5 per kelvin, and the temperature by some kelvin per night. The sigma of a surveyed focal
 length is 2e-4.
 """
 
@@ -24,9 +24,9 @@ def camera_blocks(name: str, camera: CameraConfig, has_focal_length: bool = True
     The states are in units of their standard deviations.
 
     Args:
-        name: name of the camera among the states.
-        camera: its parameters.
-        has_focal_length: True if ``<name>.optics`` contains the focal length; False if another state holds it.
+        name: name of the camera in the names of the blocks.
+        camera: parameters of the camera.
+        has_focal_length: True if ``<name>.optics`` contains the focal length; False if another block contains it.
     """
     sigma = np.ones(OPTICS_MODES if has_focal_length else OPTICS_MODES - 1)
     blocks = [block(f"{name}.optics", sigma, SOURCE_OPTICS, walk=_WALK_PER_SQRT_S * sigma)]
@@ -39,9 +39,9 @@ def camera_state_indices(slices: Mapping[str, slice], name: str, focal_length: s
     """Return the state indices of a camera's correlated errors, focal length first; None if the filter has none.
 
     Args:
-        slices: slices of the filter's states by block.
-        name: name of the camera among the states.
-        focal_length: block that holds the focal length; empty if ``<name>.optics`` holds it.
+        slices: slice of the filter's states for each block.
+        name: name of the camera in the names of the blocks.
+        focal_length: name of the block with the focal length; empty if ``<name>.optics`` contains it.
     """
     blocks = [slices[block] for block in (focal_length, f"{name}.optics", f"{name}.field") if block in slices]
     return np.concatenate([np.arange(rows.start, rows.stop) for rows in blocks]) if blocks else None

@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled arithmetic for single stars, because numpy is slow on the handful of stars of an exposure.
+"""Compiled arithmetic for the stars of an exposure, which are too few for efficient numpy.
 
-This is the only source. It is Python with C types for numbers, compiled by Cython when the package is built. The
+There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. The
 results are described at the callers, in :mod:`ship_attitude_star.stars.fit` and
-:mod:`ship_attitude_star.ship_attitude.comparison`; the tests contain the same in plain numpy.
+:mod:`ship_attitude_star.stars.residuals`; the tests compare the results with plain numpy.
 """
 
 import cython
@@ -23,7 +23,7 @@ from cython.cimports.libc.math import hypot, sqrt
 def _cross_product(
     v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t
 ) -> cython.void:
-    """Write the vector v × w into ``out``, its elements ``step`` places apart."""
+    """Write the elements of v × w into ``out``, ``step`` places apart."""
     out[0] = v[1] * w[2] - v[2] * w[1]
     out[step] = v[2] * w[0] - v[0] * w[2]
     out[2 * step] = v[0] * w[1] - v[1] * w[0]
@@ -42,14 +42,14 @@ def linearise_stars(
     """Return ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars without streaks.
 
     Args:
-        measured_b: of k stars, as the others in :class:`ship_attitude_star.stars.fit.MatchedStars`.
-        reference_n: shape (k, 3).
-        sigma: of each star, catalogue included, shape (k,).
-        shared_n: shape (k, 3, n_shared).
-        sensor: shape (k,).
-        mounting_b: shape (n_sensors, 3, 3), or (0, 3, 3).
-        time_transfer_b: shape (n_sensors, 3, c), or (0, 3, 0).
-        rotation_nb: point of linearisation, shape (3, 3).
+        measured_b: as in :class:`ship_attitude_star.stars.fit.MatchedStars`, shape (k, 3).
+        reference_n: likewise, shape (k, 3).
+        sigma: standard deviation of each star, error of the catalogue included, rad per axis, shape (k,).
+        shared_n: as in ``MatchedStars``, shape (k, 3, n_shared).
+        sensor: likewise, shape (k,).
+        mounting_b: likewise, shape (n_sensors, 3, 3), or (0, 3, 3).
+        time_transfer_b: likewise, shape (n_sensors, 3, c), or (0, 3, 0).
+        rotation_nb: attitude of the linearisation (horizon from b), shape (3, 3).
     """
     count: cython.Py_ssize_t = measured_b.shape[0]
     mounted: cython.Py_ssize_t = 3 * mounting_b.shape[0]
@@ -118,7 +118,7 @@ def _add_normal_equations(
     information: cython.double[:, ::1],
     right_side: cython.double[::1],
 ) -> cython.double:
-    """Add the normal equations of the members to zeros; return the sum of their squares."""
+    """Add the normal equations of the members to arrays of zeros; return the sum of their squared displacements."""
     q: cython.Py_ssize_t = jacobian.shape[2]
     squares: cython.double = 0.0
     k: cython.Py_ssize_t
@@ -141,7 +141,7 @@ def _add_normal_equations(
 
 
 def _check_shapes(jacobian, displacement, members) -> None:
-    """Refuse stars whose arrays do not match in shape; the loops check no bounds."""
+    """Raise ValueError if the shapes of the stars' arrays do not match; the loops do not check bounds."""
     check("stars", displacement.shape[0] == members.shape[0] == jacobian.shape[0])
     check("vectors", jacobian.shape[1] == displacement.shape[1] == 3)
 
@@ -154,9 +154,9 @@ def normal_equations(
     """Return the information of the members, shape (q, q), and the right side, shape (q,).
 
     Args:
-        jacobian: shape (k, 3, q).
-        displacement: shape (k, 3).
-        members: True for each member, shape (k,).
+        jacobian: as in :class:`ship_attitude_star.stars.fit.StarFit`, shape (k, 3, q).
+        displacement: likewise, shape (k, 3).
+        members: True for each star that is used, shape (k,).
     """
     _check_shapes(jacobian, displacement, members)
     information, right_side = np.zeros((jacobian.shape[2], jacobian.shape[2])), np.zeros(jacobian.shape[2])
@@ -176,11 +176,14 @@ def solve_normal_equations(
         jacobian: as in :func:`normal_equations`.
         displacement: as in :func:`normal_equations`.
         members: as in :func:`normal_equations`.
-        free_count: number of unknowns without a prior, the first ones; the prior of the others is the identity.
+        free_count: number of the first unknowns without a prior; the prior information of the others is the identity.
 
     Returns:
-        Information by the stars alone and with the priors, shape (q, q) each; the unknowns, shape (q,); the remaining
-        sum of squares, priors included; and the number of stars.
+        Information from the stars alone, shape (q, q).
+        Information from stars and priors, shape (q, q).
+        Most likely unknowns, shape (q,).
+        Remaining sum of squares, priors included.
+        Number of members.
 
     Raises:
         numpy.linalg.LinAlgError: the stars do not determine the unknowns.
@@ -204,7 +207,7 @@ def solve_normal_equations(
         count += 1 if members[i] else 0
     for i in range(free_count, q):
         constrained[i, i] += 1.0
-    # Cholesky factor, with forward substitution row by row.
+    # The Cholesky factor and the forward substitution are computed row by row.
     for i in range(q):
         for j in range(i + 1):
             total = constrained[i, j]
@@ -236,13 +239,14 @@ def apply_prior(
     root_n: cython.const[cython.double][:, :],
     expected_n: cython.const[cython.double][:],
 ):
-    """Return Jacobian and displacement with the attitude in standard deviations of its prediction.
+    """Return Jacobian and displacement for an attitude error relative to its prediction, in standard deviations.
 
     Args:
-        jacobian: shape (k, 3, q); the first three columns belong to the attitude.
-        displacement: shape (k, 3).
-        root_n: a root of the prediction's covariance, rad, shape (3, 3).
-        expected_n: predicted rotation, rad, shape (3,).
+        jacobian: as in :class:`ship_attitude_star.stars.fit.StarFit`, shape (k, 3, q); the first three columns belong
+            to the attitude.
+        displacement: likewise, shape (k, 3).
+        root_n: matrix L with L Lᵀ equal to the covariance of the prediction, rad, shape (3, 3).
+        expected_n: predicted rotation vector, rad, shape (3,).
     """
     count: cython.Py_ssize_t = jacobian.shape[0]
     q: cython.Py_ssize_t = jacobian.shape[2]
@@ -277,19 +281,19 @@ def attitude_covariances(
     term_of: cython.const[cython.Py_ssize_t][:],
     terms: cython.Py_ssize_t,
 ):
-    """Return the covariance of an attitude by term, and the part of its noise caused by given errors of stars.
+    """Return the covariance of an attitude by error source, and the part of its noise due to given errors of stars.
 
     Args:
-        white_n: covariance of the attitude by independent errors of the stars, which determine the weights, rad², shape
-            (3, 3).
-        information: of all unknowns by the stars, shape (q, q); the first three are the attitude.
-        jacobian: of the stars, shape (k, 3, q).
-        share: ratio of the given errors to each star's white error, 0 for a star without them, shape (k,).
-        term_of: term of each of the other unknowns, which are in units of sigma, shape (q - 3,).
-        terms: number of terms.
+        white_n: covariance of the attitude due to independent errors of the stars, rad², shape (3, 3). These errors
+            determine the weights of the stars.
+        information: information about all unknowns from the stars, shape (q, q); the first three are the attitude.
+        jacobian: Jacobian of the stars, shape (k, 3, q).
+        share: given error of each star divided by its white error, shape (k,); 0 for a star without a given error.
+        term_of: index of the error source of each of the other unknowns, which are in units of sigma, shape (q - 3,).
+        terms: number of error sources.
 
     Returns:
-        Rad², shape (terms, 3, 3), and shape (3, 3).
+        Covariance by error source, rad², shape (terms, 3, 3), and covariance due to the given errors, shape (3, 3).
     """
     q: cython.Py_ssize_t = information.shape[0]
     check("unknowns", information.shape[1] == jacobian.shape[2] == term_of.shape[0] + 3 == q)
@@ -307,7 +311,7 @@ def attitude_covariances(
     j: cython.Py_ssize_t
     for c in range(q - 3):
         check("terms", 0 <= term_of[c] < terms)
-        # The rotation of the attitude by one sigma of the unknown.
+        # Rotation of the attitude due to one sigma of the unknown.
         for i in range(3):
             turn[i] = 0.0
             for j in range(3):
@@ -343,9 +347,9 @@ def expected_directions(
     """Return the directions of stars corrected by the estimated shared errors, unit vectors, shape (k, 3).
 
     Args:
-        reference_n: directions by the sky model, shape (k, 3).
-        shared_n: displacement by one sigma of each shared error, shape (k, 3, n_shared).
-        estimate: estimate of these errors, in sigmas, shape (n_shared,).
+        reference_n: directions from the sky model, shape (k, 3).
+        shared_n: displacement of each direction by one sigma of each shared error, shape (k, 3, n_shared).
+        estimate: estimate of each shared error, in sigmas, shape (n_shared,).
     """
     count: cython.Py_ssize_t = reference_n.shape[0]
     check("stars", shared_n.shape[0] == count and reference_n.shape[1] == shared_n.shape[1] == 3)
@@ -378,22 +382,23 @@ def residuals(
     to_sensor: cython.const[cython.double][:, :],
     first: cython.Py_ssize_t,
 ):
-    """Return the residuals of stars against the prediction of their sensor, up and right of each.
+    """Return the residuals of stars relative to the predicted attitude of their sensor, two components for each star.
 
     Args:
-        measured_s: directions, shape (k, 3).
+        measured_s: measured directions, shape (k, 3).
         expected_n: expected directions in the horizon frame, shape (k, 3).
-        shared_n: displacement by one sigma of each shared error, shape (k, 3, n_shared).
+        shared_n: displacement of each direction by one sigma of each shared error, shape (k, 3, n_shared).
         members: True for the m stars used, shape (k,).
         rotation_ns: predicted attitude "horizon from sensor", shape (3, 3).
-        to_sensor: derivative of its rotation vector in the sensor frame by the n states, shape (3, n).
+        to_sensor: derivative of the attitude, as rotation vector in the sensor frame, with respect to the n states,
+            shape (3, n).
         first: index of the first state of the shared errors.
 
     Returns:
-        Measured minus expected direction, shape (2 m,).
-        Its derivative by the states, shape (2 m, n).
-        Its derivative by a rotation of the sensor, shape (2 m, 3).
-        The two directions across each line of sight, shape (m, 2, 3).
+        Residuals: measured minus expected direction, up and right of each star, shape (2 m,).
+        Derivative of the residuals with respect to the states, shape (2 m, n).
+        Derivative of the residuals with respect to a rotation of the sensor, shape (2 m, 3).
+        Unit vectors up and right of each star, shape (m, 2, 3).
     """
     n: cython.Py_ssize_t = to_sensor.shape[1]
     shared: cython.Py_ssize_t = shared_n.shape[2]
@@ -442,7 +447,7 @@ def residuals(
                 for j in range(3):
                     across_n[i] += rotation_ns[i, j] * basis[row, c, j]
             residual[2 * row + c] = total
-            # A rotation ε of the sensor moves the star by p × ε, along b by (b × p) ε.
+            # A rotation ε of the sensor moves the star's direction p by p × ε. Along a unit vector b this is (b × p) ε.
             _cross_product(cython.address(basis[row, c, 0]), star, cython.address(by_turn[2 * row + c, 0]), 1)
             for j in range(n):
                 for i in range(3):

@@ -1,4 +1,4 @@
-"""Parameters of one star sensor: camera and mounting, the same for both nodes of the package."""
+"""Parameters of one star sensor, camera and mounting, which both nodes of the package share."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JOINT = "joint"
-"""Reserved in place of a sensor id: the stars of all sensors give one attitude of the deck."""
+"""Id of the joint solution, one attitude of the deck from the stars of all sensors; no sensor may have this id."""
 
 _FIELD_POINTS = 21
 
@@ -26,17 +26,16 @@ _FIELD_POINTS = 21
 class StarSensorsById:
     """Parameters that both nodes have in common: star sensors by id.
 
-    No sensor may have the id JOINT, which names the joint solution. A sensor with that id would publish on the topic of
-    the joint solution, and its stars would count twice.
+    A sensor with the id JOINT would publish on the topic of the joint solution, and its stars would count twice.
     """
 
     star_sensors: Mapping[str, "SensorWithCamera"]
 
     def __post_init__(self) -> None:
-        """Check the ids, and that the masks of each sensor leave part of its field free.
+        """Check that no sensor has the id JOINT, and that the masks of each sensor leave part of its field free.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: a check fails; the text names the parameter.
         """
         if JOINT in self.star_sensors:
             name = f"star_sensors.{JOINT}"
@@ -54,7 +53,7 @@ def _coefficient(doc: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraConfig:
-    """The camera of a star sensor; needed only for a sensor that gives single stars."""
+    """Camera of a star sensor; only a sensor that measures single stars needs it."""
 
     focal_length_m: float = parameter(
         0.0, doc="focal length; 0: not given", unit="m", minimum=0.0, maximum=10.0
@@ -115,8 +114,8 @@ class CameraConfig:
             prefix: name of this section of the parameters, for the error message.
 
         Raises:
-            ParameterError: focal length or pitch is missing, or the principal point that a field-spatial error needs;
-                the text starts with ``prefix``.
+            ParameterError: focal length or pixel pitch is missing, or a field-spatial error is given without a
+                principal point; the text contains ``prefix``.
         """
         if not self.is_given:
             raise ParameterError(
@@ -144,35 +143,35 @@ class CameraConfig:
         )
 
     def optics_errors(self, camera: StarCamera) -> OpticsErrors:
-        """Return the errors of this camera's optics parameters."""
+        """Return the model of the errors of this camera's optics parameters."""
         return OpticsErrors(camera, self.focal_sigma, self.principal_sigma_px, self.distortion_sigma)
 
     @property
     def focal_sigma(self) -> float:
-        """Relative standard deviation of the focal length of a camera that is given."""
+        """Relative standard deviation of the focal length; the camera must be given."""
         return self.focal_length_sigma_m / self.focal_length_m or SURVEYED_FOCAL_SIGMA
 
     def spatial_errors(self, camera: StarCamera) -> SpatialErrors | None:
-        """Return the errors that depend on the position on this camera's detector; None if there are none."""
+        """Return the model of the errors that depend on the position on the detector; None without such errors."""
         if not (self.field_spatial_sigma_px or self.pixel_spatial_sigma_px):
             return None
         return SpatialErrors(camera, self.field_spatial_sigma_px, self.pixel_spatial_sigma_px)
 
     @property
     def has_field_of_view(self) -> bool:
-        """True if the parameters define the field of view, by a principal point off the first pixel."""
+        """True if the parameters define the field of view, by a principal point beyond the first row and column."""
         return self.is_given and self.principal_u_px > 0.0 and self.principal_v_px > 0.0
 
     def field_directions(self, prefix: str) -> FloatArray:
-        """Return directions covering the field of view in the sensor frame, unit vectors, shape (n, 3).
+        """Return a grid of directions over the field of view in the sensor frame, unit vectors, shape (n, 3).
 
         The principal point is taken as the middle of the detector.
 
         Args:
-            prefix: as of :meth:`camera`.
+            prefix: as for :meth:`camera`.
 
         Raises:
-            ParameterError: as of :meth:`camera`.
+            ParameterError: as for :meth:`camera`.
         """
         columns = np.linspace(0.0, 2.0 * self.principal_u_px, _FIELD_POINTS)
         rows = np.linspace(0.0, 2.0 * self.principal_v_px, _FIELD_POINTS)
@@ -181,7 +180,7 @@ class CameraConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RequiredCameraConfig(CameraConfig):
-    """The camera of a sensor that gives single stars; focal length and pixel pitch are required."""
+    """Camera of a sensor that measures single stars; focal length and pixel pitch are required."""
 
     focal_length_m: float = parameter(doc="focal length", unit="m", minimum=0.001, maximum=10.0)
     pixel_pitch_m: float = parameter(doc="pixel pitch", unit="m", minimum=1e-7, maximum=0.001)
@@ -189,7 +188,7 @@ class RequiredCameraConfig(CameraConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class MountingConfig:
-    """Mounting angles of a star sensor and their uncertainty."""
+    """Mounting angles of a star sensor, with their standard deviations, and obstructions in its view."""
 
     frame_id: str = parameter("", doc="frame_id required in its messages; empty accepts any")
     azimuth_deg: float = degrees(doc="installation azimuth of the boresight in the deck")
@@ -204,7 +203,7 @@ class MountingConfig:
 
     @cached_property
     def sensor_masks(self) -> SensorMasks | None:
-        """Obstructions in its view; None if there are none."""
+        """Deck masks in the view of the sensor; None if there are none."""
         return sensor_masks(self, "star_sensors")
 
     @cached_property
@@ -225,8 +224,8 @@ class MountingConfig:
 
 
 class SensorWithCamera(MountedSensor, Protocol):
-    """A star sensor of either node: mounting, obstructions and camera."""
+    """Parameters of a star sensor of either node: mounting, deck masks and camera."""
 
     @property
     def camera(self) -> CameraConfig:
-        """The camera; needed only for a sensor that gives single stars."""
+        """Camera; only a sensor that measures single stars needs it."""

@@ -1,13 +1,13 @@
 """Stars of one exposure: directions at mid-exposure, identities and catalogue positions.
 
 A ship rotates while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
-It differs from the pixel at mid-exposure because of the angular and the centripetal acceleration. The INS measures the
-rotation of the sensor, and this difference is computed from it. The variance of the light along a streak of L pixels is
-s² + L²/12, with s² that of an image at rest. The centroid's variance σ² grows by the same factor along the streak, to
-σ² (1 + L²/(12 s²)), and is unchanged across it (docs/explanation/star_camera.md).
+The centroid differs from the pixel at mid-exposure because of the angular and the centripetal acceleration. This
+difference is computed from the rotation of the sensor, which the INS measures. The variance of the light is s² for an
+image at rest and s² + L²/12 along a streak of L pixels. The variance σ² of the centroid grows by the same factor along
+the streak, to σ² (1 + L²/(12 s²)), and is unchanged across the streak (docs/explanation/star_camera.md).
 
-A detection without an identity is identified with the predicted attitude of its sensor, as the only catalogue star
-within the gate. If two stars are possible, it stays without an identity.
+A detection without an identity is identified as the only catalogue star within its gate around the direction that the
+predicted attitude of the sensor gives. A detection with two possible stars stays unidentified.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from ship_geometry.star_directions import StarPositions
 _PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(MAX_PRIOR_SIGMA):.0f}°: too many catalogue stars match"
 
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
-"""Mounting errors for stars that are compared in their sensor's own frame: none."""
+"""Empty array of mounting errors, for stars that are compared in the frame of their sensor."""
 
 _OUT_OF_VIEW_VARIANCE = 1.0
 """Variance of a star that leaves the field of view during the exposure, rad²; it removes the star's weight."""
@@ -48,7 +48,7 @@ class ExposureLength:
     """Length of an exposure, and the camera parameters that determine streaks.
 
     Attributes:
-        exposure_s: length, above 0.
+        exposure_s: length of the exposure, above 0.
         camera: geometry of the sensor.
         psf_sigma_px: standard deviation of the image of a star at rest, each axis.
     """
@@ -59,7 +59,7 @@ class ExposureLength:
 
     @cached_property
     def nodes(self) -> Nodes:
-        """Times at which the motion is evaluated to average over the exposure."""
+        """Quadrature nodes at which the motion is evaluated for the mean over the exposure."""
         return exposure_nodes(self.exposure_s)
 
     @property
@@ -68,7 +68,7 @@ class ExposureLength:
         return Rejection(Reason.GAP, f"no INS samples over the whole exposure of {self.exposure_s:g} s")
 
     def unmeasured_turn_variance(self, acceleration: float) -> float:
-        """Return the variance of mean attitude minus middle attitude if no INS measures it, each axis, rad².
+        """Return the variance of mean attitude minus middle attitude without an INS, each axis, rad².
 
         Args:
             acceleration: standard deviation of the sensor's angular acceleration, each axis, rad/s².
@@ -78,25 +78,26 @@ class ExposureLength:
 
 @dataclass(frozen=True)
 class StarExposure:
-    """The stars of one exposure of one sensor; arrays have one entry per star.
+    """The k stars of one exposure of one sensor.
 
     Attributes:
-        source: ``star.<id>``.
+        source: name of the sensor, ``star.<id>``.
         time_ns: middle of the exposure, stamp of the sensor.
-        hip: HIP numbers; 0 if the message gives the direction in the ICRS, or the star is unidentified.
+        hip: HIP number of each star, shape (k,); 0 if the message gives a direction in the ICRS, or the star is
+            unidentified.
         directions_s: unit vectors in the sensor frame (forward, up, right), shape (k, 3).
-        sigma: error of a direction, rad per axis across it, shape (k,).
-        positions: positions of the stars, J2000.0; NaN while a star is not identified.
-        position_sigma: error of the star's position, rad per axis, shape (k,).
-        magnitude: as measured, shape (k,); NaN where unknown.
-        length: length of the exposure, with its camera; None if the message does not state it.
+        sigma: standard deviation of each direction, rad per axis, shape (k,).
+        positions: positions of the stars, J2000.0; NaN for an unidentified star.
+        position_sigma: standard deviation of each star's position, rad per axis, shape (k,).
+        magnitude: measured magnitudes, shape (k,); NaN where unknown.
+        length: length of the exposure, with its camera; None if the message does not state the length.
         smear_s: covariance that the motion during the exposure adds to a direction, in the sensor frame, rad², shape
             (k, 3, 3); None before :func:`reduce_to_mid_exposure`.
         streak_length: length of each star's streak, rad, shape (k,); None before :func:`reduce_to_mid_exposure`.
-        masks: obstructions on deck in the sensor's view; None if there are none.
-        optics: errors of its camera's optics parameters; None where they are exact.
+        masks: deck masks in the sensor's view; None if there are none.
+        optics: errors of the camera's optics parameters; None for exact parameters.
         spatial: errors that depend on the position on the detector; None if there are none.
-        pixel_dwell: pixel dwell of the stars; None before :meth:`with_pixel_dwell`, and where no error depends on it.
+        pixel_dwell: pixel dwell of the stars; None before :meth:`with_pixel_dwell`, or without pixel-spatial errors.
     """
 
     source: str
@@ -114,11 +115,11 @@ class StarExposure:
     optics: OpticsErrors | None = None
     spatial: SpatialErrors | None = None
     pixel_dwell: PixelDwell | None = None
-    covariance_known = True  # where the message gives no centroid error, the configured one is used
+    covariance_known = True  # a centroid without a sigma in the message has the configured sigma
 
     @property
     def reach_ns(self) -> int:
-        """Time before and after the middle for which the sensor's motion must be known; 0 if no length was given."""
+        """Time before and after the middle for which the sensor's motion is needed; 0 if no length was given."""
         return 0 if self.length is None else self.length.nodes.reach_ns
 
     @property
@@ -127,7 +128,7 @@ class StarExposure:
         return np.isfinite(self.positions.right_ascension)
 
     def name(self, row: int) -> str:
-        """Return a star's name for texts: its HIP number, else its ICRS position, else its direction in the sensor."""
+        """Return a star's name for texts: HIP number, else position in the ICRS, else direction in the sensor frame."""
         hip = int(self.hip[row])
         if hip:
             return f"HIP {hip}"
@@ -161,7 +162,7 @@ class StarExposure:
         )
 
     def with_pixel_dwell(self, before: PixelDwell | None) -> StarExposure:
-        """Return the exposure with its pixel dwell.
+        """Return the exposure with its pixel dwell; the exposure itself without pixel-spatial errors.
 
         Args:
             before: pixel dwell of the sensor's previous exposure; None if there is none.
@@ -172,7 +173,7 @@ class StarExposure:
 
     @property
     def single_star_sigma(self) -> FloatArray:
-        """Error of a single direction, those of optics and detector position included, rad per axis, shape (k,)."""
+        """Standard deviation of each direction, errors of optics and detector included, rad per axis, shape (k,)."""
         field_s = self.field_modes
         of_field = 0.0 if field_s is None else 0.5 * np.sum(field_s**2, axis=(-2, -1))
         of_pixels = 0.0 if self.pixel_sigma is None else self.pixel_sigma**2
@@ -183,7 +184,7 @@ class StarExposure:
     def field_modes(self) -> FloatArray | None:
         """Displacement of the directions by one sigma of each of f correlated camera errors, rad, shape (k, 3, f).
 
-        The errors of the optics come first, then the field-spatial ones; None if there are none.
+        The errors of the optics are the first columns, the field-spatial errors follow. None without such errors.
         """
         of_optics = None if self.optics is None else self.optics.modes(self.directions_s)
         of_field = None if self.spatial is None else self.spatial.field_modes(self.directions_s)
@@ -200,7 +201,7 @@ class StarExposure:
 
     @cached_property
     def pixel_sigma(self) -> FloatArray | None:
-        """Pixel-spatial error of each direction, rad per axis, shape (k,); None if there is none."""
+        """Standard deviation of each direction's pixel-spatial error, rad per axis, shape (k,); None without it."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)
@@ -211,7 +212,7 @@ class StarExposure:
         )
 
     def content(self) -> bytes:
-        """Return all values as bytes, to recognise a repeated message, and to sort different ones with one stamp."""
+        """Return all values as bytes, to recognise a repeated message and to sort different messages with one stamp."""
         positions = self.positions
         arrays = (
             self.hip,
@@ -226,10 +227,10 @@ class StarExposure:
 
 
 def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExposure:
-    """Return the stars at mid-exposure, with the errors that their streaks add.
+    """Return the stars with their directions at mid-exposure and the errors that their streaks add.
 
     Args:
-        exposure: an exposure with a known length.
+        exposure: exposure with a known length.
         turns: rotations "sensor at the node from sensor at mid-exposure" at the nodes of the exposure, shape (m, 3, 3).
     """
     length = exposure.length
@@ -265,12 +266,13 @@ def visible_stars(
     Args:
         exposure: the stars as the sensor measured them.
         sky_model: the sky model.
-        prior: attitude of the sensor, used to identify stars; if None, stars without an identity are rejected.
+        prior: attitude of the sensor, used to identify stars; None to reject all unidentified stars.
 
     Returns:
-        The exposure with the usable stars; the same stars matched with their sky directions, in the sensor frame; and
-        the names of the other stars, each with its rejection. Or one rejection if no star can be placed in the sky at
-        the time of the exposure.
+        The exposure with the usable stars.
+        The usable stars with their sky directions, in the sensor frame.
+        The names of the other stars, each with its rejection.
+        Instead of these three, one rejection if the sky model gives no directions at the time of the exposure.
     """
     rejected: list[tuple[str, Rejection]] = []
     known = named = exposure.is_identified
@@ -330,7 +332,7 @@ def identify_stars(
         local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
 
     Returns:
-        The exposure, and for each row still without an identity the reason.
+        The exposure with more identities, and the rejection of each row that is still unidentified.
     """
     rows = np.flatnonzero(~exposure.is_identified)
     if np.trace(prior.covariance_n) > MAX_PRIOR_SIGMA**2:
@@ -345,8 +347,8 @@ def identify_stars(
         local_sky,
         exposure.masks,
     )
-    # A catalogue star that matches two detections is assigned to neither. A catalogue star that is already assigned
-    # by its number is not assigned to another detection.
+    # A catalogue star that matches two detections is assigned to neither. A catalogue star whose number is already in
+    # the exposure is not assigned again.
     hip = local_sky.bright.catalogue.hip[found.rows]
     claimed_once = (np.count_nonzero(found.is_match, axis=0) == 1) & ~np.isin(hip, exposure.hip)
     chosen = np.full(len(rows), -1)
@@ -384,7 +386,7 @@ def _identification_rejection(nearest: float, fitting: int, masks: str) -> Rejec
 def _with_identities(
     exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], local_sky: LocalSky
 ) -> StarExposure:
-    """Return the exposure with the catalogue stars ``chosen`` in its rows ``rows``."""
+    """Return the exposure with the identities of the catalogue stars ``chosen`` in its rows ``rows``."""
     catalogue = local_sky.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]

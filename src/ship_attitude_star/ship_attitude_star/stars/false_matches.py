@@ -1,9 +1,10 @@
-"""Expected number of false matches: sets of stars that would be consistent with a prior by chance.
+"""Expected number of false matches: sets of stars that are consistent with a prior by chance.
 
-A false detection, or one with a wrong identity, fits the prior if a catalogue star happens to lie in its gate. With n
-detections, ρ catalogue stars per steradian of a matching magnitude and gates of area a, this happens n ρ a times on
-average (n ρ: :attr:`MatchedStars.false_match_density`). A second star must fit both the prior and the first one, which
-leave it a smaller gate, and so on. The expected number of false sets is the product over the stars.
+A false detection, or a star with a wrong identity, fits the prior if a catalogue star happens to be in its gate. With n
+detections, ρ catalogue stars per steradian of a matching magnitude, and gates of area a, this occurs n ρ a times on
+average. n ρ is :attr:`MatchedStars.false_match_density`. A second star must fit both the prior and the first star, so
+its gate is smaller; each further star has a still smaller gate. The expected number of false sets is the product over
+the stars.
 """
 
 import numpy as np
@@ -15,23 +16,23 @@ from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import FloatArray, skew
 
 GATE_PROBABILITY = 0.9999
-"""Probability with which a detection passes the gate of its star."""
+"""Probability that a correctly identified detection passes its gate."""
 
 MAX_FALSE_MATCHES = 1e-3
 """Maximum expected number of false sets for a set of stars to be accepted."""
 
 WRONG_IDENTITY_RATIO = 0.01
-"""Assumed ratio of wrong identities among those that sensors give; a star with a wrong identity may be any other."""
+"""Assumed ratio of wrong identities in the messages of sensors; a wrong identity may be any other star."""
 
 
 def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
     """True if the expected number of false matches of a single star is at most :data:`MAX_FALSE_MATCHES`.
 
-    This is a quick bound: sets of several stars have fewer false matches. True also for stars without false match
-    densities, and for no stars.
+    A set of several stars has fewer false matches, so a larger set needs no further test. The result is also True for
+    stars without false match densities, and without stars.
 
     Args:
-        stars: with their false match densities.
+        stars: matched stars with their false match densities.
         covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
     if stars.false_match_density is None or not len(stars):
@@ -46,9 +47,9 @@ def expected_false_matches(
     """Return an upper bound of the expected number of false sets with as many stars as the members.
 
     Args:
-        stars: with their false match densities.
+        stars: matched stars with their false match densities.
         members: True for the consistent stars, shape (k,).
-        basis: two unit vectors across each star's direction in the horizon frame, shape (k, 2, 3).
+        basis: two unit vectors perpendicular to each star's direction in the horizon frame, shape (k, 2, 3).
         covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
     assert stars.false_match_density is not None
@@ -58,7 +59,7 @@ def expected_false_matches(
         cross = turned @ remaining_covariance_n
         gate = cross @ turned.T + stars.max_sigma[row] ** 2 * np.eye(2)
         expected *= float(stars.false_match_density[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
-        # The expected number of false sets decreases with each further star, so this bound suffices.
+        # Each further star would decrease the expected number, so this upper bound suffices.
         if expected <= MAX_FALSE_MATCHES:
             break
         remaining_covariance_n = remaining_covariance_n - cross.T @ np.linalg.solve(gate, cross)

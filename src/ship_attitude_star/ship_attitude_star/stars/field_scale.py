@@ -1,17 +1,19 @@
 """Focal length and principal point of a camera from fields of identified stars, without a known attitude.
 
-The angles between the stars of one exposure are known from the catalogue. They depend on the optics but not on the
-attitude. Each field is linearised at the attitude that its own stars give. The error of this attitude is eliminated,
-and the remaining displacements determine the optics (equations as in :mod:`ship_attitude_star.stars.fit`):
+The angles between the stars of one exposure are known from the catalogue. The measured angles depend on the optics, but
+not on the attitude. Each field is linearised at the attitude that its stars give. The error of this attitude is
+eliminated, and the remaining displacements determine the optics (equations as in :mod:`ship_attitude_star.stars.fit`):
 
     d_i = δ × v_i + R S_i θ - R F_i f - G_i z + noise
 
 θ is the correction of (logarithm of the focal length, principal u, principal v) of the camera, and S_i the derivative
-of the measured direction by θ. The coefficients f of the field-spatial error and the shared errors z (refraction) are
-constant over all fields. The information of several fields is the sum of theirs; f and z have their prior sigmas of 1.
+of the measured direction with respect to θ. The coefficients f of the field-spatial error and the shared errors z
+(refraction) are constant over all fields and have a prior sigma of 1. The information of several fields is the sum of
+the information of each field.
 
-The focal length is determined well: a field of ten stars over 13°, each known to 3″, gives 0.005 %. The principal point
-is not: its shift is a rotation of the camera, except for 1 % at the edge of such a field.
+The focal length is determined well: a field of ten stars over 13°, each with a sigma of 3″, determines it to 0.005 %.
+The principal point is determined badly, because its shift is a rotation of the camera, except for 1 % at the edge of
+such a field.
 """
 
 from dataclasses import dataclass, replace
@@ -25,21 +27,23 @@ from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_geometry.rotations import FloatArray
 
 OPTICS = slice(0, 3)
-"""Slice of the optics among the unknowns; coefficients of the field-spatial error follow, then the shared errors."""
+"""Slice of the optics among the unknowns; the coefficients of the field-spatial error and the shared errors follow."""
 
 _FREE = (np.inf, np.inf, np.inf)
 _LEAST_EIGENVALUE = 1e-9
-"""Least eigenvalue of the information, normalised to a diagonal of ones, for which the unknowns are determined."""
+"""Minimum eigenvalue of the information, normalised to a diagonal of ones, for which the unknowns are determined."""
 
 
 @dataclass(frozen=True)
 class FieldInformation:
-    """Information of star fields about the unknowns, with each field's attitude eliminated; fields can be added.
+    """Information from star fields about the q unknowns, with each field's attitude eliminated.
+
+    The sum of two objects is the information from the fields of both.
 
     Attributes:
         matrix: information without priors, shape (q, q).
-        right_side: shape (q,).
-        chi_square: chi-square of the displacements at each field's own attitude, with unchanged optics.
+        right_side: right side of the normal equations, shape (q,).
+        chi_square: chi-square of the displacements at the best attitude of each field, with unchanged optics.
         degrees: degrees of freedom of ``chi_square``.
     """
 
@@ -49,7 +53,7 @@ class FieldInformation:
     degrees: int
 
     def __add__(self, other: "FieldInformation") -> "FieldInformation":
-        """Return the information of both."""
+        """Return the information from the fields of both objects."""
         return FieldInformation(
             self.matrix + other.matrix,
             self.right_side + other.right_side,
@@ -65,8 +69,8 @@ class OpticsEstimate:
     Attributes:
         scale: relative correction of the focal length.
         principal_px: correction of the principal point (u, v), px, shape (2,).
-        covariance: of (scale, u, v), shape (3, 3).
-        chi_square: of the displacements that remain with the corrected optics, and of the unknowns under their priors.
+        covariance: covariance of (scale, u, v), shape (3, 3).
+        chi_square: chi-square of the displacements with the corrected optics, and of the unknowns under their priors.
         degrees: degrees of freedom of ``chi_square``.
     """
 
@@ -91,22 +95,19 @@ class OpticsEstimate:
 def field_information(
     camera: StarCamera, stars: MatchedStars, members: NDArray[np.bool_] | None = None
 ) -> FieldInformation | None:
-    """Return the information of one field about the optics.
+    """Return the information from one field about the optics; None if the members do not determine an attitude.
 
     Args:
-        camera: camera by which the directions were measured, correct to 1 %.
-        stars: stars of one exposure of this camera, in its frame; a star with a wrong identity must not be a member.
-        members: True for the stars that are used, shape (k,); None for all.
-
-    Returns:
-        None if the members do not determine an attitude.
+        camera: camera that measured the directions, with a focal length correct to 1 %.
+        stars: stars of one exposure, in the frame of the camera; a star with a wrong identity must not be a member.
+        members: True for the stars that are used, shape (k,); None to use all stars.
     """
     count = len(stars) if members is None else int(np.count_nonzero(members))
     found = fit_attitude(stars, members) if count > 1 else None
     if found is None:
         return None
     slopes_b = -camera.optics_jacobian(stars.measured_b)[..., OPTICS]
-    # The optics themselves are unknowns here, so their stated errors are left out.
+    # The optics are unknowns here, so the errors of the configured optics are left out.
     is_other = [source != SOURCE_OPTICS for source in stars.field_sources]
     field_b = slopes_b if stars.field_b is None else np.concatenate([slopes_b, stars.field_b[..., is_other]], axis=-1)
     fit = linearise_stars(replace(stars, field_b=field_b), found.rotation_nb)
@@ -126,18 +127,15 @@ def field_information(
 def estimate_optics(
     information: FieldInformation, prior_sigma: tuple[float, float, float] = _FREE
 ) -> OpticsEstimate | None:
-    """Return the optics that fit fields of stars best.
+    """Return the optics that best fit the fields of stars; None if stars and priors do not determine all parameters.
 
     Args:
-        information: information of all fields.
-        prior_sigma: uncertainty of the configured (logarithm of the focal length, principal u, principal v), px for the
-            last two; infinite for no prior, 0 for a fixed value.
-
-    Returns:
-        None if stars and priors do not determine all three.
+        information: information from all fields.
+        prior_sigma: standard deviations of the configured logarithm of the focal length, principal u (px) and principal
+            v (px); infinite for no prior, 0 for a fixed value.
     """
     count = len(information.right_side)
-    # Values with a prior are in units of their sigma, so that a fixed value (sigma 0) causes no division by zero.
+    # Unknowns with a prior are in units of their sigma, so that a fixed value (sigma 0) causes no division by zero.
     sigma = np.append(np.asarray(prior_sigma, dtype=float), np.ones(count - OPTICS.stop))
     is_free = np.isinf(sigma)
     unit = np.where(is_free, 1.0, sigma)

@@ -1,17 +1,22 @@
 """Least-squares fit of one attitude to stars, with the errors that the stars share as further unknowns.
 
-The frame b is the frame in which the stars were measured: the deck, or the frame of one sensor. Star i was measured in
-the direction u_i (frame b); its sky direction is v_i (horizon frame n). At an attitude R_nb near the truth, its
-displacement d_i is linear in small unknowns:
+The frame b is the frame in which the stars were measured: the deck, or the frame of one sensor. Star i has the measured
+direction u_i (frame b) and the sky direction v_i (horizon frame n). At an attitude R (n from b) near the truth, the
+displacement d_i of the star is linear in small unknowns:
 
     d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i + (R T_s t) × v_i - R F_i f - G_i z + noise
 
-δ is the error of the attitude, and m_s the mounting error of the star's sensor. t are the errors of the rotations that
-transfer the exposures to one time; T_s rotates the sensor by one sigma of each, and sensors may share them. f are the
-coefficients of the sensors' field-spatial errors (:mod:`ship_attitude_star.stars.spatial_errors`), and F_i displaces
-the measured direction by one sigma of each. z are the errors that all stars share (refraction, Earth rotation,
-position), and G_i is the displacement of the star by one sigma of each. The unknowns m, t, f and z are in units of
-their standard deviations, so that their prior information is the identity.
+- δ is the error of the attitude.
+- m_s is the mounting error of the star's sensor s.
+- t are the errors of the rotations that transfer the exposures to one time. The columns of T_s are the rotations of the
+  sensor by one sigma of each of these errors; sensors may share them.
+- f are the coefficients of the cameras' errors (:mod:`ship_attitude_star.stars.optics_errors`,
+  :mod:`ship_attitude_star.stars.spatial_errors`). The columns of F_i are the displacements of the measured direction by
+  one sigma of each.
+- z are the errors that all stars share (refraction, Earth rotation, position). The columns of G_i are the displacements
+  of the sky direction by one sigma of each.
+
+The unknowns m, t, f and z are in units of their standard deviations, so that their prior information is the identity.
 """
 
 import math
@@ -35,27 +40,28 @@ _NO_TURN, _NO_TURNS = np.zeros(3), np.empty((0, 3, 0))
 
 @dataclass(frozen=True)
 class MatchedStars:
-    """Identified stars of one time in one frame b: of one sensor in its own frame, or of several in the deck frame.
+    """The k identified stars of one time, with directions in one frame b, which is a sensor's frame or the deck frame.
 
     Attributes:
-        measured_b: unit vectors, shape (k, 3).
+        measured_b: measured directions, unit vectors, shape (k, 3).
         reference_n: apparent directions of the stars with refraction, unit vectors in the horizon frame, shape (k, 3).
-        sigma: error of a measured direction, rad per axis, shape (k,).
-        position_sigma: error of the catalogue's position, rad per axis, shape (k,).
+        sigma: standard deviation of each measured direction, rad per axis, shape (k,).
+        position_sigma: standard deviation of each catalogue position, rad per axis, shape (k,).
         shared_n: displacement of the reference by one sigma of each shared error, rad, shape (k, 3, n_shared).
         sensor: index of the sensor that measured the star, shape (k,).
         mounting_b: rotation of each sensor by one sigma of three independent mounting errors; rotation vectors in b as
-            columns, rad, shape (n_sensors, 3, 3). Shape (0, 3, 3) where b is the frame of the one sensor.
+            columns, rad, shape (n_sensors, 3, 3). The shape is (0, 3, 3) if b is the sensor's frame.
         smear_b: covariance that the motion during the exposure adds to a measured direction, in b, rad², shape (k, 3,
-            3); None where it adds nothing.
+            3); None without motion.
         time_transfer_b: rotation of each sensor by one sigma of c independent errors of the transfer of exposures to
-            one time; rotation vectors in b as columns, rad, shape (n_sensors, 3, c). None if there are none.
-        false_match_density: number of possible false matches of each star per steradian, shape (k,); None where
+            one time; rotation vectors in b as columns, rad, shape (n_sensors, 3, c). None without a transfer.
+        false_match_density: number of possible false matches of each star per steradian, shape (k,); None if the
             identities are certain.
-        pixel_sigma: pixel-spatial error of a measured direction, rad per axis, shape (k,); None if there is none.
+        pixel_sigma: standard deviation of the pixel-spatial error of each measured direction, rad per axis, shape (k,);
+            None without such an error.
         field_b: displacement of the measured direction by one sigma of f correlated camera errors (optics,
-            field-spatial), rad, shape (k, 3, f); None if there is no such error.
-        field_sources: error source of each of these errors.
+            field-spatial), rad, shape (k, 3, f); None without such errors.
+        field_sources: error source of each of the f camera errors.
     """
 
     measured_b: FloatArray
@@ -74,13 +80,13 @@ class MatchedStars:
 
     @cached_property
     def white_sigma(self) -> FloatArray:
-        """Standard deviation of independent errors, centroid and catalogue, rad per axis, shape (k,)."""
+        """Standard deviation of the independent errors of centroid, catalogue and pixel, rad per axis, shape (k,)."""
         sigma = np.hypot(self.sigma, self.position_sigma)
         return sigma if self.pixel_sigma is None else np.hypot(sigma, self.pixel_sigma)
 
     @cached_property
     def single_star_sigma(self) -> FloatArray:
-        """Standard deviation of a single star, field errors of its sensor included, rad per axis, (k,)."""
+        """Standard deviation of each star's direction, correlated camera errors included, rad per axis, shape (k,)."""
         if self.field_b is None:
             return self.white_sigma
         sigma: FloatArray = np.sqrt(self.white_sigma**2 + 0.5 * np.sum(self.field_b**2, axis=(-2, -1)))
@@ -88,7 +94,7 @@ class MatchedStars:
 
     @property
     def max_sigma(self) -> FloatArray:
-        """Upper bound of the standard deviation of a star in any direction, streaks included, rad, shape (k,)."""
+        """Upper bound of each star's standard deviation along any axis, streaks included, rad, shape (k,)."""
         if self.smear_b is None:
             return self.single_star_sigma
         sigma: FloatArray = np.sqrt(self.single_star_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
@@ -103,8 +109,9 @@ class StarFit:
     """All stars linearised at one attitude.
 
     Attributes:
-        jacobian: derivative of the displacements by the q unknowns, divided by the star's sigma, shape (k, 3, q).
-        displacement: v - R u, divided by the star's sigma, shape (k, 3); along a streak that sigma is larger.
+        jacobian: derivative of the displacements with respect to the q unknowns, divided by the star's sigma, shape
+            (k, 3, q).
+        displacement: v - R u, divided by the star's sigma, which is larger along a streak; shape (k, 3).
         residual_n: v - R u, rad, shape (k, 3).
         free_count: number of unknowns without a prior: 3 (δ), or 0 after :meth:`with_prior`.
     """
@@ -115,14 +122,13 @@ class StarFit:
     free_count: int = 3
 
     def with_prior(self, covariance_n: FloatArray, expected_n: FloatArray | None = None) -> "StarFit":
-        """Return the fit with an attitude predicted without these stars.
+        """Return the fit with a prior of δ from an attitude predicted without these stars.
 
         Args:
-            covariance_n: covariance of the prediction's error δ, rad², shape (3, 3); it may be singular, if a rotation
-                is known exactly.
+            covariance_n: covariance of the prediction's error, rad², shape (3, 3); it may be singular.
             expected_n: predicted δ, rad, shape (3,); None if the stars are linearised at the prediction.
         """
-        # δ is then in units of standard deviations, as the other unknowns are.
+        # With its prior, δ is in units of standard deviations like the other unknowns.
         turn_n = _NO_TURN if expected_n is None else expected_n
         jacobian, displacement = compiled_fit.apply_prior(
             self.jacobian, self.displacement, square_root(covariance_n), turn_n
@@ -130,10 +136,10 @@ class StarFit:
         return StarFit(jacobian, displacement, self.residual_n, free_count=0)
 
     def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the normal equations of the members (None: all stars), without priors.
+        """Return the normal equations without priors: information, shape (q, q), and right side, shape (q,).
 
-        Returns:
-            Information, shape (q, q), and right side, shape (q,).
+        Args:
+            members: True for each star that is used, shape (k,); None to use all stars.
         """
         found: tuple[FloatArray, FloatArray] = compiled_fit.normal_equations(
             self.jacobian, self.displacement, self._member_mask(members)
@@ -141,7 +147,10 @@ class StarFit:
         return found
 
     def solve(self, members: NDArray[np.bool_] | None = None) -> "StarFitSolution":
-        """Return the most likely unknowns of the members (None: all stars), and the remaining chi².
+        """Return the most likely unknowns, and the remaining chi².
+
+        Args:
+            members: True for each star that is used, shape (k,); None to use all stars.
 
         Raises:
             numpy.linalg.LinAlgError: the members do not determine the attitude.
@@ -152,18 +161,18 @@ class StarFit:
         return StarFitSolution(information, constrained, solution, chi_square, 2 * count - self.free_count)
 
     def _member_mask(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
-        """Return the members as the compiled loops take them (None: all stars)."""
+        """Return the members in the type of the compiled loops; all stars for None."""
         return np.ones(len(self.displacement), dtype=np.uint8) if members is None else members.view(np.uint8)
 
     def chi_square_reduction(self, solution: "StarFitSolution", members: NDArray[np.bool_]) -> FloatArray:
-        """Return the reduction of chi² when one member is left out, for each member, shape (n_members,).
+        """Return, for each member, the reduction of chi² if this member is left out, shape (n_members,).
 
         Each value is distributed as chi² with two degrees of freedom if all members are correctly identified.
         """
         jacobian = self.jacobian[members]
         residual = self.displacement[members] - jacobian @ solution.unknowns
         leverage = jacobian @ np.linalg.inv(solution.information_with_prior) @ np.swapaxes(jacobian, -1, -2)
-        # Along the line of sight the displacement is zero and the matrix is the identity, so it adds nothing.
+        # The component along the line of sight adds nothing: its displacement is zero, and its leverage too.
         without_member = np.linalg.solve(np.eye(3) - leverage, residual[..., None])[..., 0]
         reduction: FloatArray = np.einsum("ki,ki->k", residual, without_member)
         return reduction
@@ -171,11 +180,11 @@ class StarFit:
 
 @dataclass(frozen=True)
 class StarFitSolution:
-    """Most likely unknowns of some stars, and the remaining chi².
+    """Most likely values of the q unknowns from some stars, and the remaining chi².
 
     Attributes:
-        information: information of all unknowns by the stars alone, shape (q, q).
-        information_with_prior: information of all unknowns by stars and priors, shape (q, q).
+        information: information about all unknowns from the stars alone, shape (q, q).
+        information_with_prior: information about all unknowns from stars and priors, shape (q, q).
         unknowns: most likely values of the unknowns, shape (q,).
         chi_square: sum of squares of the remaining displacements and of the unknowns with a prior, in sigmas.
         degrees: degrees of freedom of ``chi_square``.
@@ -189,7 +198,7 @@ class StarFitSolution:
 
     @property
     def probability(self) -> float:
-        """Probability of a chi² at least as large by chance; 1 without degrees of freedom, NaN where chi² is NaN."""
+        """Probability of a chi² at least as large by chance; 1 without degrees of freedom, NaN if chi² is NaN."""
         if self.degrees <= 0 and math.isfinite(self.chi_square):
             return 1.0
         return probability_above(self.chi_square, max(self.degrees, 1))
@@ -221,16 +230,16 @@ def linearise_stars(stars: MatchedStars, rotation_nb: FloatArray) -> StarFit:
 
 @dataclass(frozen=True)
 class AttitudeFit:
-    """The attitude that some of the stars give, and its fit.
+    """Attitude from some of the stars, with its fit.
 
     Attributes:
-        rotation_nb: horizon from b, shape (3, 3): the solution of Wahba's problem, corrected where stars are streaks or
-            cameras have field errors.
-        white_covariance_n: covariance of its error by independent errors and by field errors, rad², shape (3, 3).
-        fit: all stars, linearised at that attitude.
-        solution: solution by the stars that gave the attitude.
-        field_weight: weight that eliminates the cameras' field errors (:func:`_field_weight`), shape (q, f); None where
-            stars are points and cameras have none.
+        rotation_nb: attitude (horizon from b), shape (3, 3): the solution of Wahba's problem, corrected if stars are
+            streaks or cameras have field errors.
+        white_covariance_n: covariance of the attitude due to independent errors and field errors, rad², shape (3, 3).
+        fit: all stars, linearised at the attitude.
+        solution: solution from the stars that gave the attitude.
+        field_weight: weight that eliminates the cameras' field errors (:func:`_field_weight`), shape (q, f); None if
+            stars are points and cameras have no field errors.
     """
 
     rotation_nb: FloatArray
@@ -241,7 +250,7 @@ class AttitudeFit:
 
 
 def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) -> AttitudeFit | None:
-    """Return the attitude by the members (None: all stars); None if they do not determine it."""
+    """Return the attitude from the members (None: all stars); None if these stars do not determine an attitude."""
     sigma = stars.white_sigma if members is None else np.where(members, stars.white_sigma, np.inf)
     solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
     if not solution.solved:
@@ -249,8 +258,8 @@ def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) 
     fit = linearise_stars(stars, solution.rotation_nd)
     if stars.smear_b is None and stars.field_b is None:
         return AttitudeFit(solution.rotation_nd, solution.covariance_n, fit, fit.solve(members))
-    # Wahba's problem has one sigma per star, also along a streak, and no shared field errors. One Gauss-Newton step
-    # from its solution gives the best attitude.
+    # Wahba's problem has one sigma per star, also along a streak, and no field errors. One Gauss-Newton step from the
+    # solution of Wahba's problem gives the best attitude.
     information, right_side = fit.normal_equations(members)
     fields = field_columns(stars, len(information))
     weight = _field_weight(information, fields)
@@ -263,7 +272,7 @@ def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) 
 
 
 def field_columns(stars: MatchedStars, unknowns: int) -> slice:
-    """Return the columns of the cameras' field errors among the unknowns; the shared errors follow them."""
+    """Return the columns of the cameras' field errors among the unknowns; the shared errors are the last columns."""
     end = unknowns - stars.shared_n.shape[-1]
     return slice(end - len(stars.field_sources), end)
 
@@ -272,7 +281,7 @@ def _field_weight(information: FloatArray, fields: slice) -> FloatArray:
     """Return the weights W, shape (q, f), that eliminate the field errors: information - W @ information[fields].
 
     Args:
-        information: information of all unknowns by the stars, shape (q, q). The errors have the prior sigma 1.
+        information: information about all unknowns from the stars, shape (q, q). Field errors have a prior sigma of 1.
         fields: columns of the field errors.
     """
     own = information[fields, fields]
@@ -281,7 +290,7 @@ def _field_weight(information: FloatArray, fields: slice) -> FloatArray:
 
 
 def square_roots(covariance: FloatArray) -> FloatArray:
-    """Return matrices L with L Lᵀ equal to covariances of shape (..., n, n), which may be singular."""
+    """Return matrices L with L Lᵀ equal to the covariances, shape (..., n, n), which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     roots: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return roots

@@ -1,7 +1,7 @@
-"""Candidate catalogue stars of a detection without an identity, by the predicted attitude of its sensor.
+"""Candidate catalogue stars of unidentified detections, from the predicted attitude of the sensor.
 
 A detection and a catalogue star match if a probable error of the predicted attitude explains the angle between them.
-Where the prediction is uncertain (a wide prior), this error is not small: the most likely one is found iteratively
+With an uncertain prediction (a wide prior) this error is not small; its most likely value is computed iteratively
 (Gauss-Newton) for each pair of detection and star. :func:`ship_attitude_star.stars.exposure.identify_stars` assigns
 identities from these candidates.
 """
@@ -19,13 +19,13 @@ from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
 
 MAGNITUDE_TOLERANCE = 1.5
-"""Maximum difference between a measured magnitude and that of its catalogue star.
+"""Maximum difference between a measured magnitude and the catalogue's magnitude.
 
 Most of the tolerance is for the colours of stars, and for the difference between the bands Hp and V.
 """
 
 _FIELD_MARGIN = np.deg2rad(1.0)
-"""Margin of the field for aberration and refraction, which are far smaller, rad."""
+"""Margin of the field for aberration and refraction, which are far smaller than this margin, rad."""
 
 _MAX_PRIOR_SIGMAS = 5.0
 """Number of sigmas by which the predicted attitude may be wrong."""
@@ -33,7 +33,7 @@ _MAX_PRIOR_SIGMAS = 5.0
 _MAX_STEPS, _SMALL_TURN = 8, 1e-5
 
 MAX_PRIOR_SIGMA = np.deg2rad(5.0)
-"""Maximum standard deviation of a predicted attitude for identification, rad; beyond it too many stars match."""
+"""Maximum standard deviation of a predicted attitude for identification, rad; if it is larger, too many stars match."""
 
 _MAX_STARS_IN_GATE = 5.0
 """Maximum expected number of catalogue stars in a gate for which candidates are compared."""
@@ -45,9 +45,9 @@ class Candidates:
 
     Attributes:
         rows: catalogue rows of the stars in the field, shape (c,).
-        is_match: True if a detection may be that star, shape (k, c).
+        is_match: True if a detection may be a star of the field, shape (k, c).
         nearest: angle from the predicted direction of each unmatched detection to the nearest star in the field, rad,
-            shape (k,); infinite if there is none; meaningless for a matched detection.
+            shape (k,). It is infinite without a star in the field, and meaningless for a matched detection.
     """
 
     rows: NDArray[np.int64]
@@ -67,14 +67,13 @@ def find_candidates(
     """Return the catalogue stars within the gates of detections.
 
     Args:
-        directions_s: unit vectors in the sensor frame, shape (k, 3).
-        sigma: error of a direction, rad per axis, shape (k,).
-        magnitude: as measured, shape (k,); NaN where unknown.
-        smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None if there is none.
+        directions_s: directions of the detections, unit vectors in the sensor frame, shape (k, 3).
+        sigma: standard deviation of each direction, rad per axis, shape (k,).
+        magnitude: measured magnitudes, shape (k,); NaN where unknown.
+        smear_s: covariance of the errors due to motion during the exposure, rad², shape (k, 3, 3); None without motion.
         prior: attitude of the sensor.
         local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
-        masks: obstructions on deck in the sensor's view, behind which stars are not candidates and detections are not
-            stars; None if there are none.
+        masks: deck masks in the sensor's view, or None. Masked stars are not candidates, masked detections not stars.
     """
     rows, catalogue = _rows_in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
     apparent = local_sky.apparent_stars(catalogue.at_j2000[rows])
@@ -98,7 +97,7 @@ def find_candidates(
 
 
 def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, local_sky: LocalSky) -> float:
-    """Return the expected number of catalogue stars in a detection's gate, the minimum over the detections."""
+    """Return the minimum over the detections of the expected number of catalogue stars in the gate."""
     turned = perpendicular_basis(seen_n) @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
@@ -106,14 +105,14 @@ def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPri
 
 
 def _is_masked(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
-    """True if a star is masked for any probable error of the predicted attitude, shape (c,)."""
+    """Return True for each star that is masked for any probable error of the predicted attitude, shape (c,)."""
     return masks.is_hidden(
         reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n)))
     )
 
 
 def _rows_in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalSky) -> NDArray[np.int64]:
-    """Return the catalogue rows of the bright stars that may be in the field of these detections."""
+    """Return the catalogue rows of the bright stars that may be in the field around the detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
     prior_sigma = np.sqrt(np.trace(prior.covariance_n))
@@ -124,7 +123,7 @@ def _rows_in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalS
 def _mahalanobis(
     seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
 ) -> FloatArray:
-    """Return Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
+    """Return Mahalanobis² between k detections and c candidates under the errors of prior and stars, shape (k, c)."""
     if prior.is_wide:
         return _mahalanobis_wide(seen_n, reference_n, variance, smear_n, prior)
     basis = perpendicular_basis(seen_n)
@@ -142,10 +141,11 @@ def _mahalanobis(
 def _mahalanobis_wide(
     seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
 ) -> FloatArray:
-    """Return Mahalanobis² as :func:`_mahalanobis`, for a wide prior.
+    """Return :func:`_mahalanobis` for a wide prior.
 
-    It is the minimum over all rotations of the predicted attitude of a sum: Mahalanobis² of the rotation under the
-    prior, plus that of the remaining displacement under the noise. Infinite if the search does not converge.
+    The sum of two terms is minimised over all rotations of the predicted attitude: Mahalanobis² of the rotation under
+    the prior, and Mahalanobis² of the remaining displacement under the noise. The result is infinite if the search does
+    not converge.
     """
     turn_n, squared = np.zeros((*variance.shape, 3)), np.zeros(variance.shape)
     for _ in range(_MAX_STEPS):

@@ -1,15 +1,15 @@
 """Errors of a camera's optics parameters: focal length, principal point, leading radial distortion.
 
-They are constant and common to all exposures of the camera. Each displaces the measured directions in a pattern over
-the field. The centroid of a star at (x, y), in focal lengths from the principal point, moves as follows:
+The errors are constant and common to all exposures of the camera. Each error displaces the measured directions in a
+pattern over the field. The centroid of a star at (x, y), in focal lengths from the principal point, moves as follows:
 
-* A focal length that is longer by the relative error e moves it by e (x, y).
-* An error of the principal point moves it by this error, the same everywhere.
-* An error of k1 moves it by this error times (x² + y²) (x, y).
+* A focal length that is longer by the relative error e moves the centroid by e (x, y).
+* An error of the principal point moves all centroids by this error.
+* An error of k1 moves the centroid by this error times (x² + y²) (x, y).
 
-An error of the principal point is nearly a rotation of the camera. The mounting is calibrated with the camera's own
-stars and the same parameters, so it already contains that rotation. Only the remainder is an error: if the principal
-point is wrong by ε pixels in u, the remainder displaces a star by -ε (x², x y) pixels; likewise in v.
+An error of the principal point is nearly a rotation of the camera. The mounting is calibrated with stars of the same
+camera and the same parameters, so it already contains this rotation. Only the remainder is an error: if the principal
+point is wrong by ε pixels in u, the remainder displaces a star by -ε (x², x y) pixels. An error in v acts likewise.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ SOURCE_OPTICS = "optics"
 """Name of the error source in budgets."""
 
 OPTICS_MODES = 4
-"""Number of errors: focal length, principal point in u and in v, k1."""
+"""Number of optics errors: focal length, principal point in u and in v, k1."""
 
 SURVEYED_FOCAL_SIGMA = 2e-4
 """Relative standard deviation of a surveyed focal length."""
@@ -31,10 +31,10 @@ SURVEYED_FOCAL_SIGMA = 2e-4
 
 @dataclass(frozen=True)
 class OpticsErrors:
-    """The errors of one camera's optics.
+    """Errors of one camera's optics parameters.
 
     Attributes:
-        camera: its geometry as configured.
+        camera: configured geometry of the camera.
         focal_sigma: relative standard deviation of the focal length.
         principal_sigma_px: standard deviation of the principal point, each axis.
         distortion_sigma: standard deviation of k1.
@@ -47,20 +47,20 @@ class OpticsErrors:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviations: focal length (relative), principal u and v (px), k1, shape (OPTICS_MODES,)."""
+        """Standard deviations of focal length (relative), principal u and v (px), and k1, shape (OPTICS_MODES,)."""
         return np.array([self.focal_sigma, self.principal_sigma_px, self.principal_sigma_px, self.distortion_sigma])
 
     def modes(self, directions_s: FloatArray) -> FloatArray:
         """Return displacements of measured directions by one sigma of each error, in the sensor frame, rad.
 
         Args:
-            directions_s: as measured, unit vectors, shape (k, 3).
+            directions_s: measured directions, unit vectors, shape (k, 3).
 
         Returns:
-            Shape (k, 3, OPTICS_MODES).
+            Displacements, shape (k, 3, OPTICS_MODES).
         """
         displacement_s: FloatArray = -self.sigmas * self.camera.optics_jacobian(directions_s)
-        # Add the rotations about up and right that cancel the displacement at the boresight: u is right, v is down.
+        # Add the rotations about up and right that cancel the displacement at the boresight. u is right, v is down.
         turn = self.principal_sigma_px * self.camera.pixel_pitch_m / self.camera.focal_length_m
         forward, up, right = directions_s.T
         displacement_s[:, 0, 1] += turn * right

@@ -1,11 +1,13 @@
-"""Stars against the attitude predicted for their sensor: residual, Jacobian, noise.
+"""Residuals of stars relative to the predicted attitude of their sensor, with Jacobian and noise.
 
-Each star has a residual of two components, up and right in the sensor. With R the predicted attitude (horizon from
-sensor), v the star's sky direction and u its measured direction, the residual is the part of u - Rᵀ v across the line
-of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the predicted direction p = Rᵀ v by p × ε.
+Each star has a residual of two components, up and right in the sensor. Let R be the predicted attitude (horizon from
+sensor), v the star's sky direction and u its measured direction. The residual is the part of u - Rᵀ v perpendicular to
+the line of sight. A rotation ε of the sensor (rotation vector in the sensor frame) moves the predicted direction
+p = Rᵀ v by p × ε.
+
 The errors that all stars share (refraction, Earth rotation, position) are states of the filter
-(:mod:`ship_attitude_star.sky.shared_states`): one sigma of such an error displaces v by g, and the predicted direction
-by Rᵀ g. The errors of the camera's optics (:mod:`ship_attitude_star.stars.optics_errors`) and the coefficients of its
+(:mod:`ship_attitude_star.sky.shared_states`). One sigma of such an error displaces v by g, and the predicted direction
+by Rᵀ g. The errors of the camera's optics (:mod:`ship_attitude_star.stars.optics_errors`) and the coefficients of the
 field-spatial error (:mod:`ship_attitude_star.stars.spatial_errors`) are states too; they displace the measured
 direction.
 """
@@ -28,23 +30,23 @@ from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
 SOURCE_STAR_NOISE = "star_noise"
-"""Error source of the stars' noise, that of the catalogue included."""
+"""Error source of the stars' noise, errors of the catalogue included."""
 
 
 @dataclass(frozen=True)
 class StarResiduals:
-    """The stars of an exposure that are used, linearised at the prediction.
+    """Residuals of the k stars of an exposure that are used, linearised at the prediction.
 
     Attributes:
-        residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
-        jacobian: derivative of the residual by the n states, shape (2 k, n).
-        rotation_jacobian: derivative of the residual by a rotation of the predicted attitude, rotation vector in the
-            sensor frame, shape (2 k, 3).
-        noise: covariance by error source, rad², shape (2 k, 2 k) each.
-        components: name of each residual.
-        rejected: the other stars by name, each with its rejection.
-        rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone if they contradict the prediction,
-            shape (3, 3); None if they are consistent with it.
+        residual: measured minus predicted direction, up and right of each star, rad, shape (2 k,).
+        jacobian: derivative of the residual with respect to the n states, shape (2 k, n).
+        rotation_jacobian: derivative of the residual with respect to a rotation of the predicted attitude, rotation
+            vector in the sensor frame, shape (2 k, 3).
+        noise: noise covariance by error source, rad², shape (2 k, 2 k) each.
+        components: name of each residual component.
+        rejected: names of the stars that are not used, each with its rejection.
+        rotation_ns: attitude of the sensor (horizon from sensor) from these stars alone if they contradict the
+            prediction, shape (3, 3); None if they are consistent with the prediction.
     """
 
     residual: FloatArray
@@ -72,17 +74,18 @@ def star_residuals(
     Args:
         exposure: the stars at mid-exposure.
         rotation_ns: predicted attitude of the sensor (horizon from sensor) at ``mean``, shape (3, 3).
-        to_sensor: derivative of its rotation vector in the sensor frame by the states, shape (3, n).
-        prior: attitude of the sensor with the covariance of its error, used to select the stars.
+        to_sensor: derivative of this attitude, as rotation vector in the sensor frame, with respect to the states,
+            shape (3, n).
+        prior: attitude of the sensor with its error covariance, used to select the stars.
         sky_model: the sky model.
         sky_slice: slice of the states of the shared errors.
-        mean: of the state, shape (n,).
-        initial_ns: an attitude within a degree of the truth, shape (3, 3); None if that of the prior is.
-        camera_indices: state indices of the correlated errors of the sensor's camera; None if it has none.
+        mean: mean of the state, shape (n,).
+        initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prior is.
+        camera_indices: state indices of the correlated errors of the sensor's camera; None without such states.
 
     Returns:
-        The residuals, or the rejection of the whole exposure. It is rejected if no star can be placed in the sky at its
-        time, if none can be used, or if the stars contradict the focal length of their camera.
+        The residuals, or the rejection of the whole exposure: the sky model gives no directions at its time, no star
+        can be used, or the stars contradict the focal length of the camera.
     """
     found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, initial_ns, camera_indices)
     used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2
@@ -145,18 +148,18 @@ def _compare(
 def _select_consistent(
     stars: MatchedStars, at_estimate: MatchedStars, prior: StarPrior, initial_ns: FloatArray | None
 ) -> tuple[NDArray[np.bool_], FloatArray | None] | Rejection:
-    """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
+    """Return the stars consistent with the prediction, or, without such a star, the stars consistent with one another.
 
     Args:
-        stars: stars with their directions by the sky model.
-        at_estimate: the same stars, with directions corrected by the estimate of the shared errors.
-        prior: the prediction.
-        initial_ns: an attitude within a degree of the truth, shape (3, 3); None if that of the prediction is.
+        stars: stars with their directions from the sky model.
+        at_estimate: the same stars, with directions corrected by the estimates of shared errors and camera errors.
+        prior: the predicted attitude.
+        initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prediction is.
 
     Returns:
         True for each selected star, shape (k,); all False if the stars are consistent neither with the prediction nor
-        with each other. Attitude of the sensor by the selected stars alone if they contradict the prediction; else
-        None.
+            with one another.
+        Attitude of the sensor from the selected stars alone if they contradict the prediction; else None.
     """
     choice = select_stars(at_estimate, prior, initial_ns)
     if choice.false_matches is not None:
@@ -179,7 +182,7 @@ def _inconsistency_text(count: int) -> str:
 def _noise(
     stars: MatchedStars, pixel_dwell: PixelDwell | None, basis: FloatArray, members: NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
-    """Return the covariance by source of the k members' residuals along their basis (k, 2, 3), rad², (2 k, 2 k)."""
+    """Return the noise covariance of the members' residuals along ``basis`` by error source, rad², shape (2 k, 2 k)."""
     noise = np.diag(np.repeat(np.hypot(stars.sigma, stars.position_sigma)[members] ** 2, 2))
     if stars.smear_b is not None:
         smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)

@@ -1,8 +1,9 @@
-"""Check of a camera's focal length by the angles between its stars, which need no attitude.
+"""Check of a camera's focal length by the angles between the stars of an exposure; no attitude is needed.
 
-A focal length that is wrong by more than its stated error makes the stars of a field inconsistent: few of them fit any
-one attitude. Then the field is solved again with a nearly free focal length. If the stars are consistent with a focal
-length far from the configured one, the whole exposure is rejected: the few stars that fit would give a wrong attitude.
+If the focal length is wrong by far more than its sigma, the stars of a field are inconsistent: only few of them fit one
+attitude. The field is then solved again with a nearly free focal length. If the stars are consistent with a focal
+length far from the configured value, the whole exposure is rejected, because the few stars that fit would give a wrong
+attitude.
 """
 
 from dataclasses import replace
@@ -20,10 +21,13 @@ FREE_FOCAL_SIGMA = 0.01
 """Relative standard deviation of a nearly free focal length."""
 
 MAX_SIGMAS = 4.0
-"""Threshold of the difference between the fitted focal length and the configured one, standard deviations."""
+"""Threshold of the difference between fitted and configured focal length, standard deviations."""
 
 _ENOUGH_STARS = 6
-"""If as many stars fit one attitude, the field is not solved again: with a wrong focal length fewer would fit."""
+"""Number of stars consistent with one attitude from which on the focal length is not checked.
+
+With a wrong focal length fewer stars would be consistent.
+"""
 
 
 def check_focal_length(
@@ -34,9 +38,9 @@ def check_focal_length(
     Args:
         exposure: all detections.
         sky_model: the sky model.
-        prior: attitude of the sensor known without these stars; None if there is none.
-        used_count: number of detections that fit one attitude with the configured optics. If these are all, or enough
-            to determine the focal length, the field is not solved again.
+        prior: attitude of the sensor known without these stars, or None.
+        used_count: number of detections that fit one attitude with the configured optics. The field is not solved again
+            if all detections fit, or at least ``_ENOUGH_STARS``.
     """
     optics = exposure.optics
     if optics is None or used_count >= min(len(exposure), _ENOUGH_STARS) or len(exposure) < MIN_VERIFIED_STARS:
@@ -63,9 +67,9 @@ def check_estimated_focal_length(optics: OpticsErrors, error: float, variance: f
     """Return the rejection of an exposure if the filter's focal length is far from the configured one; else None.
 
     Args:
-        optics: as configured.
-        error: state of the focal length's error, in its sigmas.
-        variance: variance of that state.
+        optics: errors of the configured optics.
+        error: estimate of the focal length's error, in sigmas.
+        variance: variance of this estimate, in sigmas².
     """
     if abs(error) <= MAX_SIGMAS * np.sqrt(1.0 + variance):
         return None
@@ -76,8 +80,8 @@ def focal_length_rejection(optics: OpticsErrors, scale: float, evidence: str) ->
     """Return a rejection that states the fitted focal length.
 
     Args:
-        optics: as configured.
-        scale: relative error of the focal length, fitted minus configured.
+        optics: errors of the configured optics.
+        scale: relative difference of the focal length, fitted minus configured.
         evidence: data to which the focal length is fitted, for the text.
     """
     configured_mm = 1e3 * optics.camera.focal_length_m

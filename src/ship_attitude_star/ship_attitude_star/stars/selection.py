@@ -1,10 +1,11 @@
 """Selection of correctly identified stars, by the attitude with which most of them are consistent.
 
-A trial is a possible attitude. It comes from a pair of stars whose angle fits, or, if an attitude is known beforehand
-(the prior), from a single star by which the prior is rotated. All stars with Mahalanobis² < 16 are members of the
-trial. The worst member is dropped while the probability of the members is below 1e-3. A trial is accepted if the
-probability of its members is above 1e-6 and it has more members than any rival. Without a prior at least three stars
-are needed to verify one another: two stars with swapped identities are always consistent.
+A trial is a possible attitude. It is computed from a pair of stars whose measured angle fits the sky. If an attitude is
+known beforehand (the prior), it is computed from the prior, corrected by a single star. All stars with
+Mahalanobis² < 16 are members of the trial. The worst member is dropped while the probability of the members is below
+1e-3. A trial is accepted if the probability of its members is above 1e-6 and it has more members than any rival.
+Without a prior at least three stars are needed to verify one another, because two stars with swapped identities are
+always consistent.
 """
 
 from dataclasses import dataclass
@@ -30,12 +31,12 @@ MEMBER_GATE = 16.0
 DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
 """Limits of the probability of the members' chi².
 
-Below the first, the worst member is dropped, down to the minimum number of members. The last ones are accepted above
-the second.
+If the probability is below the first limit, the worst member is dropped, until the minimum number of members is left.
+These last members are accepted if their probability is above the second limit.
 """
 
 MIN_VERIFIED_STARS = 3
-"""Least number of stars that verify one another without a prior."""
+"""Minimum number of stars that verify one another without a prior."""
 
 AMBIGUITY_THRESHOLD = 13.8
 """Threshold of the chi² difference between two explanations (two degrees of freedom, 1 in 1000)."""
@@ -43,7 +44,7 @@ AMBIGUITY_THRESHOLD = 13.8
 LINEAR_RANGE = 5e-4
 """Maximum standard deviation of a predicted attitude for which one linearisation suffices, rad.
 
-The neglected second-order term, half the square, is 0.2″ for an error of three such standard deviations.
+The neglected second-order term, half the square of the error, is 0.2″ for an error of three standard deviations.
 """
 
 _MAX_REFINED_TRIALS = 3
@@ -53,12 +54,11 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class StarPrior:
-    """An attitude that is known without these stars.
+    """Attitude that is known without the stars of the exposure.
 
     Attributes:
-        rotation_nb: horizon from b, shape (3, 3).
-        covariance_n: covariance of its error, rotation vector in the horizon frame, rad², shape (3, 3); zero where
-            exact.
+        rotation_nb: attitude (horizon from b), shape (3, 3).
+        covariance_n: error covariance of the attitude, rotation vector in the horizon frame, rad², shape (3, 3).
     """
 
     rotation_nb: FloatArray
@@ -70,10 +70,11 @@ class StarPrior:
         return float(np.trace(self.covariance_n)) > LINEAR_RANGE**2
 
     def relative_to(self, rotation_nb: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the prior relative to another attitude: the expected rotation from there, and its covariance.
+        """Return the expected rotation vector from another attitude to the prior, and its covariance.
 
         Returns:
-            Rotation vector in the horizon frame, rad, shape (3,), and its covariance, rad², shape (3, 3).
+            Rotation vector in the horizon frame, rad, shape (3,).
+            Covariance of the rotation vector, rad², shape (3, 3).
         """
         expected_n = log_rotation(self.rotation_nb @ rotation_nb.T)
         by_error = left_jacobian(-expected_n)
@@ -100,7 +101,7 @@ class StarSelection:
 
     Attributes:
         members: True for each selected star, shape (k,); all False if no set is larger than its rivals.
-        attitude_fit: the attitude that they give; None if the selection did not need it.
+        attitude_fit: attitude from the selected stars; None if the selection did not compute it.
         false_matches: expected number of false sets if it exceeds MAX_FALSE_MATCHES; else None.
     """
 
@@ -116,9 +117,9 @@ def select_stars(
 
     Args:
         stars: all measured stars that have a sky direction.
-        prior: used to select among sets, and to accept a single star. It does not enter the attitude of the selected
-            stars.
-        initial_nb: an attitude within a degree of the truth, shape (3, 3); None if that of the prior is.
+        prior: attitude used to select among sets and to accept a single star. The attitude of the selected stars does
+            not depend on it.
+        initial_nb: attitude within a degree of the truth, shape (3, 3); None if the prior is.
     """
     if prior is None:
         return _select_without_prior(stars)
@@ -149,7 +150,7 @@ def _select_without_prior(stars: MatchedStars) -> StarSelection:
 
 
 def _refine_without_prior(stars: MatchedStars, members: BoolArray) -> BoolArray:
-    """Drop the members that do not fit the rest; return none if the rest is not consistent either."""
+    """Drop the members that do not fit the rest; drop all members if the rest is inconsistent too."""
     while np.count_nonzero(members) >= 2:
         refined = fit_attitude(stars, members)
         if refined is None:
@@ -165,8 +166,8 @@ def _refine_without_prior(stars: MatchedStars, members: BoolArray) -> BoolArray:
 def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
     """Drop the ambiguous members.
 
-    A member is ambiguous if a star outside the set could replace it: with that star in its place, chi² is less than
-    AMBIGUITY_THRESHOLD larger.
+    A member is ambiguous if a star outside the set could replace it: chi² of the set with the other star is larger by
+    less than AMBIGUITY_THRESHOLD.
     """
     limit = fit.solve(members).chi_square + AMBIGUITY_THRESHOLD
     remaining: BoolArray = members.copy()
@@ -183,14 +184,14 @@ def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
 def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
     """True if a trial of another attitude has as many members.
 
-    Two sets with ``shared`` stars in common have the same attitude; such a trial is not a rival.
+    A trial that has ``shared`` or more stars in common with the members has their attitude, so it is not a rival.
     """
     count = np.count_nonzero(members)
     return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
 
 
 def _pair_trials(stars: MatchedStars) -> list[Trial]:
-    """Return trials by all pairs of stars whose angle in the sky is the measured one, those with most members first."""
+    """Return the trials of all pairs of stars whose measured angle fits the sky, sorted by decreasing member count."""
     first, second = np.triu_indices(len(stars), 1)
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
     expected = angle_between(stars.reference_n[first], stars.reference_n[second])
@@ -212,14 +213,17 @@ def _pair_trials(stars: MatchedStars) -> list[Trial]:
         own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
     covariance += own
     members = mahalanobis_squared(residual, covariance) < MEMBER_GATE
-    # A star on the other side of the sphere is no member. The two stars of the trial always are.
+    # A star in the opposite direction is not a member. The two stars of the trial are always members.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
     members[np.arange(len(pairs))[:, None], pairs] = True
     return _sort_by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
 
 
 def _common_variance(stars: MatchedStars) -> FloatArray:
-    """Return the variance that mounting and shared errors add to a direction, mean of both axes, rad², shape (k,)."""
+    """Return the variance that mounting, time transfer and shared errors add to each direction, rad², shape (k,).
+
+    It is the mean over the two axes perpendicular to the direction.
+    """
     variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
     if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
@@ -251,7 +255,7 @@ def _select_with_prior(stars: MatchedStars, prior: StarPrior, initial_nb: FloatA
 
 
 def _refine_with_prior(fit: StarFit, members: BoolArray) -> BoolArray:
-    """Drop the members that do not fit the rest and the prior; return none if no member fits the prior."""
+    """Drop the members that do not fit the rest and the prior; drop all members if no member fits the prior."""
     while members.any():
         solution = fit.solve(members)
         if solution.probability >= DROP_PROBABILITY:
@@ -263,16 +267,16 @@ def _refine_with_prior(fit: StarFit, members: BoolArray) -> BoolArray:
 
 
 def _drop_worst(fit: StarFit, solution: StarFitSolution, members: BoolArray) -> BoolArray:
-    """Drop the member that explains most of the misfit."""
+    """Drop the member without which chi² decreases most."""
     remaining: BoolArray = members.copy()
     remaining[np.flatnonzero(members)[np.argmax(fit.chi_square_reduction(solution, members))]] = False
     return remaining
 
 
 def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
-    """Return trials by single stars, those with most members first.
+    """Return the trials of single stars, sorted by decreasing member count.
 
-    Each star rotates the prior; the other stars are compared with the rotated prior.
+    Each star corrects the prior; the other stars are compared with the corrected prior.
     """
     basis = perpendicular_basis(stars.reference_n)
     residual = np.einsum("kij,kj->ki", basis, fit.displacement)
@@ -281,7 +285,7 @@ def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
     own = np.arange(len(stars))
     covariance[own, own] += np.eye(2)
     possible = np.flatnonzero(mahalanobis_squared(residual, covariance[own, own]) < MEMBER_GATE)
-    # Each possible star t updates the prior; the other stars k are compared with the updated prediction.
+    # Each possible star t corrects the prior; the other stars k are compared with the corrected prior.
     cross = covariance[:, possible].swapaxes(0, 1)
     gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
     rest = residual - np.einsum("tkij,tj->tki", gain, residual[possible])
@@ -293,7 +297,7 @@ def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
 
 
 def _sort_by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
-    """Sort trials by number of members; equal ones by increasing spread of the attitude."""
+    """Sort trials by decreasing number of members, and trials of equal number by increasing spread of the attitude."""
     counts = np.count_nonzero(members, axis=-1)
     return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
 
@@ -306,7 +310,7 @@ def mahalanobis_squared(residual: FloatArray, covariance: FloatArray) -> FloatAr
 
 
 def perpendicular_basis(direction: FloatArray) -> FloatArray:
-    """Return two unit vectors across each direction (any frame, shape (k, 3)), shape (k, 2, 3)."""
+    """Return two unit vectors perpendicular to each direction, shape (k, 2, 3), for directions in any frame, (k, 3)."""
     # The axis farthest from the direction defines the first vector, so that no direction is singular.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(direction, axis)

@@ -1,8 +1,8 @@
-"""The attitude from all stars of all sensors, with a covariance that includes every error.
+"""Attitude from all stars of one or all sensors, with a covariance that includes every error.
 
-[P15] (13)-(16) gives the attitude as the solution of Wahba's problem. Its error is linear in the errors of
-:mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains its sensitivity to each of them. The noise
-of the stars averages; the other errors are common to all stars, and do not.
+[P15] (13)-(16) gives the attitude as the solution of Wahba's problem. The error of the attitude is linear in the errors
+of :mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains its sensitivity to each error. The
+noise of the stars averages over the stars; errors that the stars share do not.
 """
 
 import enum
@@ -44,7 +44,7 @@ SOLUTION_TERMS = (
 )
 """Error sources of :attr:`StarSolution.covariance_by_source_n`, in order; only star_noise is independent in time.
 
-The spatial errors at the end are absent if the camera has none; then UTC is absent too where it is taken as exact.
+The spatial errors at the end are absent for a camera without such errors. UTC is then absent too if it counts as exact.
 """
 
 _STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (
@@ -52,18 +52,18 @@ _STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (
     for term in ("star_noise", "installation", "catalogue", SOURCE_OPTICS, SOURCE_FIELD, SOURCE_PIXEL)
 )
 _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS], dtype=np.intp)
-"""Index of the term of each shared error."""
+"""Index in SOLUTION_TERMS of each shared error."""
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
-"""Up component of the forward axis above which azimuth and roll cannot be separated."""
+"""Up component of the forward axis above which azimuth and roll are not separated."""
 
 
 _MAX_STEPS, _SMALL_TURN = 10, 1e-3
-"""Limits of the search for the most likely attitude: number of steps, and rotation of the last step, rad."""
+"""Limits of the search for the most likely attitude: maximum number of steps, and maximum of the last step, rad."""
 
 
 class SolutionStatus(enum.IntEnum):
-    """Status of a solution; the values are those of ship_msgs/StarHorizonAttitude."""
+    """Status of a solution; the values are equal to the constants of ship_msgs/StarHorizonAttitude."""
 
     VALID = 0
     UNVERIFIED = 1
@@ -73,17 +73,17 @@ class SolutionStatus(enum.IntEnum):
 
 @dataclass(frozen=True)
 class StarSolution:
-    """An attitude from k stars.
+    """Attitude from k stars.
 
     Attributes:
-        status: INVALID if there is no attitude.
-        rejection: why it is INVALID; else None.
-        rotation_nb: horizon from b, shape (3, 3); NaN if INVALID.
+        status: status of the solution; INVALID if there is no attitude.
+        rejection: reason of an INVALID solution; else None.
+        rotation_nb: attitude (horizon from b), shape (3, 3); NaN if INVALID.
         covariance_by_source_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape
             (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
-        rejected: rejections of the stars that were not used because their identity is wrong, by row.
+        rejected: rejections of the stars with a wrong identity, which are not used, by row.
     """
 
     status: SolutionStatus
@@ -102,12 +102,12 @@ class StarSolution:
 
     @property
     def noise_n(self) -> FloatArray:
-        """Covariance of the error that is independent from exposure to exposure, rad², shape (3, 3)."""
+        """Covariance of the error that is independent in each exposure, rad², shape (3, 3)."""
         noise: FloatArray = self.covariance_by_source_n[_STAR_NOISE]
         return noise
 
     def with_added_noise(self, variance: float) -> "StarSolution":
-        """Return the attitude with an additional independent error of this variance about each axis, rad²."""
+        """Return the attitude with an additional independent error of a given variance about each axis, rad²."""
         parts_n = self.covariance_by_source_n.copy()
         parts_n[_STAR_NOISE] += variance * np.eye(3)
         return replace(self, covariance_by_source_n=parts_n)
@@ -125,11 +125,12 @@ class StarSolution:
 
 
 def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolution:
-    """Return the attitude of frame b (horizon from b), its covariance by source, and the stars inconsistent with it.
+    """Return the attitude of frame b, with its covariance by error source and the stars that are inconsistent with it.
 
     Args:
         stars: all measured stars that have a sky direction.
-        prior: used to select the stars, and to verify them if there are only two. It does not enter the attitude.
+        prior: attitude used to select the stars, and to verify fewer than three stars. The solution does not depend on
+            it otherwise.
     """
     initial_nb = initial_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
     choice = select_stars(stars, prior, initial_nb)
@@ -160,14 +161,14 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
 
 
 def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
-    """Return the solution with the prior; if the stars contradict the prior, the solution by the stars alone.
+    """Return the solution with the prior, or the solution from the stars alone if they contradict the prior.
 
     Args:
         stars: all measured stars that have a sky direction.
         prior: as for :func:`solve_stars`.
 
     Returns:
-        The solution, and True if the stars verify one another but contradict the prior.
+        The solution, and True if it is from the stars alone, which verify one another but contradict the prior.
     """
     solution = solve_stars(stars, prior)
     if prior is None or solution.rejection is None or solution.rejection.reason is Reason.UNIDENTIFIED:
@@ -179,16 +180,14 @@ def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[S
 
 
 def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
-    """Return an attitude at which stars can be linearised; that of a wide prior may be too far from the truth.
+    """Return an attitude (horizon from b) at which stars can be linearised, shape (3, 3).
 
-    It is that of the stars alone if they verify one another; else the most likely one given the prior and all stars.
+    A wide prior may be too far from the truth for this. The returned attitude is from the stars alone if they verify
+    one another; else it is the most likely attitude given the prior and all stars.
 
     Args:
         stars: all measured stars that have a sky direction.
         prior: predicted attitude with a standard deviation of any size.
-
-    Returns:
-        Horizon from b, shape (3, 3).
     """
     alone = solve_stars(stars)
     if alone.status in (SolutionStatus.VALID, SolutionStatus.ANGLES_SINGULAR):
@@ -219,7 +218,7 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
 
 
 def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
-    """Return the covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
+    """Return the covariance of the attitude by error source (SOLUTION_TERMS), rad², shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
     information, jacobian = found.solution.information, found.fit.jacobian
@@ -237,7 +236,7 @@ def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDAr
     covariance_n, by_catalogue = compiled_fit.attitude_covariances(
         found.white_covariance_n, information, jacobian, share, np.concatenate(kinds), terms
     )
-    # The white covariance contains the field errors; those of mountings and of the sky are added to it.
+    # The white covariance contains the field errors, but not the errors of mountings and sky.
     by_fields = covariance_n[_OPTICS] + covariance_n[_FIELD] if spatial else covariance_n[_OPTICS]
     covariance_n[_CATALOGUE] = by_catalogue
     covariance_n[_STAR_NOISE] = found.white_covariance_n - by_fields - by_catalogue
@@ -270,7 +269,7 @@ def invalid_solution(members: NDArray[np.bool_], rejection: Rejection) -> StarSo
 
     Args:
         members: True for each star that is consistent with the others, shape (k,).
-        rejection: why there is no attitude.
+        rejection: reason why there is no attitude.
     """
     unknown = np.full((3, 3), np.nan)
     return StarSolution(

@@ -1,17 +1,19 @@
 """Errors of a centroid that depend on its position on the detector, and are constant while the star stays there.
 
-ECSS-E-ST-60-20C classifies the errors of a star sensor by how they vary. Noise is new in each exposure. A
-*field-spatial* error varies smoothly over the field of view: residuals of the calibration of focal length, distortion
-and the shape of the stars' images. A *pixel-spatial* error changes from pixel to pixel: sensitivity, dark current,
-interpolation of the centroid. Neither averages over exposures in which the stars keep their positions.
+ECSS-E-ST-60-20C classifies the errors of a star sensor by their variation. Noise is new in each exposure. A
+*field-spatial* error varies smoothly over the field of view; it remains after the calibration of focal length,
+distortion and shape of the stars' images. A *pixel-spatial* error changes from pixel to pixel, due to sensitivity, dark
+current and interpolation of the centroid. Neither error averages over exposures in which the stars stay in place.
 
 The field-spatial errors in u and in v are random functions of the position with a Gaussian correlation, whose length is
-three quarters of the detector's side. Each is represented by a polynomial of third degree in both coordinates, which
-contains all but 0.1 % of its variance. Its mean over the detector is an error of the mounting, and belongs there. The
-map is constant, so that stars which cross the field make its coefficients observable.
+three quarters of the detector's side. Each function, a map, is represented by a polynomial of third degree in both
+coordinates, which contains all but 0.1 % of its variance. The mean of a map over the detector is left out, because it
+is an error of the mounting. The maps are constant, so their coefficients are observable from stars that cross the
+field.
 
-Each pixel has a pixel-spatial error of its own. Its correlation over a distance of d pixels is modelled as exp(-2 d).
-Strictly, the fraction of pixels that two images share decreases linearly with d; both have the same integral over d.
+The pixel-spatial errors of different pixels are independent. The correlation over a distance of d pixels is modelled as
+exp(-2 d). Strictly, the correlation is the fraction of pixels that two images share, which decreases linearly with d;
+both functions have the same integral over d.
 """
 
 from dataclasses import dataclass, replace
@@ -31,10 +33,10 @@ _LENGTH = 1.5
 
 _DEGREE = 3
 _TERMS = tuple((i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i) if i + j)
-"""Degrees of the products of Legendre polynomials along u and v; the constant is left out."""
+"""Degrees along u and v of the products of Legendre polynomials; the constant term is left out."""
 
 FIELD_MODES = 2 * len(_TERMS)
-"""Number of coefficients of a map: half of them for the error in u, half for that in v."""
+"""Number of coefficients of both maps: one half for the error in u, the other half for the error in v."""
 
 _NODES = 20
 _DECORRELATION_PER_PIXEL = 2.0
@@ -43,11 +45,12 @@ _DECORRELATION_PER_PIXEL = 2.0
 _DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
 """Distances that end a dwell.
 
-The first is the mean movement of the stars since its start, the second the distance of most stars from every star then.
+A dwell ends if the stars have moved since its start by more than the first distance (root mean square). It also ends if
+most stars are farther than the second distance from all stars at its start.
 """
 
 _MIN_INFORMATION_RATIO = 1e-3
-"""Minimum information of a further exposure on the same pixels, relative to that of the first one."""
+"""Minimum information of a further exposure on the same pixels, divided by the information of the first exposure."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,9 @@ class PixelDwell:
     """A pixel dwell: successive exposures whose stars stay near the same pixels.
 
     Attributes:
-        directions_s: directions of the stars at its start, shape (k, 3).
-        exposure_count: number of exposures since.
-        excess_ratio: relative increase of the pixel-spatial variance in the last exposure over that of a single
+        directions_s: directions of the stars at the start of the dwell, shape (k, 3).
+        exposure_count: number of exposures since the start.
+        excess_ratio: relative increase of the pixel-spatial variance of the last exposure, compared with a single
             exposure.
     """
 
@@ -68,10 +71,10 @@ class PixelDwell:
 
 @dataclass(frozen=True)
 class SpatialErrors:
-    """The spatial errors of one camera.
+    """Spatial errors of one camera.
 
     Attributes:
-        camera: its geometry; the principal point is taken as the middle of the detector.
+        camera: geometry of the camera; the principal point is taken as the middle of the detector.
         field_sigma_px: root mean square of the field-spatial error over the detector, each axis.
         pixel_sigma_px: standard deviation of the pixel-spatial error, each axis.
     """
@@ -81,13 +84,13 @@ class SpatialErrors:
     pixel_sigma_px: float
 
     def field_modes(self, directions_s: FloatArray) -> FloatArray | None:
-        """Return displacements of measured directions by the map's coefficients; None without such an error.
+        """Return displacements of measured directions by one sigma of each map coefficient; None without such an error.
 
         Args:
-            directions_s: as measured, unit vectors, shape (k, 3).
+            directions_s: measured directions, unit vectors, shape (k, 3).
 
         Returns:
-            Displacement by one sigma of each coefficient, in the sensor frame, rad, shape (k, 3, FIELD_MODES).
+            Displacements in the sensor frame, rad, shape (k, 3, FIELD_MODES).
         """
         if self.field_sigma_px <= 0.0:
             return None
@@ -97,33 +100,32 @@ class SpatialErrors:
         shift_px = np.zeros((len(pixels), FIELD_MODES, 2))
         shift_px[:, : len(_TERMS), 0] = shift_px[:, len(_TERMS) :, 1] = along
         moved_s = self.camera.directions(pixels[:, None] + shift_px) - directions_s[:, None]
-        # At the fold of a distortion, one side has no direction: use the other side.
+        # Where a distortion folds over, pixels on one side have no direction; the other side is used.
         lost = ~np.isfinite(moved_s)
         if lost.any():
             moved_s[lost] = (directions_s[:, None] - self.camera.directions(pixels[:, None] - shift_px))[lost]
         return np.swapaxes(moved_s, -1, -2)
 
     def pixel_sigma(self, directions_s: FloatArray) -> FloatArray:
-        """Return the pixel-spatial error of measured directions (k, 3) as one sigma per axis, rad, shape (k,)."""
+        """Return the standard deviation of the pixel-spatial error of measured directions, rad per axis, shape (k,)."""
         pixels = self.camera.pixels(directions_s)
         return equivalent_sigma(self.camera.direction_covariance(pixels, self.pixel_sigma_px))
 
     def pixel_dwell(self, directions_s: FloatArray, sigma: FloatArray, before: PixelDwell | None) -> PixelDwell:
         """Return the pixel dwell of an exposure after the previous one.
 
-        Let ρ be the correlation of the pixel errors of successive exposures. Each exposure then has (1 - ρ)/(1 + ρ) of
-        the information of the first one. Its variance is multiplied by (1 + ρ)/(1 - ρ), which is coth d with ρ = exp(-2
-        d).
+        Let ρ = exp(-2 d) be the correlation of the pixel errors of successive exposures. Each further exposure has
+        (1 - ρ)/(1 + ρ) of the information of the first. Its variance is multiplied by (1 + ρ)/(1 - ρ) = coth d.
 
-        All stars move together, by a shift and a rotation about their mean. The distance d of one exposure is the root
-        mean square of their movements since the start of the dwell, divided by the number of exposures since. The
+        All stars move together, by a shift and a rotation about their mean. The distance d is the root mean square of
+        the stars' movements since the start of the dwell, divided by the number of exposures since the start. The
         movement between two successive exposures would be mostly noise of the centroids, or sway of the ship on the
         same pixels.
 
         Args:
             directions_s: directions of the stars, shape (k, 3).
             sigma: noise of each direction, rad, shape (k,).
-            before: the dwell up to the last exposure used; None if there was none.
+            before: dwell up to the last exposure used, or None.
         """
         here = PixelDwell(directions_s, 0, 0.0)
         if before is None or not (len(directions_s) and len(before.directions_s)):
@@ -137,7 +139,7 @@ class SpatialErrors:
         if 2 * np.count_nonzero(near) < len(near):
             return here
         square = _mean_square_displacement(pixels[near], displacement_px[row, nearest][near])
-        # Shift (two components) and rotation each contain the errors of both exposures.
+        # The two components of the shift and the rotation contain the errors of both exposures.
         own = np.mean((sigma[near] * self._pixels_per_rad) ** 2) + self.pixel_sigma_px**2
         moved_px = np.sqrt(max(square - 6.0 * own / np.count_nonzero(near), 0.0))
         count = before.exposure_count + 1
@@ -158,7 +160,12 @@ class SpatialErrors:
 
 
 def _mean_square_displacement(pixels: FloatArray, displacement: FloatArray) -> float:
-    """Return the mean square movement, px², of stars, shape (k, 2) each, by one shift and one rotation of all."""
+    """Return the mean square movement of the stars by their common shift and rotation, px².
+
+    Args:
+        pixels: pixels of the stars, shape (k, 2).
+        displacement: displacement of each star, px, shape (k, 2).
+    """
     shift, arm = displacement.mean(axis=0), pixels - pixels.mean(axis=0)
     arms = float(np.sum(arm**2))
     turn = float(np.sum(arm[:, 0] * displacement[:, 1] - arm[:, 1] * displacement[:, 0])) / arms if arms > 0.0 else 0.0
@@ -166,7 +173,11 @@ def _mean_square_displacement(pixels: FloatArray, displacement: FloatArray) -> f
 
 
 def _modes_at(place: FloatArray) -> FloatArray:
-    """Return the map's independent modes at positions, half sides from the middle, shape (k, 2) → (k, len(_TERMS))."""
+    """Return the independent modes of a map at k positions, shape (k, len(_TERMS)).
+
+    Args:
+        place: positions relative to the middle, in half sides of the detector, shape (k, 2).
+    """
     along_u, along_v = _normed_legendre(place[:, 0]), _normed_legendre(place[:, 1])
     first, second = np.transpose(_TERMS)
     modes: FloatArray = (along_u[:, first] * along_v[:, second]) @ _root()
@@ -174,14 +185,14 @@ def _modes_at(place: FloatArray) -> FloatArray:
 
 
 def _normed_legendre(x: FloatArray) -> FloatArray:
-    """Return Legendre polynomials whose mean square over [-1, 1] is 1, shape (k, _DEGREE + 1)."""
+    """Return Legendre polynomials with a mean square of 1 over [-1, 1], shape (k, _DEGREE + 1)."""
     values: FloatArray = legvander(x, _DEGREE) * np.sqrt(2.0 * np.arange(_DEGREE + 1) + 1.0)
     return values
 
 
 @cache
 def _root() -> FloatArray:
-    """Return a root of the covariance of the coefficients of a map with mean square 1 and zero mean."""
+    """Return a matrix square root of the covariance of the coefficients of a map with mean square 1 and zero mean."""
     nodes, weights = leggauss(_NODES)
     values = 0.5 * weights[:, None] * _normed_legendre(nodes)
     along_one = values.T @ np.exp(-0.5 * ((nodes[:, None] - nodes) / _LENGTH) ** 2) @ values

@@ -1,4 +1,4 @@
-"""Vertical along the track: deflection of the vertical at the ship's position, and distance run.
+"""Deflection of the vertical along the ship's track, and the distance run since a measurement.
 
-The folder imports the ship position (``sky``) and ``measurements``, but neither stars nor the filter.
+The folder imports the ship position (``sky``) and ``measurements``, but neither ``stars`` nor the filter.
 """

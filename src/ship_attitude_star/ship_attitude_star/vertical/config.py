@@ -25,7 +25,8 @@ def _column(doc: str, unit: str, most: float) -> tuple[float, ...]:
 class GravityConfig:
     """Parameters of the deflection of the vertical, which is part of the tilt of an INS levelled by gravity.
 
-    Its components are those of the astronomical zenith relative to the geodetic one: xi northward, eta eastward.
+    The deflection is the direction of the astronomical zenith relative to the geodetic zenith, with the components xi
+    northward and eta eastward.
     """
 
     deflection: str = parameter(

@@ -10,7 +10,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 
 
 class DeflectionTable:
-    """Deflections at the rows of a table, and on the straight segments between successive rows.
+    """Deflections near the straight segments between successive rows of a table.
 
     Args:
         config: rows and reach of the table.
@@ -25,12 +25,12 @@ class DeflectionTable:
     def at(self, place: GeodeticPosition) -> FloatArray | None:
         """Return the deflection (xi, eta) at a position, rad, shape (2,); None beyond the reach of the table.
 
-        It is that of the nearest point of the track, interpolated linearly between two rows.
+        The deflection is interpolated linearly between two rows to the nearest point of the segments.
         """
         starts_m, ways_m = self._segments_from(place)
         lengths_m = np.hypot(*ways_m.T)
         bridged = lengths_m <= self._reach_m
-        # Fraction along each segment of the foot of the perpendicular, or of the end next to it.
+        # Fraction of each segment at the foot of the perpendicular, or at the end next to the foot.
         along = -np.sum(starts_m * ways_m, axis=1) / np.maximum(lengths_m, 1e-3) ** 2
         fraction = np.clip(along, 0.0, 1.0)
         distances_m = np.hypot(*(starts_m + fraction[:, None] * ways_m).T)
@@ -43,14 +43,14 @@ class DeflectionTable:
         return deflection
 
     def distance_m(self, place: GeodeticPosition) -> float:
-        """Return the distance of the nearest row of the table from a position, m."""
+        """Return the distance from a position to the nearest row of the table, m."""
         starts_m, ways_m = self._segments_from(place)
         return float(np.hypot(*np.vstack([starts_m, starts_m[-1:] + ways_m[-1:]]).T).min())
 
     def _segments_from(self, place: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
         """Return start and extent of each segment relative to a position, (North, East), m, shapes (k - 1, 2).
 
-        They are in the tangent plane of the ellipsoid at the position; the error at 100 km is 0.1 %.
+        The vectors are in the tangent plane of the ellipsoid at the position; their error at 100 km is 0.1 %.
         """
         radius_north_m, radius_east_m = horizon_radii_m(place)
         east = np.remainder(self._longitude - place.longitude + math.pi, 2.0 * math.pi) - math.pi

@@ -1,7 +1,7 @@
-"""Vertical at any time of a voyage: known deflection, and distance over ground.
+"""Vertical at any time of a voyage: known deflection of the vertical, and distance over ground.
 
-The vertical is constant within intervals of two seconds. The steps are small, 0.02″ for a deflection that changes by
-60″ in 50 km at 20 kn, and the results do not depend on the order of arrival.
+The returned vertical is constant within intervals of two seconds, so the results do not depend on the order of arrival.
+The steps between intervals are small: 0.02″ if the deflection changes by 60″ in 50 km, at 20 kn.
 """
 
 import bisect
@@ -25,13 +25,13 @@ STEP_NS = 2 * SECOND_NS
 """Interval at which position and deflection are evaluated, ns."""
 
 _MIN_MOVE_M = 100.0
-"""Minimum distance that counts as motion, m: at anchor the noise of fixes would add up."""
+"""Minimum distance that counts as motion, m; smaller distances at anchor would add up the noise of fixes."""
 
 _MAX_STEPS = 50_000
-"""Maximum number of steps evaluated after a gap: more than a day. After a longer gap the distance restarts at zero."""
+"""Maximum number of steps evaluated after a gap, more than a day; after a longer gap the distance restarts at zero."""
 
 _MAX_MESSAGES = 10_000
-"""Maximum number of stored messages."""
+"""Maximum number of stored deflection messages."""
 
 
 class LocalVertical(NamedTuple):
@@ -41,7 +41,7 @@ class LocalVertical(NamedTuple):
         distance_run_m: distance over ground from an arbitrary start, m.
         latitude: latitude of the ship, rad; NaN before the first fix.
         velocity_m_per_s: velocity of the ship over ground, northward and eastward; 0 before the first fix.
-        given_deflection: known deflection (xi, eta), rad, shape (2,); None if there is none.
+        given_deflection: known deflection (xi, eta), rad, shape (2,); None if the deflection is unknown.
         covariance: covariance of the error of the known deflection, or of the unknown deflection, rad², shape (2, 2).
     """
 
@@ -56,7 +56,7 @@ class LocalVertical(NamedTuple):
         """Derivative of the rotation vector of the geodetic horizon relative to the gravity horizon, shape (3, 2).
 
         R_geodetic = exp(deflection_jacobian @ (xi, eta)) R_gravity. The rotation vector has the components (North, Up,
-        East). Its Up component eta tan L, with the latitude L, is the error of a gyrocompass (Laplace's equation).
+        East). The Up component is eta tan L at the latitude L, the error of a gyrocompass (Laplace's equation).
         """
         return np.array([[0.0, 1.0], [0.0, 0.0 if math.isnan(self.latitude) else math.tan(self.latitude)], [-1.0, 0.0]])
 
@@ -70,8 +70,8 @@ class _GridPoint(NamedTuple):
 
     Attributes:
         vertical: the vertical.
-        anchor: position at the last counted motion of the ship; None before the first position.
-        place: position at this time; None if no fix is near enough in time.
+        anchor: position up to which the distance is counted; None before the first position.
+        place: position at the start of the interval; None if no fix is near enough in time.
     """
 
     vertical: LocalVertical
@@ -150,7 +150,7 @@ class VerticalTrack:
         """
         settled, oldest = time_ns // STEP_NS, needed_since_ns // STEP_NS
         if self._newest_step is not None:
-            # Later points are computed from this one.
+            # Later points are computed from the point at this step, so it must exist.
             self._grid_point(max(settled, self._newest_step))
         self._place.drop_before(settled * STEP_NS)
         # Points are in time order, because each is computed after the one before it.
@@ -163,7 +163,7 @@ class VerticalTrack:
     # -- results --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> LocalVertical:
-        """Return the vertical at a time; within an interval the same object, until an input changes it."""
+        """Return the vertical at a time; the object is the same within an interval until an input changes it."""
         return self._grid_point(time_ns // STEP_NS).vertical
 
     def missing_data_text(self, time_ns: int) -> str:
@@ -191,7 +191,7 @@ class VerticalTrack:
         if newest is None or step - newest > _MAX_STEPS:
             return self._store_point(step, self._first_point(step))
         if step < newest:
-            # Before the first computed point, or discarded.
+            # The point is before the first computed point, or was discarded.
             return self._first_point(step)
         point = self._grid[newest]
         for later in range(newest + 1, step + 1):
@@ -226,7 +226,7 @@ class VerticalTrack:
     def _local_vertical(
         self, step: int, run_m: float, place: ShipPosition | None, before: LocalVertical
     ) -> LocalVertical:
-        """Return the vertical at a step; without a position, latitude and velocity are those of the step before."""
+        """Return the vertical at a step; without a position, latitude and velocity are from the step before."""
         latitude, velocity = before.latitude, before.velocity_m_per_s
         if place is not None:
             latitude = float(place.observer.position.latitude)
@@ -236,7 +236,7 @@ class VerticalTrack:
         return LocalVertical(run_m, latitude, velocity, given, covariance)
 
     def _given_deflection(self, step: int, place: ShipPosition | None) -> tuple[FloatArray, FloatArray] | None:
-        """Return the known deflection and the covariance of its error; None if it is unknown."""
+        """Return the known deflection and its error covariance; None if the deflection is unknown."""
         config = self._config
         if config.deflection == CONSTANT:
             return ARCSEC * np.array([config.xi_arcsec, config.eta_arcsec]), self._given_covariance
@@ -257,7 +257,7 @@ class VerticalTrack:
     # ---------------------------------------------------------------------------------------------------------
 
     def _insert_reading(self, message: DeflectionReading) -> int | None:
-        """Insert a message by its stamp; of two with the same stamp the one whose bytes sort first is kept."""
+        """Insert a message by its stamp; of two messages with one stamp, the one whose bytes sort first is kept."""
         index = bisect.bisect_left(self._stamps, message.time_ns)
         if index < len(self._stamps) and self._stamps[index] == message.time_ns:
             if self._messages[index].content() <= message.content():
@@ -273,7 +273,7 @@ class VerticalTrack:
         return message.time_ns - 1
 
     def _drop_points_after(self, time_ns: int) -> int | None:
-        """Discard the points after a time; return the time after which points were discarded, None if there is none."""
+        """Discard the points after a time; return the time after which points were discarded, None without any."""
         gone = [step for step in self._grid if step * STEP_NS > time_ns]
         for step in gone:
             del self._grid[step]
