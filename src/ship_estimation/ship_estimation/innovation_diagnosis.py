@@ -2,7 +2,7 @@
 
 An innovation is the residual of a measurement against its prediction. If the model is correct, innovations have zero
 mean and the predicted covariance, and are independent in time. An :class:`InnovationHistory` keeps the innovations of
-each source over the last minute of data. They give the diagnosis of the source:
+each source over the last minute of data. These innovations give the diagnosis of the source:
 
 - If most parts (stars, beacons, whole attitudes) are larger or smaller than predicted, the sigma of the source is
   optimistic or conservative. The reported factor applies to the source's own sigma, not to the prediction.

@@ -176,8 +176,8 @@ class InsPredictions:
 def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> AttitudeSample | None:
     """Return the attitude at the time of the last accepted sample, extrapolated back from a new sample.
 
-    The motion before the last accepted sample is assumed. After a jump, the next sample is predicted with the
-    extrapolated attitude.
+    The motion is assumed to be the same as before the last accepted sample. After a jump, the next sample is predicted
+    with the extrapolated attitude.
 
     Example:
         >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))

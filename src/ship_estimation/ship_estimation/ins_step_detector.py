@@ -1,9 +1,9 @@
 """Detection of steps of an INS attitude against its integrated rates.
 
-Attitude and integrated rates of a healthy INS differ by a slowly drifting rotation. It contains gyroscope bias,
-integration error and, if the rates contain it, the Earth rate. Over a second the rotation follows a straight line. A
-step of the attitude leaves the line. A large step shows at the first sample. A smaller step shows in the mean of
-several samples against the line before the step.
+Attitude and integrated rates of a healthy INS differ by a slowly drifting rotation. This rotation contains gyroscope
+bias, integration error and, if the rates contain the Earth rate, the Earth rate. Over a second the rotation follows a
+straight line. A step of the attitude leaves the line. A large step shows at the first sample. A smaller step shows in
+the mean of several samples against the line before the step.
 """
 
 import math
