@@ -23,8 +23,8 @@ star.<id>.optics (4)                     errors of focal length, principal point
                                          only of a sensor with single-star messages
 star.<id>.field (18)                     field-spatial error of the sensor, coefficients in their own sigmas; only
                                          of a sensor with single-star messages and such an error
-sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two states only if the
-                                         messages of a sensor depend on the sky model
+sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two states only if
+                                         the messages of a sensor depend on the sky model
 sky.earth_rotation (1)                   error of UT1, in its own sigmas
 sky.position (2)                         error of the ship's position, in its own sigmas
 sky.utc (1)                              error of UTC, in its own sigmas; only with a sigma
