@@ -1,9 +1,10 @@
-"""The χ² distribution in plain floats: its tails and quantiles, and the quantiles of the normal distribution.
+"""Tails and quantiles of the χ² distribution, and quantiles of the normal distribution, in plain floats.
 
-The gate of every measurement needs these few functions. scipy has them too, but its import takes longer than all other
-imports of a node. The probability that χ² of k degrees of freedom is below v is the regularised incomplete gamma
-function P(a, x) with a = k/2 and x = v/2. It is computed by its series for x < a + 1, otherwise by the continued
-fraction of Q = 1 − P (Press et al. 2007, §6.2). A small tail is computed directly and never as one minus the other.
+The gate of every measurement needs these few functions. scipy has these functions too, but the import of scipy takes
+longer than all other imports of a node. The probability that χ² of k degrees of freedom is below v is the regularised
+incomplete gamma function P(a, x) with a = k/2 and x = v/2. It is computed by its series for x < a + 1, otherwise by the
+continued fraction of Q = 1 − P (Press et al. 2007, §6.2). A small tail is computed directly and never as one minus the
+large tail.
 """
 
 import math
@@ -15,14 +16,14 @@ _LEAST = 1e-300
 """Smallest probability above zero; also the least denominator of the continued fraction."""
 
 _LAST_STEP = 1e-9
-"""Relative size of Newton's last step: the error after it is about its square."""
+"""Relative size of Newton's last step. The relative error after this step is about the square of its size."""
 
 _LARGE = 20.0
-"""Argument from which the truncated Stirling series below gives Γ to the last digit."""
+"""Argument from which the truncated Stirling series in :func:`_power` gives Γ to the last digit."""
 
 
 def probability_above(value: float, degrees: int) -> float:
-    """Return the probability that χ² of ``degrees`` is larger than ``value``; NaN if that is NaN.
+    """Return the probability that χ² with ``degrees`` degrees of freedom is above ``value``; NaN if ``value`` is NaN.
 
     Example:
         >>> print(round(probability_above(7.815, degrees=3), 4))
@@ -32,7 +33,7 @@ def probability_above(value: float, degrees: int) -> float:
 
 
 def probability_below(value: float, degrees: int) -> float:
-    """Return the probability that χ² of ``degrees`` is smaller than ``value``; NaN if that is NaN.
+    """Return the probability that χ² with ``degrees`` degrees of freedom is below ``value``; NaN if ``value`` is NaN.
 
     Example:
         >>> print(round(probability_below(7.815, degrees=3), 4))
@@ -43,7 +44,9 @@ def probability_below(value: float, degrees: int) -> float:
 
 @cache
 def value_above(probability: float, degrees: int) -> float:
-    """Return the value that χ² of ``degrees`` exceeds with ``probability``; infinite below 1e-300.
+    """Return the value that χ² with ``degrees`` degrees of freedom exceeds with ``probability``.
+
+    The value is infinite for a probability below 1e-300.
 
     Example:
         >>> print(round(value_above(0.05, degrees=3), 3))
@@ -69,7 +72,7 @@ def value_above(probability: float, degrees: int) -> float:
 
 @cache
 def value_below(probability: float, degrees: int) -> float:
-    """Return the value below which χ² of ``degrees`` is with ``probability``; infinite for 1.
+    """Return the quantile ``probability`` of χ² with ``degrees`` degrees of freedom; infinite for probability 1.
 
     Example:
         >>> print(round(value_below(0.05, degrees=3), 3))
@@ -85,7 +88,8 @@ def value_below(probability: float, degrees: int) -> float:
     if least == 0.0:
         return 0.0
     value = max(least, _first_guess(-math.sqrt(-2.0 * math.log(2.0 * probability)), degrees))
-    # Concave as a function of the logarithm of the value: the same as above.
+    # The logarithm of the tail is also concave in the logarithm of the value, so this iteration converges
+    # monotonically.
     while True:
         tail = _tails(0.5 * value, a)[0]
         step = (wanted - math.log(tail)) * tail / (a * _power(0.5 * value, a))
@@ -95,7 +99,7 @@ def value_below(probability: float, degrees: int) -> float:
 
 
 def normal_value_above(probability: float) -> float:
-    """Return the value that a normal error of sigma 1 exceeds, one-sided, with a ``probability`` of at most a half.
+    """Return the value that a normal error of sigma 1 exceeds, one-sided, with a ``probability`` of at most 0.5.
 
     Example:
         >>> print(round(normal_value_above(0.025), 2))
@@ -152,6 +156,6 @@ def _power(x: float, a: float) -> float:
 
 
 def _first_guess(sigmas: float, degrees: int) -> float:
-    """Return the χ² value of the same probability as a normal one at ``sigmas`` (Wilson, Hilferty 1931)."""
+    """Return the approximate χ² value that is as probable as a normal value of ``sigmas`` (Wilson, Hilferty 1931)."""
     variance = 2.0 / (9.0 * degrees)
     return float(degrees * max(1.0 - variance + sigmas * math.sqrt(variance), 0.0) ** 3)

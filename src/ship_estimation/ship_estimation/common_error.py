@@ -1,14 +1,14 @@
 """Detection of an error that all star sensors share, from the sum of the filter's corrections.
 
 A wrong position, a step of UTC or a rotation of the deck changes all star measurements in the same way. The star
-sensors remain consistent with one another; only the INS, which drifts, is inconsistent with them. The filter follows
-the stars within its time constant, and after that no innovation shows the error.
+sensors remain consistent with one another and become inconsistent only with the INS, which drifts. The filter follows
+the stars within its time constant; afterwards no innovation shows the error.
 
 Without such an error the corrections by successive measurements are independent. The covariance of a correction is the
-decrease of the state covariance by its measurement. The sum of the corrections over a window is the solution separation
-from a filter without the stars of that window (see :mod:`ship_estimation.protection_levels`), and the covariances add
-up to that of the separation. The window is two time constants of the filter long: 78 to 86 % of a common error is
-absorbed in it, and the drift of the INS is small.
+decrease of the state covariance due to its measurement. The sum of the corrections over a window is the solution
+separation from a filter without the stars of that window (see :mod:`ship_estimation.protection_levels`). The
+covariances of the corrections add up to the covariance of the separation. The window is two time constants of the
+filter long. Within it the filter absorbs 78 to 86 % of a common error, and the drift of the INS is small.
 """
 
 import math
@@ -38,7 +38,7 @@ class UnresolvedCommonError(NamedTuple):
 
     Attributes:
         variance: variance of the attitude due to this error, about North, Up and East, rad², shape (3,).
-        until_ns: stamp until which the published covariance contains it.
+        until_ns: stamp until which the published covariance contains this error.
     """
 
     variance: FloatArray
@@ -49,10 +49,11 @@ class CorrectionSums(NamedTuple):
     """Recent corrections of three states by the star sensors, about North, Up and East.
 
     Attributes:
-        sums: sums over each block of measurements, the newest block first, shape (b, 3, 3). Second axis: sum of the
-            corrections, rad; sum of their variances, rad²; share of a common error that remains after the block.
-        sigmas: largest component of the sum over all blocks, in its own sigmas.
-        unresolved: common error that the published covariance contains; None if there is none.
+        sums: sums over each block of measurements, the newest block first, shape (b, 3, 3). The second axis holds the
+            sum of the corrections, rad, the sum of their variances, rad², and the share of a common error that remains
+            after the block.
+        sigmas: largest component of the sum over all blocks, divided by its sigma.
+        unresolved: common error that the published covariance contains; None without such an error.
     """
 
     sums: FloatArray
@@ -67,7 +68,7 @@ class CorrectionSums(NamedTuple):
 
     @property
     def variance(self) -> FloatArray:
-        """Variance of the sum of the corrections without a common error, rad², shape (3,)."""
+        """Variance that the sum of the corrections has without a common error, rad², shape (3,)."""
         variance: FloatArray = self.sums[:, 1].sum(axis=0)
         return variance
 
@@ -79,7 +80,7 @@ class CorrectionSums(NamedTuple):
 
     @property
     def error_n(self) -> FloatArray:
-        """Common error that explains the sum, rad, shape (3,); the sum itself if nothing was absorbed."""
+        """Common error that explains the sum of corrections, rad, shape (3,); that sum if nothing was absorbed."""
         response = self.absorbed_share
         error_n: FloatArray = self.correction_n / np.where(response > 0.0, response, 1.0)
         return error_n
@@ -96,7 +97,7 @@ class CorrectionSums(NamedTuple):
         """Return the sums after one more measurement of a star sensor.
 
         Args:
-            innovations: innovations of the measurement; the main filter was updated with it.
+            innovations: innovations of the measurement, with which the main filter was updated.
             jacobian: Jacobian of the measurement, shape (m, n).
             first: index of the first of the three states.
 
@@ -115,7 +116,7 @@ class CorrectionSums(NamedTuple):
         return CorrectionSums(sums, sigmas, self.unresolved)
 
     def without_corrections(self) -> "CorrectionSums":
-        """Return the sums without corrections, for a filter state that did not result from these measurements."""
+        """Return the sums with corrections of zero, for a filter state that did not result from these measurements."""
         sums = self.sums.copy()
         sums[:, 0] = 0.0
         return CorrectionSums(sums, 0.0, self.unresolved)
@@ -123,8 +124,8 @@ class CorrectionSums(NamedTuple):
     def unresolved_variance(self) -> FloatArray:
         """Return the variance that covers an unresolved common error, rad², shape (3,).
 
-        It starts at zero at :data:`COMMON_ERROR_START_SIGMAS`, as
-        :func:`ship_estimation.protection_levels.separation_inflation` does.
+        The variance is zero up to :data:`COMMON_ERROR_START_SIGMAS` and grows continuously above, as in
+        :func:`ship_estimation.protection_levels.separation_inflation`.
 
         Example:
             >>> sums = np.zeros((1, 3, 3))
@@ -140,7 +141,7 @@ class CorrectionSums(NamedTuple):
         """Return the sums with the unresolved common error at a time.
 
         The filter follows a common error within seconds, and then the sum is small again. The published covariance must
-        contain the error longer, so it is held.
+        contain the error longer, so the error is held for ``hold_ns``.
 
         Args:
             time_ns: stamp of the last correction.
@@ -182,22 +183,22 @@ def with_common_error(
     by_states: FloatArray,
     covariance: FloatArray,
 ) -> ProtectionLevels:
-    """Return the protection levels of an output with a common error of all stars as last hypothesis.
+    """Return the protection levels of an output with a common error of all stars as an additional, last hypothesis.
 
     If the sum of corrections is within its threshold, the separation from the filter without the stars of the window is
-    within that threshold. This filter is correct within ``missed_detection`` times its sigma.
+    within that threshold. The error of that filter is within ``missed_detection`` times its sigma.
 
     Args:
         found: protection levels with all other hypotheses.
-        k: their sigma multipliers.
-        missed_detection: K_md of this hypothesis.
+        k: sigma multipliers of ``found``.
+        missed_detection: multiplier K_md of the common error hypothesis.
         threshold: threshold of the sum of corrections (:func:`common_threshold`), sigmas.
         corrections: recent corrections by all stars.
-        by_states: Jacobian of the components with respect to the errors about North, Up and East, shape (3, 3).
-        covariance: covariance of the components in the main filter, rad², shape (3, 3).
+        by_states: Jacobian of the output components with respect to the errors about North, Up and East, shape (3, 3).
+        covariance: covariance of the output components in the main filter, rad², shape (3, 3).
 
     Example:
-        The corrections determine a common error to 2″, the output has 1″ in each component:
+        The corrections determine a common error with a sigma of 2″; each output component has a sigma of 1″:
 
         >>> sums, every = np.zeros((1, 3, 3)), np.eye(3)
         >>> sums[0, 1] = 4.0
@@ -210,13 +211,13 @@ def with_common_error(
     """
     variance, level = corrections.error_variance.tolist(), []
     for by_state, own in zip(np.square(by_states).tolist(), covariance.diagonal().tolist(), strict=True):
-        # A component may be independent of an unknown error: infinity times zero would be NaN.
+        # Factors of zero are skipped, because zero times the infinite variance of an unknown error would be NaN.
         of_error = sum(square * one for square, one in zip(by_state, variance, strict=True) if square)
         level.append(threshold * math.sqrt(of_error) + missed_detection * math.sqrt(own + of_error))
     # The report has one threshold for all statistics, K_fa; this statistic is scaled from its own threshold to K_fa.
     statistic = np.append(found.statistic, corrections.sigmas * k.false_exclusion / threshold)
     largest = found.level.max()
-    is_largest = not all(one <= largest for one in level)  # NaN is
+    is_largest = not all(one <= largest for one in level)  # NaN is the largest
     return found._replace(
         statistic=statistic,
         level=np.maximum(found.level, level),

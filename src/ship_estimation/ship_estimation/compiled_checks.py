@@ -3,8 +3,8 @@
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
 are documented where they are called, in :mod:`ship_estimation.integrated_rates`,
-:mod:`ship_estimation.ins_step_detector` and :mod:`ship_estimation.value_checks`; the tests contain the same in plain
-numpy. The result for a sample does not depend on the number of samples in a call.
+:mod:`ship_estimation.ins_step_detector` and :mod:`ship_estimation.value_checks`; the tests contain the same functions
+in plain numpy. The result for a sample does not depend on the number of samples in a call.
 """
 
 import cython
@@ -18,24 +18,24 @@ if not cython.compiled:
 from cython.cimports.libc.math import INFINITY, M_PI, sqrt
 
 _CHANGE_SHARE = cython.declare(cython.double, 0.25)
-"""Bound of the integration error of two rates, as a share of their change times the time between them."""
+"""Bound of the integration error of two rates, as a share of the product of their change and their time difference."""
 _SHORTEST_PERIOD_S = cython.declare(cython.double, 4.0)
 """Shortest period of a hull's motion, s.
 
 The integration error of the mean of two rates is then at most (2 pi h / period)² / 12 of the rotation.
 """
 _TYPICAL = cython.declare(cython.double, 3.10)
-"""Value that noise of three axes exceeds once in 6e10 times, in units of the eighth root of its mean eighth power,
-945 sigma⁸."""
+"""Value that noise of three axes exceeds once in 6e10 times, in units of the eighth root of the mean eighth power of
+the noise, 945 sigma⁸."""
 _MEMORY = cython.declare(cython.longlong, 1500)
-"""Number of steps over which the mean is taken."""
+"""Number of steps over which the mean eighth power is taken."""
 _SAMPLES_FOR_ONE = cython.declare(cython.longlong, 64)
 _SAMPLES_FOR_MEANS = cython.declare(cython.longlong, 250)
-"""Numbers of steps in the statistics from which single samples, and means, are checked against the line."""
+"""Numbers of steps in the statistics from which single samples, and from which means, are checked against the line."""
 _NO_BOUND_RAD = cython.declare(cython.double, 10.0)
-"""Bound without statistics, rad: no step is as large."""
+"""Bound without statistics, rad, larger than any step."""
 SET_EVERY, FORGET = 8, 0.78
-"""Number of updates of the statistics between two updates of the bounds; decay factor of the apparent step then."""
+"""Number of updates of the statistics between two updates of the bounds, and decay factor of the apparent step then."""
 
 
 @cython.cfunc
@@ -74,21 +74,20 @@ def rotation_steps(
     twice_drift: cython.const[cython.double][:],
     longest_ns: cython.longlong,
 ):
-    """Return the rotations of N samples, each from the sample before: by the mean of both rates minus the drift.
+    """Return the rotation of N samples, each from the sample before, by the mean of both rates minus the drift.
 
     Args:
         times_ns: stamps of the samples, shape (N,).
         rates: angular velocities, rad/s, shape (N, 3).
-        last_ns: stamp of the sample before them.
-        last_rate: its rate, shape (3,).
-        error_rad: bound of the integration error up to it.
+        last_ns: stamp of the sample before the first sample.
+        last_rate: rate of the sample before, shape (3,).
+        error_rad: bound of the integration error up to the sample before.
         twice_drift: twice the error of each rate, rad/s, shape (3,).
         longest_ns: maximum interval between two rates.
 
     Returns:
-        Rotation vectors about the axes of the deck, rad, shape (N, 3).
-        Bounds of the integration error up to each sample, rad, shape (N,). They are infinite from the first gap on, or
-        from the first number on that is not finite.
+        Rotation vectors about the axes of the deck, rad, shape (N, 3), and bounds of the integration error up to each
+        sample, rad, shape (N,). The bounds are infinite from the first gap or non-finite number on.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)
@@ -143,11 +142,11 @@ def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cy
     """Return the squared steps in a window of rows.
 
     Args:
-        weights: of the rows, oldest first, for each of k positions of a step, shape (k, length).
-        rows: shape (length, 3).
+        weights: weights of the rows, oldest first, for each of k positions of a step, shape (k, length).
+        rows: window of rows, shape (length, 3).
 
     Returns:
-        Shape (k,).
+        Squared step at each position, shape (k,).
     """
     check("rows", rows.shape[0] == weights.shape[1] and rows.shape[1] == 3)
     of_sizes = np.empty(weights.shape[0])
@@ -159,7 +158,7 @@ def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cy
 @cython.cfunc
 @cython.exceptval(check=False)
 def _is_checked(learns: cython.longlong, first_rad: cython.double) -> cython.bint:
-    """True if a single sample is checked by its own step."""
+    """True if a single sample is checked by the step that it alone shows."""
     return learns >= _SAMPLES_FOR_ONE or first_rad < INFINITY
 
 
@@ -177,7 +176,7 @@ def _set(
     bounds: cython.double[:],
     scaled: cython.double[:, :],
 ) -> cython.void:
-    """See :func:`set_bounds`."""
+    """Set the bounds; arguments as for :func:`set_bounds`."""
     bound: cython.double
     learnt: cython.double
     p: cython.Py_ssize_t
@@ -185,11 +184,11 @@ def _set(
     for p in range(weights.shape[0]):
         learnt = _TYPICAL * sqrt(sqrt(sqrt(high[p]))) * shares[p]
         bound = least_rad[p]
-        # Written so that NaN stays.
+        # A bound of NaN stays NaN.
         if not learnt <= bound:
             bound = learnt
         bound += coarse_rad + apparent_step_rad
-        # An infinite bound is not used: the ratio of a step to it would be zero in the statistics.
+        # An infinite bound is not used, because the ratio of a step to this bound would be zero in the statistics.
         if p == 0 and learns < _SAMPLES_FOR_ONE and bound < first_rad < INFINITY:
             bound = first_rad
         if learns < _SAMPLES_FOR_MEANS and not (p == 0 and _is_checked(learns, first_rad)):
@@ -211,19 +210,20 @@ def set_bounds(
     bounds: cython.double[:],
     scaled: cython.double[:, :],
 ):
-    """Set the bounds of apparent steps by the errors of good samples.
+    """Set the bounds of the apparent steps that the errors of good samples cause.
 
     Args:
-        weights: of the rows of a window, for each of k positions of a step, shape (k, length).
-        least_rad: bounds by the configured noise, shape (k,).
-        shares: factors of the bounds by the statistics, shape (k,).
+        weights: weights of the rows of a window, for each of k positions of a step, shape (k, length).
+        least_rad: bounds due to the configured noise, shape (k,).
+        shares: factors of the bounds from the statistics, shape (k,).
         high: means of the fourth powers of the squared steps, shape (k,) or longer.
         learns: number of steps in these means.
-        coarse_rad: part of the bound by rounding.
-        apparent_step_rad: part of the bound by integration errors.
-        first_rad: bound of a single sample before the statistics are known; infinite if it is not checked then.
-        bounds: output, rad, shape (k,).
-        scaled: output, weights over bounds, shape (k, length).
+        coarse_rad: part of the bound due to rounding.
+        apparent_step_rad: part of the bound due to integration errors.
+        first_rad: bound of a single sample before the statistics are known; infinite if single samples are not checked
+            then.
+        bounds: output, bounds of the steps, rad, shape (k,).
+        scaled: output, ratio of weights to bounds, shape (k, length).
 
     Returns:
         True if single samples are checked.
@@ -243,7 +243,7 @@ def _learn(
     learns: cython.longlong,
     high: cython.double[:],
 ) -> cython.void:
-    """See :func:`learn`."""
+    """Update the statistics; arguments as for :func:`learn`."""
     square: cython.double
     p: cython.Py_ssize_t
     for p in range(sizes.shape[0]):
@@ -261,8 +261,8 @@ def learn(
     """Update the statistics of apparent steps.
 
     Args:
-        sizes: squared steps over their bounds, shape (k,).
-        bounds: rad, shape (k,).
+        sizes: squared ratios of the steps to their bounds, shape (k,).
+        bounds: bounds of the steps, rad, shape (k,).
         learns: number of this update, from 1.
         high: means of the fourth powers of the squared steps, changed in place, shape (k,).
     """
@@ -293,34 +293,34 @@ def accepted_on_line(
     bounds: cython.double[:],
     scaled: cython.double[:, :],
 ):
-    """Accept the leading samples that are on the line of the kept ones, and update the statistics with them.
+    """Accept the leading samples that are on the line of the kept samples, and update the statistics.
 
     Args:
         times_ns: stamps of the samples, shape (N,).
         rows: the samples, shape (N, 3), rad.
-        error_rad: bound of the integration error up to each, shape (N,).
+        error_rad: bound of the integration error up to each sample, shape (N,).
         end: number of kept samples.
         last_ns: stamp of the last kept sample.
         longest_ns: maximum gap that the line spans.
         last_error_rad: bound of the integration error up to the last kept sample.
-        last_apparent_step_rad: its growth in the last step.
-        apparent_step_rad: part of the bounds by a change of that growth.
-        weights: as for :func:`set_bounds`, as are the next four and ``high`` to ``scaled``.
-        least_rad: rad.
-        shares: factors of the bounds by the statistics.
-        coarse_rad: rad.
-        first_rad: rad.
+        last_apparent_step_rad: growth of that bound in the last step.
+        apparent_step_rad: part of the bounds due to a change of that growth.
+        weights: as for :func:`set_bounds`.
+        least_rad: as for :func:`set_bounds`.
+        shares: as for :func:`set_bounds`.
+        coarse_rad: as for :func:`set_bounds`.
+        first_rad: as for :func:`set_bounds`.
         learn_every: number of samples for one update of the statistics.
         since_learnt: number of samples since the last update.
         learns: number of updates.
-        kept: rows of the kept samples; accepted ones are appended, shape (room, 3).
-        high: changed in place.
-        bounds: changed in place.
-        scaled: changed in place.
+        kept: rows of the kept samples; accepted samples are appended, shape (room, 3).
+        high: as for :func:`set_bounds`, changed in place.
+        bounds: as for :func:`set_bounds`, changed in place.
+        scaled: as for :func:`set_bounds`, changed in place.
 
     Returns:
-        Number of accepted samples; then the state after the last of them: squared steps over their bounds, shape (k,),
-        ``last_apparent_step_rad``, ``apparent_step_rad``, ``since_learnt``, ``learns``.
+        Number of accepted samples, and the state after the last of them. The state is the squared ratios of the steps
+        to their bounds, shape (k,), ``last_apparent_step_rad``, ``apparent_step_rad``, ``since_learnt`` and ``learns``.
     """
     places: cython.Py_ssize_t = weights.shape[0]
     length: cython.Py_ssize_t = weights.shape[1]
@@ -338,7 +338,7 @@ def accepted_on_line(
     i: cython.int
     while taken < samples:
         step_rad = error_rad[taken] - last_error_rad
-        # Written so that NaN ends it.
+        # NaN ends the loop.
         if not times_ns[taken] - last_ns <= longest_ns:
             break
         if not abs(step_rad - last_apparent_step_rad) <= apparent_step_rad:
@@ -365,11 +365,11 @@ def accepted_on_line(
 
 
 def changes(before: cython.const[cython.double][:, :], values: cython.const[cython.double][:, :, :]):
-    """Return the change of each of N values from the one before it: the largest length of a row's change, a list.
+    """Return a list of the changes of N values from the value before, each the largest length of a row's change.
 
     Args:
-        before: the value before the first one, shape (k, l).
-        values: shape (N, k, l).
+        before: value before the first value, shape (k, l).
+        values: the values, shape (N, k, l).
     """
     check("values", values.shape[1] == before.shape[0] and values.shape[2] == before.shape[1])
     largest: cython.double
@@ -386,7 +386,7 @@ def changes(before: cython.const[cython.double][:, :], values: cython.const[cyth
             for j in range(values.shape[2]):
                 change = values[n, i, j] - (values[n - 1, i, j] if n else before[i, j])
                 square += change * change
-            # Written so that NaN stays NaN.
+            # A change of NaN stays NaN.
             if not square <= largest and largest == largest:
                 largest = square
         found.append(sqrt(largest))

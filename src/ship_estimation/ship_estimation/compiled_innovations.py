@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled statistics of innovations, of a single one and of many.
+"""Compiled statistics of a single innovation and of many innovations.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
-are documented in :mod:`ship_estimation.innovations`; the tests contain the same in plain numpy.
+are documented in :mod:`ship_estimation.innovations`; the tests contain the same functions in plain numpy.
 """
 
 import cython
@@ -62,11 +62,11 @@ def innovation_statistics(
     """Return the statistics of an innovation.
 
     Args:
-        residual: shape (m,).
+        residual: measured minus predicted, shape (m,).
         covariance: innovation covariance, shape (m, m).
-        noise: measurement noise, a part of it, shape (m, m).
+        noise: part of ``covariance`` from the measurement noise, shape (m, m).
         part_of: index of the part of each component, shape (m,).
-        axis_of: index of its axis, shape (m,).
+        axis_of: index of the axis of each component, shape (m,).
         parts: number of parts.
         axes: number of axes.
 
@@ -161,8 +161,9 @@ def part_sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssiz
         least_own_share: least own share of an innovation that is used.
 
     Returns:
-        The squares of the used innovations in ascending order, shape (k,); their largest number of degrees; their mean
-        own share, NaN without any; the sums of NIS and of components of all innovations.
+        Five values. The squares of the used innovations are in ascending order, shape (k,). The largest number of
+        degrees and the mean own share are those of the used innovations; without used innovations the share is NaN. The
+        last values are the sums of NIS and of components of all innovations.
     """
     check("columns", 5 <= first <= numbers.shape[1])
     of_squares = np.empty(numbers.shape[0] * (numbers.shape[1] - first))
@@ -196,7 +197,7 @@ def part_sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssiz
 @cython.cfunc
 @cython.exceptval(check=False)
 def _median(ordered: cython.double[:], count: cython.Py_ssize_t) -> cython.double:
-    """Return the median of the first ``count`` numbers, in ascending order."""
+    """Return the median of the first ``count`` numbers, which are in ascending order."""
     half: cython.Py_ssize_t = count // 2
     return ordered[half] if count % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
@@ -214,12 +215,12 @@ def axis_statistics(
         numbers: as in :func:`part_sizes`, in order of time.
         axes: number of axes.
         least: minimum number of innovations along an axis.
-        sigma_of_spread: sigma of normal values over the median of their distances from their median.
+        sigma_of_spread: ratio of the sigma of normal values to their median absolute deviation.
         clipped_at: bound of the distance from the median, in sigmas of the spread.
 
     Returns:
         Count, bias, spread and correlation of each axis as in :class:`ship_estimation.innovations.AxisStatistics`, NaN
-        with too few innovations, shape (axes, 4); and the common variance of the prediction error.
+        with too few innovations, shape (axes, 4), and the common variance of the prediction error.
     """
     count: cython.Py_ssize_t = numbers.shape[0]
     check("columns", 5 + 2 * axes <= numbers.shape[1] and least > 0)

@@ -1,9 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled integrity: protection levels of an output, and the coverage of outputs by published levels.
+"""Compiled protection levels of an output, and compiled coverage of outputs by published levels.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
 are documented where they are called, in :mod:`ship_estimation.protection_levels` and
-:mod:`ship_estimation.published_levels`; the tests contain the same in plain numpy. NaN propagates to dependent results.
+:mod:`ship_estimation.published_levels`; the tests contain the same functions in plain numpy. NaN propagates to
+dependent results.
 """
 
 import cython
@@ -55,9 +56,9 @@ def solution_separation(
 
     Args:
         states: indices of the states that determine the components, shape (n,).
-        to_components: derivative of the components by the errors of the output, shape (3, 3).
-        by_states: derivative of the components by these states, shape (3, n).
-        covariance: of the errors of the output in the main filter, shape (3, 3).
+        to_components: Jacobian of the components with respect to the errors of the output, shape (3, 3).
+        by_states: Jacobian of the components with respect to these states, shape (3, n).
+        covariance: covariance of the errors of the output in the main filter, shape (3, 3).
         mean: states of the main filter, shape (m,).
         means: states of the subfilters, shape (h, m).
         parts: covariance of the main filter by error source, shape (p, m, m).
@@ -87,7 +88,7 @@ def solution_separation(
     of_statistic, of_level = np.empty(tested_count), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level
-    # Covariance of the states in the main filter, and its growth in a subfilter.
+    # Covariance of the states in the main filter, and growth of the covariance in a subfilter.
     covariances: cython.double[:, :, ::1] = np.zeros((2, n, n))
     variance_0 = cython.declare(cython.double[3])
     dominant: cython.Py_ssize_t = -1
@@ -143,11 +144,11 @@ def separation_sigmas(
     share: cython.double,
     tiny: cython.double,
 ):
-    """See :func:`ship_estimation.protection_levels.separation_sigma`.
+    """Return the sigmas; see :func:`ship_estimation.protection_levels.separation_sigma`.
 
     Args:
-        variance: shape (h, n).
-        variance_0: shape (n,).
+        variance: variance in each subfilter, shape (h, n).
+        variance_0: variance in the main filter, shape (n,).
         share: least variance of a separation, as a share of the main filter's variance.
         tiny: least variance of a separation.
     """
@@ -169,7 +170,8 @@ def separation_sigmas(
 def _separation_sigma(
     variance: cython.double, variance_0: cython.double, share: cython.double, tiny: cython.double
 ) -> cython.double:
-    # Rounding may cancel a small difference; a thousandth of the sigma is negligible in a protection level.
+    # Rounding may cancel a small difference, so a least variance applies. A thousandth of the sigma is negligible in a
+    # protection level.
     return sqrt(_larger(variance - variance_0, _larger(share * variance_0, tiny)))
 
 
@@ -181,18 +183,18 @@ def coverage(
     most_growth: cython.double,
     tiny: cython.double,
 ):
-    """Return the coverage by published levels of an output, and of later ones from the same state.
+    """Return the coverage by published levels of an output, and of later outputs from the same state.
 
     Args:
-        level: of the output, shape (3,).
-        published: shape (3,).
-        covariance: of the error of the output, shape (3, 3).
+        level: protection levels of the output, shape (3,).
+        published: published levels, shape (3,).
+        covariance: covariance of the error of the output, shape (3, 3).
         entering: maximum growth of a level per unit rotation of the directions, rad.
-        most_growth: maximum ratio of a level to the published one.
+        most_growth: maximum ratio of a level to the published level.
         tiny: least denominator.
 
     Returns:
-        True if the published levels cover the output; and the fields ``max_variance`` and ``max_direction_change`` of
+        True if the published levels cover the output, and the fields ``max_variance`` and ``max_direction_change`` of
         :class:`ship_estimation.published_levels.PublishedLevels`.
     """
     check("levels", level.shape[0] == published.shape[0] == 3)
@@ -206,7 +208,7 @@ def coverage(
     trace: cython.double
     i: cython.int
     for i in range(3):
-        # NaN levels are those of the state UNAVAILABLE, which was published.
+        # NaN levels belong to the state UNAVAILABLE, which was published.
         unknown = unknown and level[i] != level[i] and published[i] != published[i]
         covers = covers and level[i] <= most_growth * published[i]
         known = known and fabs(level[i]) < INFINITY
@@ -219,7 +221,7 @@ def coverage(
     room = 0.5 * (growth - 1.0)
     trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
     # A term added to a covariance adds at most its trace to the variance of any angle, and a level grows no faster than
-    # the sigma. A rotation mixes errors of all angles into the one with the smallest level.
+    # the sigma. A rotation mixes errors of all angles into the angle with the smallest level.
     return (
         covers,
         trace + least_eigenvalue(covariance) * ((1.0 + room) * (1.0 + room) - 1.0),
@@ -240,12 +242,12 @@ def covered_count(
 
     Args:
         times_ns: stamps, shape (N,).
-        covariances: shape (N, 3, 3).
+        covariances: error covariances of the outputs, shape (N, 3, 3).
         directions: direction cosines in which the errors are measured, shape (N, k, l).
         until_ns: stamp until which the levels are valid.
-        max_variance: trace of a covariance up to which they cover an output.
+        max_variance: trace of a covariance up to which the levels cover an output.
         published_directions: direction cosines of the published levels, shape (k, l).
-        max_direction_change: change of each direction cosine up to which they cover an output.
+        max_direction_change: change of each direction cosine up to which the levels cover an output.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("covariances", covariances.shape[0] == count and covariances.shape[1] == covariances.shape[2] == 3)
@@ -283,7 +285,7 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
 
 
 def square_root(matrix: cython.const[cython.double][:, :]):
-    """Return L with L Lᵀ a covariance, shape (3, 3), which may be singular; only its lower triangle is read."""
+    """Return L, for which L Lᵀ is a covariance, shape (3, 3), perhaps singular; only its lower triangle is read."""
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
     vectors = cython.declare(cython.double[9])

@@ -2,7 +2,7 @@
 """Compiled windowed means of whitened innovations.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
-are documented in :mod:`ship_estimation.innovation_means`; the tests contain the same in plain numpy.
+are documented in :mod:`ship_estimation.innovation_means`; the tests contain the same functions in plain numpy.
 """
 
 import cython
@@ -21,7 +21,7 @@ _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
 _CONSTANT_VARIANCE = cython.declare(cython.double, 1e-9)
 """Variance added to a constant error, so that a mean without noise has a regular covariance."""
 _LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
-"""Least variance of a sum of corrections, rad²: states known exactly get no corrections."""
+"""Least variance of a sum of corrections, rad², because states known exactly get no corrections."""
 
 
 @cython.cfunc
@@ -54,9 +54,9 @@ def _chi2(mean: cython.p_double) -> cython.double:
 def _chi2_with_constant_error(
     mean: cython.p_double, whitened_noise: cython.const[cython.double][:, :]
 ) -> cython.double:
-    """Return chi² of a mean if the error of the filter is constant: only the measurement noise averages out.
+    """Return chi² of a mean if the error of the filter is constant, so that only the measurement noise averages out.
 
-    The covariance of the mean is decomposed by a Cholesky factor; chi² is NaN if that does not exist.
+    The covariance of the mean is decomposed by a Cholesky factor; chi² is NaN if the factor does not exist.
     """
     constant: cython.double = mean[3] * mean[3]
     factor = cython.declare(cython.double[9])
@@ -108,11 +108,11 @@ def updated_means(
     """Return the fields of ``InnovationMeans``, in their order, after a measurement of each of several sources.
 
     Args:
-        running: as in :class:`ship_estimation.innovation_means.InnovationMeans`, shape (h, s, w, 5), as the next four.
-        excess: shape (h, s).
-        rejection_counts: shape (h, s).
-        last_measured_ns: shape (s,).
-        inconsistent_since_ns: shape (s,).
+        running: as in :class:`ship_estimation.innovation_means.InnovationMeans`, shape (h, s, w, 5).
+        excess: as in the same class, shape (h, s).
+        rejection_counts: as in the same class, shape (h, s).
+        last_measured_ns: as in the same class, shape (s,).
+        inconsistent_since_ns: as in the same class, shape (s,).
         sources: indices of the l measuring sources.
         innovation: whitened innovation in every filter, shape (h, l, 3).
         accepted: true if the measurement passed the gate of each filter, shape (h, l).
@@ -123,10 +123,11 @@ def updated_means(
         consistent_ratio: share of the limit below which a source is consistent.
         never_ns: stamp of a consistent source.
         is_excluded: true if the main filter excludes the source.
-        whitened_noise: in that case, the part of the measurement noise in the whitened covariance, shape (3, 3).
+        whitened_noise: if the main filter excludes the source, the part of the measurement noise in the whitened
+            covariance, shape (3, 3).
 
     Returns:
-        None if an innovation is not finite.
+        The fields, or None if an innovation is not finite.
     """
     rows: cython.Py_ssize_t = running.shape[0]
     count: cython.Py_ssize_t = running.shape[1]
@@ -185,7 +186,7 @@ def updated_means(
             excesses[row, s] = worst / limit
             refusals[row, s] = 0 if accepted[row, one] else refusals[row, s] + 1
         last_measured[s] = max(last_measured[s], time_ns)
-        # Written so that NaN is inconsistent.
+        # NaN is inconsistent.
         if excesses[0, s] <= consistent_ratio and refusals[0, s] == 0:
             contradicts[s] = never_ns
         elif contradicts[s] == never_ns:
@@ -200,7 +201,7 @@ def updated_mean(
 ):
     """Return the means of one filter and source after one more innovation, shape (w, 5), and their largest component.
 
-    The largest component is given in its own sigmas; NaN if one of them is NaN.
+    The largest component is divided by its sigma; it is NaN if one component is NaN.
     """
     check(
         "averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and innovation.shape[0] == 3
@@ -234,14 +235,14 @@ def updated_correction_sums(
     first: cython.Py_ssize_t,
     block_left: cython.double,
 ):
-    """Return the sums of corrections after one more of the main filter, shape (b, 3, 3), and the largest in sigmas.
+    """Return the sums after one more correction of the main filter, shape (b, 3, 3), and the largest sum in sigmas.
 
     Args:
-        sums: before, as in :class:`ship_estimation.common_error.CorrectionSums`.
-        gain: shape (h, n, m).
-        residual: shape (h, m).
+        sums: sums before the correction, as in :class:`ship_estimation.common_error.CorrectionSums`.
+        gain: Kalman gain, shape (h, n, m).
+        residual: measured minus predicted, shape (h, m).
         covariance: innovation covariance, shape (h, m, m).
-        jacobian: shape (m, n).
+        jacobian: Jacobian of the measurement, shape (m, n).
         first: index of the first of the three states.
         block_left: remaining share of a common error at which a block is full.
     """

@@ -1,9 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled Kalman filter steps: time and measurement update of covariances by error source and of subfilters.
+"""Compiled time and measurement update of a Kalman filter with subfilters and with covariances by error source.
 
 This is the only implementation of these steps. It is Python with C types, compiled by Cython when the package is built.
-It works for any number of states, sources, filters and residuals. The functions are documented where they are called,
-in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.subfilters`; the tests compare them with plain numpy.
+The implementation works for any number of states, sources, filters and residuals. The functions are documented where
+they are called, in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.subfilters`; the tests compare the functions
+with plain numpy.
 
 A measurement with Jacobian H, gain K and noise N changes a covariance P to (I - K H) P (I - K H)ᵀ + K N Kᵀ. The matrix
 I - K H is never formed. Instead P is multiplied by the two thin factors of K H, which needs a fifth of the operations
@@ -52,16 +53,17 @@ def _add_rows(
     stride: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
 ) -> cython.void:
-    """Add several rows to one, each times its weight; four at a time, for fewer reads and writes of the target.
+    """Add several weighted rows to a target row, four at a time, for fewer reads and writes of the target.
 
     Args:
         target: row of ``count`` numbers.
         sign: factor of all weights.
-        weights: one for each row, with spacing ``step``.
-        step: spacing of the weights: 1 if they are a row of a matrix, the width of the matrix if they are a column.
+        weights: weight of each row, with spacing ``step``.
+        step: spacing of the weights, 1 if the weights are a row of a matrix, the width of the matrix if they are a
+            column.
         inner: number of rows.
         rows: the rows, with spacing ``stride``.
-        stride: width of their matrix.
+        stride: width of the matrix of the rows.
         count: number of elements of each row.
     """
     j: cython.Py_ssize_t
@@ -82,7 +84,7 @@ def _add_rows(
         k += 4
     if k == inner:
         return
-    # Up to three rows remain: all of them, if they belong to the three residuals of an attitude.
+    # Up to three rows remain, and exactly three for the three residuals of an attitude.
     row = rows + k * stride
     first = sign * weights[k * step]
     if inner - k == 1:
@@ -230,7 +232,7 @@ def transition(
     steady_variance: cython.const[cython.double][::1],
     walk_variance: cython.const[cython.double][::1],
 ):
-    """Return decay factor and process noise variance of each state over a time, shapes (n,), (n,)."""
+    """Return decay factor and process noise variance of each state over a time, shapes (n,) and (n,)."""
     n: cython.Py_ssize_t = time_s.shape[0]
     check("transition", steady_variance.shape[0] == walk_variance.shape[0] == n)
     of_decay, of_noise = np.empty(n), np.empty(n)
@@ -272,16 +274,16 @@ def propagate(
     """Propagate all filters; return decay factors (n,), means (h, n) and stack (n_sources + h - 1, n, n).
 
     Args:
-        dt_s: the time, s.
-        means: before, shape (h, n).
-        stack: before, shape (n_sources + h - 1, n, n).
+        dt_s: time step, s.
+        means: states before the time step, shape (h, n).
+        stack: covariances before the time step, shape (n_sources + h - 1, n, n).
         time_s: correlation time of each state, s, shape (n,).
         steady_variance: steady variance of a Gauss–Markov state, shape (n,).
         walk_variance: variance per second of a random walk, shape (n,).
         source_of: index of the error source of each state's noise, shape (n,).
         first: index of the first of k states that do not decay if they exceed the threshold.
         sigma: standard deviation of these states, shape (k,).
-        threshold_sigmas: the threshold, sigmas.
+        threshold_sigmas: threshold of these states, sigmas.
     """
     rows: cython.Py_ssize_t = means.shape[0]
     n: cython.Py_ssize_t = means.shape[1]
@@ -317,7 +319,7 @@ def add_error(
     """Inflate the covariance of some states, in place, in all filters of a stack or in one subfilter.
 
     Args:
-        stack: shape (n_sources + h - 1, n, n).
+        stack: covariances of the filters, shape (n_sources + h - 1, n, n).
         rows: number of filters, h.
         part: error source of the added covariance in the main filter.
         first: index of the first of the k states.
@@ -355,11 +357,11 @@ def solution_separations(
     least_share: cython.double,
     least_variance: cython.double,
 ):
-    """Return the solution separations in k states, shape (h, k), and the largest of each filter, sigmas, shape (h,).
+    """Return the separations in k states, shape (h, k), and the largest separation of each filter, sigmas, shape (h,).
 
     Args:
-        means: shape (h, n).
-        stack: shape (n_sources + h - 1, n, n).
+        means: states of the filters, shape (h, n).
+        stack: covariances of the filters, shape (n_sources + h - 1, n, n).
         first: index of the first state.
         count: number of states, k.
         least_share: least variance of a separation, as a share of the main filter's variance.
@@ -453,7 +455,7 @@ def _separation_sigmas(
 
 
 def filter_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
-    """Return the covariance of each filter: the sum of the parts of the main filter, and those of the subfilters."""
+    """Return the covariance of each filter, which is the sum of the parts for the main filter."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
     check("row_covariances", rows >= 1 and sources >= 1)
@@ -479,7 +481,7 @@ def total(stack: cython.const[cython.double][:, :, ::1], sources: cython.Py_ssiz
 def variance_along(
     weights: cython.const[cython.double][::1], covariance: cython.const[cython.double][:, :]
 ) -> cython.double:
-    """Return the variance of a weighted sum of states: weights (n,), mostly zero, and covariance (n, n)."""
+    """Return the variance of a weighted sum of states, from weights (n,), mostly zero, and covariance (n, n)."""
     n: cython.Py_ssize_t = weights.shape[0]
     check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
     total: cython.double = 0.0
@@ -533,7 +535,7 @@ def innovations(
     at_mean: cython.const[cython.double][::1],
     by_turn: cython.const[cython.double][:, ::1],
 ):
-    """Return the innovations in all filters: the fields of :class:`ship_estimation.subfilters.FilterInnovations`.
+    """Return the innovations in all filters as fields of :class:`ship_estimation.subfilters.FilterInnovations`.
 
     Raises:
         numpy.linalg.LinAlgError: an innovation covariance is not positive definite.
@@ -557,8 +559,8 @@ def innovations(
     whitened_innovation: cython.double[:, ::1] = of_turn
     root: cython.double[:, :, ::1] = of_root
     share: cython.double[:, ::1] = of_noise
-    # Contiguous: transposed Jacobian, right-hand side, cross covariance, Cholesky factor, solution, its product with
-    # the rotation Jacobian, information, and the covariance of the main filter.
+    # Contiguous arrays for transposed Jacobian, right-hand side, cross covariance, Cholesky factor, solution, product
+    # of solution and rotation Jacobian, information, and covariance of the main filter.
     scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9 + n * n)
     transposed: cython.p_double = cython.address(scratch[0])
     right_side: cython.p_double = transposed + n * m
@@ -715,13 +717,13 @@ def update(
     """Return the corrections (h, n) and the stack after a measurement update.
 
     Args:
-        stack: before, shape (n_sources + h - 1, n, n).
-        jacobian: shape (m, n).
-        residual: of each filter, shape (h, m).
+        stack: covariances before the measurement, shape (n_sources + h - 1, n, n).
+        jacobian: Jacobian of the measurement, shape (m, n).
+        residual: residual of each filter, shape (h, m).
         gain: Kalman gain, shape (h, n, m).
         updated_states: states that each filter updates, shape (h, n).
-        noise_parts: pairs of a source index and its part of the noise, shape (m, m) each.
-        noise: their sum.
+        noise_parts: pairs of a source index and the noise covariance of this source, shape (m, m).
+        noise: sum of these covariances.
     """
     rows: cython.Py_ssize_t = gain.shape[0]
     n: cython.Py_ssize_t = gain.shape[1]
@@ -800,7 +802,7 @@ def _is_zero(numbers: cython.pointer(cython.const[cython.double]), count: cython
 def _observed_states(
     jacobian: cython.const[cython.double][:, ::1], states: cython.Py_ssize_t[::1]
 ) -> cython.Py_ssize_t:
-    """Write the indices of the states with a nonzero column of H; return their number."""
+    """Write the indices of the states with a nonzero column of H; return the number of these states."""
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -824,8 +826,8 @@ def _thin_factor(
 ) -> cython.void:
     """Write the left factor A of K H = A B into the scratch, shape (n, r), and its transpose after it.
 
-    If ``chosen`` is zero, A is K and B is H. Otherwise A is the columns of K H for the observed states, and B selects
-    these states.
+    If ``chosen`` is zero, A is K and B is H. Otherwise A consists of the columns of K H for the observed states, and B
+    selects these states.
     """
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
@@ -854,7 +856,7 @@ def _times_right_factor(
     n: cython.Py_ssize_t,
     out: cython.p_double,
 ) -> cython.void:
-    """Write the product of the right factor of K H and a matrix: H times it, or its rows for the observed states."""
+    """Write the right factor of K H times a matrix; this factor is H or selects the observed states."""
     k: cython.Py_ssize_t
     if not chosen:
         _product(jacobian, m, n, matrix, n, out)
@@ -880,7 +882,7 @@ def _joseph_update(
     across: cython.p_double = transposed + n * r
     halfway: cython.p_double = across + n * r
     i: cython.Py_ssize_t
-    # P is symmetric: the transpose of B P is P Bᵀ.
+    # P is symmetric, so the transpose of B P is P Bᵀ.
     _times_right_factor(jacobian, m, states, chosen, covariance, n, across)
     memcpy(halfway, covariance, n * n * cython.sizeof(cython.double))
     for i in range(n):

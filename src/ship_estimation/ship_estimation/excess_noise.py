@@ -1,15 +1,15 @@
 """Excess attitude noise of an INS, measured against its own rates.
 
-The attitude of a sample differs from the attitude before it, propagated by the rates, by the noise of both samples.
-From such differences d of neighbouring steps follows the noise variance of one attitude: the mean of
-d_k²/2 - d_k d_{k-1}, per axis, is twice that variance, and the noise of the rates cancels. Noise along the axis of
-rotation only is jitter of the stamps; noise about all axes is that of the attitude itself, for example by coarse
-resolution. At rest jitter has no effect, and nothing is reported.
+Each attitude is compared with the previous attitude propagated by the rates. Their difference d contains the noise of
+both samples. The mean of d_k²/2 - d_k d_{k-1} over neighbouring steps k, per axis, is twice the noise variance of one
+attitude; the noise of the rates cancels. Noise about the axis of rotation alone is jitter of the stamps. Noise about
+all axes is noise of the attitude itself, for example due to coarse resolution. At rest jitter has no effect and is not
+reported.
 
-A small excess shows in the samples that pass the step check. A large excess makes samples fail it. From the first such
-sample on, and at the start, all samples are collected, rejected ones included, until the median difference
-distinguishes noise from a step. During an excess samples are collected as well, so that changes and the end are
-detected within seconds.
+A small excess shows in the samples that pass the step check. A large excess makes samples fail this check. From the
+first failed sample on, and at the start, all samples are collected, including rejected samples, until the median
+difference distinguishes noise from a step. Samples are also collected during an excess, so that its changes and its end
+are detected within seconds.
 """
 
 import math
@@ -25,34 +25,35 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _LONG_NS, _MEMORY_NS, _SHORT_NS = 30 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS
-"""Averaging times: for the detection of a small excess, for the noise during an excess, and for the detection of a
-large excess or of its end."""
+"""Averaging times for the detection of a small excess, for the noise during an excess, and for the detection of a large
+excess or of its end."""
 _SETTLED_NS = _MEMORY_NS - SECOND_NS
-"""Minimum length of a mean over the second of these."""
+"""Minimum duration of the data of a mean over the averaging time ``_MEMORY_NS``."""
 _LEAST_RATIO2 = 1.25**2
 """Smallest ratio of measured to stated variance that is reported."""
 _ESTIMATED, _SIGMAS = 1.25, 6.0
-"""Relative standard deviation of a variance estimated from N steps, times sqrt(N); least reported excess in units of
-it."""
+"""Relative standard deviation of a variance estimated from N steps, times sqrt(N), and least reported excess in these
+standard deviations."""
 _MEDIAN_RATIO, _START_RATIO = 2.0, 4.0
-"""Ratio of the median difference to the usual one from which rejected samples indicate noise and not a step. The second
-value applies at the start, when the usual difference is unknown and the rates may be noisy."""
+"""Ratio of the median difference to the usual difference from which rejected samples indicate noise and not a step. The
+second value applies at the start, when the usual difference is unknown and the rates may be noisy."""
 _LARGER, _OTHER, _MORE_STEPS = 1.5, 1.25, 3
-"""Ratios of standard deviations from which a new estimate over the short time, or the long, replaces the present one;
-least ratio of the number of steps for the long one."""
+"""Ratios of standard deviations from which a new estimate replaces the present estimate: a larger one over the short
+time, a larger or smaller one over the long time. The third value is the least ratio of the numbers of steps for the
+long time."""
 _OVER_SHORT, _OVER_LONG, _WOULD_SHOW = 1.5, 1.2, 1.4
-"""Ratios of measured to stated noise below which an excess ends, over the short time and the long; the excess must be
-large enough to show: twice the first ratio, or the third."""
+"""Ratios of measured to stated noise below which an excess ends, over the short time and over the long time. The ratio
+during the excess must be at least twice the first value for the short time, or the third value for the long time."""
 _FIRST_NS, _EVERY_NS, _LEAST_STEPS = SECOND_NS // 2, SECOND_NS // 4, 10
-"""Time of the first evaluation of collected samples, period of further ones, and least number of steps."""
+"""Delay of the first evaluation of collected samples, period of further evaluations, and least number of steps."""
 _MEDIAN_OF_DIFFERENCE = 1.538 * math.sqrt(2.0)
 """Median length of the difference of two samples with unit noise about each of three axes."""
 _FARTHEST = (8.0, 5.0)
 """Outlier limits of the differences, standard deviations, in the first and second pass."""
 _ALONG_TURN = 2.0
-"""Ratio of the variances along and across the axis of rotation from which the noise is jitter."""
+"""Ratio of the variance along the axis of rotation to the variance across it, above which the noise is jitter."""
 _DELAY_SIGMAS = 2.0
-"""Bound of the mean delay of randomly late stamps, standard deviations: 1.7 if uniform from zero."""
+"""Bound of the mean delay of randomly late stamps, in their standard deviations; a uniform delay from zero has 1.7."""
 
 
 class NoiseSums(NamedTuple):
@@ -62,7 +63,7 @@ class NoiseSums(NamedTuple):
         first_ns: stamp of the first sample.
         last_ns: stamp of the last sample.
         steps: number of steps.
-        variance_sum: sum of the noise variances of the steps, each axis, rad².
+        variance_sum: sum over the steps of the noise variance of an attitude about each axis, rad².
     """
 
     first_ns: int
@@ -78,7 +79,7 @@ class MeasuredNoise(NamedTuple):
         first_ns: stamp of the first sample with this noise.
         white_rad2: variance about each axis, independent of the rotation.
         jitter_s2: variance of the stamps, s².
-        rate2: mean square of the angular rate in that time, (rad/s)².
+        rate2: mean square of the angular rate in the evaluated steps, (rad/s)².
         steps: number of evaluated steps.
     """
 
@@ -89,11 +90,11 @@ class MeasuredNoise(NamedTuple):
     steps: int
 
     def sigma_rad(self, rate2: float | None = None) -> float:
-        """Return the standard deviation of an attitude about its worst axis, at ``rate2`` or the measured rate, rad."""
+        """Return the standard deviation of an attitude about its worst axis at ``rate2`` (default: measured), rad."""
         return math.sqrt(self.white_rad2 + self.jitter_s2 * (self.rate2 if rate2 is None else rate2))
 
     def text(self, stated_rad: float) -> str:
-        """Return the text of measured and stated standard deviation.
+        """Return a text with the measured and the stated standard deviation.
 
         >>> MeasuredNoise(0, 0.0, 1.6e-5, 3e-4, 40).text(ARCSEC)
         'stamps jitter by 4.0 ms (1 sigma): attitude noise is 14.3″ at this rate of turn, stated 1.0″'
@@ -113,8 +114,8 @@ def noise_sums(times_ns: NDArray[np.int64], differences: FloatArray, longest_ns:
 
     Args:
         times_ns: stamps of the samples, shape (n + 1,).
-        differences: differences of each attitude from the one before, propagated by the rates, rad, shape (n, 3).
-        longest_ns: longer steps are excluded, because the integration error of the rates dominates there.
+        differences: each attitude minus the previous attitude propagated by the rates, rad, shape (n, 3).
+        longest_ns: maximum duration of a step; the integration error of the rates dominates in longer steps.
 
     Example:
         Noise of a tenth of a milliradian about each axis:
@@ -132,13 +133,13 @@ def noise_sums(times_ns: NDArray[np.int64], differences: FloatArray, longest_ns:
 
 
 class ExcessNoise:
-    """Detects attitude noise above the stated one.
+    """Detector of attitude noise above the stated noise.
 
     Args:
-        stated_rad: noise of an attitude, each axis.
+        stated_rad: stated noise of an attitude about each axis.
 
     Attributes:
-        found: measured noise during an excess; None if there is none.
+        found: measured noise during an excess; None without an excess.
 
     >>> excess, noise = ExcessNoise(1e-5), np.random.default_rng(1).normal(0.0, 3e-5, (201, 3))
     >>> extra = excess.add(noise_sums(10_000_000 * np.arange(201), np.diff(noise, axis=0), longest_ns=2e7))
@@ -156,7 +157,7 @@ class ExcessNoise:
         self._usual_rad = self._fastest2 = 0.0
 
     def reconfigure(self, stated_rad: float) -> ExtraNoise | None:
-        """Set another stated noise; return the excess over it if there was an excess before."""
+        """Set another stated noise; during an excess, return the excess over the new stated noise."""
         changed, self._stated_rad = stated_rad != self._stated_rad, stated_rad
         found = self.found
         if found is None or not changed:
@@ -167,18 +168,18 @@ class ExcessNoise:
         return self._end_excess(found, newest_ns)
 
     def reset(self) -> None:
-        """Drop all measurements: the rates have changed, or are not measured."""
+        """Drop all measurements, because the rates have changed or are not measured."""
         self._sums.clear()
         self._collected.clear()
         self._last_failure_ns = None
 
     @property
     def is_collecting(self) -> bool:
-        """True while samples are collected: some failed the step check, or there is an excess."""
+        """True while samples are collected, after a failed step check or during an excess."""
         return self._last_failure_ns is not None or self.found is not None
 
     def start_collecting(self, time_ns: int, usual_rad: float) -> None:
-        """Collect samples from now on, because one failed the step check or means showed a step.
+        """Start to collect samples, because a sample failed the step check or the means showed a step.
 
         Args:
             time_ns: stamp of that sample.
@@ -190,7 +191,7 @@ class ExcessNoise:
 
     @property
     def sigma_rad(self) -> float:
-        """Noise about the worst axis at the fastest rotation since the excess began; the stated one without excess."""
+        """Noise about the worst axis at the fastest rotation of the excess; the stated noise without an excess."""
         if self.found is None:
             return self._stated_rad
         return max(self._stated_rad, self.found.sigma_rad(self._fastest2))
@@ -207,7 +208,7 @@ class ExcessNoise:
             count = max(sum(one.steps for one in recent), 1)
             variance = sum(one.variance_sum for one in recent) / count
             least_ratio2 = max(_LEAST_RATIO2, 1.0 + _SIGMAS * _ESTIMATED / math.sqrt(count))
-            if variance >= least_ratio2 * self._stated_rad**2:  # NaN is not
+            if variance >= least_ratio2 * self._stated_rad**2:  # NaN does not exceed
                 return self._start_excess(MeasuredNoise(recent[0].first_ns, variance, 0.0, 0.0, count))
         return None
 
@@ -217,9 +218,9 @@ class ExcessNoise:
         """Collect a sample; return a newly detected or changed excess.
 
         Args:
-            sample: the sample, with a rate.
-            integrated: attitude by integrated rates at its stamp.
-            rates_proven: True if the rates are confirmed; no excess is reported before.
+            sample: sample with a rate.
+            integrated: attitude by integrated rates at the stamp of the sample.
+            rates_proven: True if the rates are confirmed; no excess is reported with unconfirmed rates.
         """
         time_ns, collected = sample.time_ns, self._collected
         if self._last_failure_ns is not None and time_ns - self._last_failure_ns > _SHORT_NS:
@@ -294,7 +295,7 @@ class ExcessNoise:
         return ExtraNoise(measured.first_ns, white_rad2, more * measured.jitter_s2, clock_sigma_s)
 
     def _end_excess(self, found: MeasuredNoise, time_ns: int) -> ExtraNoise:
-        """Return an excess of zero from a stamp on; the time of its end is known to a second or two."""
+        """End the excess; return an excess of zero from a stamp on, which is known to a second or two."""
         self.found = None
         self.reset()
         return ExtraNoise(time_ns, 0.0, 0.0, _DELAY_SIGMAS * math.sqrt(found.jitter_s2))
@@ -304,10 +305,10 @@ class _Steps(NamedTuple):
     """Steps from sample to sample.
 
     Attributes:
-        times_ns: stamps of the samples at their ends, shape (n,).
-        differences: each attitude minus the one before it propagated by the rates, horizon frame, rad, shape (n, 3).
+        times_ns: stamp at the end of each step, shape (n,).
+        differences: attitudes minus previous attitudes propagated by the rates, horizon frame, rad, shape (n, 3).
         rates: angular rates, horizon frame, rad/s, shape (n, 3).
-        error_rad: root mean square change of the integration error from step to step: unequal steps hide noise.
+        error_rad: root mean square change of the integration error between steps, rad; smaller noise is not observable.
     """
 
     times_ns: NDArray[np.int64]
@@ -331,7 +332,7 @@ class _Steps(NamedTuple):
         return cls(times_ns[1:], differences, (rotation_nd[1:] @ rates_d[1:, :, None])[..., 0], missed)
 
     def since(self, since_ns: int) -> "_Steps":
-        """Return the steps to samples from a stamp on, at least the last :data:`_LEAST_STEPS`."""
+        """Return the steps that end at or after a stamp, at least the last :data:`_LEAST_STEPS`."""
         first = min(int(np.searchsorted(self.times_ns, since_ns)), len(self.times_ns) - _LEAST_STEPS)
         return _Steps(self.times_ns[first:], self.differences[first:], self.rates[first:], self.error_rad)
 
@@ -346,7 +347,7 @@ class _Steps(NamedTuple):
         return float(np.median(np.linalg.norm(self.differences, axis=1))) / _MEDIAN_OF_DIFFERENCE
 
     def measured_noise(self) -> MeasuredNoise:
-        """Return the measured noise without outliers for their angular rate."""
+        """Return the measured noise; differences that are outliers at their angular rate are left out."""
         differences, rate2 = self.differences, np.sum(self.rates**2, axis=1)
         axes = self.rates / np.sqrt(np.where(rate2 > 0.0, rate2, 1.0))[:, None]
         sizes = np.linalg.norm(differences, axis=1)

@@ -1,4 +1,4 @@
-"""Fault isolation: which source is faulty, its exclusion, and its reinstatement.
+"""Isolation of a faulty source, its exclusion and its reinstatement.
 
 Every subfilter (:mod:`ship_estimation.subfilters`) computes innovations for the measurements of every source. Windowed
 innovation means (:mod:`ship_estimation.innovation_means`) show how consistent a filter is with each source. A fault is
@@ -6,7 +6,7 @@ detected if the main filter is inconsistent with a source, or if a solution sepa
 is isolated as faulty if the subfilter without it is consistent with all sources that it uses.
 
 An excluded source is monitored by the subfilter without it. The source is reinstated after a time of consistency. By
-then its mounting is known: it is unchanged, or it was estimated again after a mounting shift.
+then the mounting is known, because it is unchanged or was estimated again after a mounting shift.
 """
 
 from collections.abc import Sequence
@@ -23,11 +23,11 @@ MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
 """Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
 _CHI2_MARGIN = 0.6
-"""Minimum difference of the largest excess between any other subfilter and the one that isolates a fault.
+"""Minimum difference between the largest excess of any other subfilter and of the subfilter that isolates a fault.
 
-The excess is chi² of an innovation mean over its limit. With the usual limits the margin is a likelihood ratio of
-75 000. A drifting source is tested at hundreds of measurements before it is isolated: with a ratio of 2 000 a healthy
-sensor was excluded in six of 40 voyages."""
+The excess is the ratio of chi² of an innovation mean to its limit. With the usual limits the margin is a likelihood
+ratio of 75 000. A drifting source is tested at hundreds of measurements before it is isolated. With a likelihood ratio
+of 2 000 a healthy sensor was therefore excluded in six of 40 voyages."""
 
 _SEPARATION_RATIO = 1.3
 """Minimum ratio of the largest solution separation to the second largest if no innovation isolates the fault."""
@@ -38,9 +38,8 @@ _MAX_REMAINING_RATIO = 0.5
 """Maximum remaining offset ratio at which a source whose mounting did not shift is reinstated."""
 
 _DRIFT_SIGMAS = 3.0
-"""Minimum size of half of the offset, in standard deviations by the error of the other sources, for a reinstatement.
-
-Otherwise the remaining offset is not observable: an INS without stars may itself have drifted by half of the offset."""
+"""Minimum size of half of the offset for a reinstatement, in standard deviations of the error of the other sources. A
+smaller offset is not observable, because an INS without stars may itself have drifted by half of the offset."""
 
 _RATIO_WINDOW = 20
 """Number of measurements over which the remaining offset ratio is averaged, because a single ratio is noisy."""
@@ -56,14 +55,17 @@ class ExcludedSource:
     Attributes:
         since_ns: stamp of the measurement that led to the exclusion.
         exclusion_count: number of exclusions of this source, this one included; each doubles the reinstatement time.
-        consistent_since_ns: stamp since which it has been consistent with the other sources; None if it is not.
-        offset: rotation vector from the attitude by the other sources to the measured one at the exclusion, rad, shape
-            (3,), in the device frame; it must vanish before the reinstatement. None if the mounting is estimated again.
+        consistent_since_ns: stamp since which the source has been consistent with the other sources; None if it is
+            inconsistent.
+        offset: rotation vector from the attitude by the other sources to the measured attitude at the exclusion, rad,
+            shape (3,), in the device frame. The offset must vanish before the reinstatement. None if the mounting is
+            estimated again.
         remaining_offset_ratio: share of ``offset`` that remains, mean over some measurements.
         growing_since_ns: stamp since which the offset is much larger than at the exclusion, in the same direction; None
-            if it is not.
+            if the offset has not grown.
         is_shared: True if all star sensors were excluded together, for an error that they may share.
-        is_self_reported: True if only the source itself has reported the fault: no other source has contradicted it.
+        is_self_reported: True if only the source itself has reported the fault and no other source has contradicted the
+            source.
     """
 
     since_ns: int
@@ -82,8 +84,9 @@ class FaultIsolation:
 
     Attributes:
         is_detected: True if a source is faulty.
-        subfilter: index of the subfilter that explains the fault; None if none does, or more than one.
-        explaining_subfilters: all subfilters that explain it, the best first.
+        subfilter: index of the subfilter that explains the fault; None if no subfilter or more than one explains the
+            fault.
+        explaining_subfilters: all subfilters that explain the fault, the best first.
     """
 
     is_detected: bool
@@ -104,23 +107,23 @@ def isolate_fault(
     degraded_after: int = 3,
     larger_subfilters: Sequence[int] = (),
 ) -> FaultIsolation:
-    """Detect a fault and isolate the faulty source, or the two faulty ones.
+    """Detect a fault and isolate the faulty source, or two faulty sources.
 
     Args:
         means: windowed innovation means of every filter and source.
-        uses: sources that each filter uses, shape (h, s).
+        uses: True for each source that a filter uses, shape (h, s).
         separations: largest solution separation of each subfilter, sigmas, shape (h,); 0 for the main filter.
         threshold: largest separation without a fault, sigmas.
         candidates: subfilters that may explain a fault, in order of preference.
-        now_ns: the time.
+        now_ns: present time.
         degraded_after: number of successive rejections after which a filter is inconsistent with a source.
-        larger_subfilters: subfilters that exclude a candidate's source and a second one. Such a subfilter explains
+        larger_subfilters: subfilters that exclude a candidate's source and a second source. Such a subfilter explains
             every fault that the candidate explains. It is therefore tested only if all candidates are inconsistent, or
             if its separation is clearly the largest.
 
     Example:
-        Three filters: with both sources, without the first, without the second. Every filter that uses the first source
-        is inconsistent with it, so this source is faulty:
+        The three filters use both sources, only the second and only the first. Every filter that uses the first source
+        is inconsistent with that source, so the first source is faulty:
 
         >>> from ship_estimation.innovation_means import initial_means
         >>> excess, measured_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
@@ -152,7 +155,7 @@ def isolate_fault(
     if all(not worst[row] < worst[best] + _CHI2_MARGIN for row in tested if row != best):
         return FaultIsolation(is_detected=True, subfilter=best, explaining_subfilters=tuple(explaining))
     row = None
-    # After a rejection the main filter lacks data that the subfilters used: its separations show no fault of a source.
+    # After a rejection the main filter lacks data that the subfilters used, so separations do not indicate a fault.
     if is_main_consistent and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
         with_larger = [*explaining, *(row for row in larger_subfilters if explains[row])]
         row = _largest_separation(with_larger, separations, threshold) or _largest_separation(
@@ -193,7 +196,7 @@ def _is_main_filter_consistent(
 
 
 def _largest_separation(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:
-    """Return the subfilter whose separation exceeds the threshold and is clearly the largest; None if there is none."""
+    """Return the subfilter whose separation exceeds the threshold and is clearly the largest; otherwise None."""
     farthest, second = sorted(rows, key=lambda row: -statistic[row])[:2]
     clear = statistic[farthest] > max(threshold, _SEPARATION_RATIO * statistic[second])
     return farthest if clear else None
@@ -211,8 +214,8 @@ def evaluate_reinstatement(
     """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
     The source must be consistent for :func:`reinstatement_time_s`. If its mounting is not estimated again, its offset
-    must also have vanished, and the offset must still be observable. The covariance by the other sources grows while
-    the source is excluded, and in the end it covers any offset.
+    must also have vanished and must still be observable. The offset becomes unobservable as the covariance of the other
+    sources grows during the exclusion.
 
     Args:
         excluded: state of the source before the measurement.
@@ -235,7 +238,7 @@ def evaluate_reinstatement(
     if excluded.offset is not None:
         measured_ratio = (
             measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO
-        )  # NaN is gross
+        )  # NaN counts as a gross error
         remaining_ratio = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (
             _RATIO_WINDOW + 1.0
         )

@@ -1,4 +1,4 @@
-"""Parameters that name the ship's frames, because other trees of ROS frames use their own names."""
+"""Parameters for the names of the ship's frames, which differ between the frame trees of ROS systems."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -55,10 +55,10 @@ class HorizonFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameNames(DeckFrame, HorizonFrame):
-    """Names of both frames.
+    """Names of the ship's frame and of the horizon frame.
 
     Raises:
-        ParameterError: a name is invalid, or both are the same.
+        ParameterError: a name is invalid, or both names are the same.
     """
 
     def __post_init__(self) -> None:

@@ -35,7 +35,7 @@ class GateConfig:
 
 
 def chi_square_gate(probability: float, degrees: int) -> float:
-    """Return the gate of the NIS: the quantile ``probability`` of chi² with ``degrees`` degrees of freedom.
+    """Return the gate of the NIS, the quantile ``probability`` of chi² with ``degrees`` degrees of freedom.
 
     Example:
         With probability 99.99 % the NIS of a consistent attitude (three components) is below 21.1:
@@ -61,7 +61,7 @@ def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> Float
 
 
 def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tuple[float, float]:
-    """Return the two-sided band of the mean of ``samples`` chi² values, independent, with ``degrees`` of freedom.
+    """Return the two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` degrees of freedom.
 
     Example:
         The mean NEES of 200 consistent attitudes, three angles each, is near 3:

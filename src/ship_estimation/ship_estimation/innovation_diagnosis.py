@@ -1,17 +1,17 @@
-"""Innovation diagnosis: is a source consistent with its stated sigma, its alignment and its clock?
+"""Innovation diagnosis, which tests whether a source is consistent with its stated sigma, alignment and clock.
 
 An innovation is the residual of a measurement against its prediction. If the model is correct, innovations have zero
-mean and the predicted covariance, and are independent in time. An :class:`InnovationHistory` keeps those of the last
-minute of data for each source, and diagnoses each source by them:
+mean and the predicted covariance, and are independent in time. An :class:`InnovationHistory` keeps the innovations of
+each source over the last minute of data. These innovations give the diagnosis of the source:
 
-- Most parts (stars, beacons, whole attitudes) are larger or smaller than predicted: the sigma of the source is
-  optimistic or conservative. The factor is that of the source's own sigma, not of the prediction.
-- Most parts are as stated, but there are too many outliers: misidentifications.
-- The mean is not zero: a bias. A constant one indicates installation or alignment.
-- Successive innovations are correlated: an error has a longer correlation time than the model.
+- If most parts (stars, beacons, whole attitudes) are larger or smaller than predicted, the sigma of the source is
+  optimistic or conservative. The reported factor applies to the source's own sigma, not to the prediction.
+- If most parts are as stated, but there are too many outliers, the outliers are misidentifications.
+- If the mean is not zero, there is a bias. A constant bias indicates an error of installation or alignment.
+- If successive innovations are correlated, an error has a longer correlation time than in the model.
 
-Rejected measurements are included: a source whose bad measurements are all rejected would look perfect otherwise. A few
-outliers are not mistaken for many slightly large innovations (:mod:`ship_estimation.innovations`).
+Rejected measurements are included, because otherwise a source whose bad measurements are all rejected would look
+perfect. A few outliers are distinguished from many slightly large innovations (:mod:`ship_estimation.innovations`).
 
 Each test has the false alarm probability ``FALSE_DIAGNOSIS_PROBABILITY`` (1e-7) for a source that is as stated. Small
 deviations (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATION``) are not reported.
@@ -40,7 +40,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 WINDOW_S = 60.0
-"""Length of the window of the newest data for a diagnosis, s."""
+"""Duration of the newest data that a diagnosis uses, s."""
 
 CLOCK_SIGMAS = 4.0
 """Deviation of an estimated clock offset from its configured value above which it is reported, configured sigmas."""
@@ -72,10 +72,10 @@ class InnovationDiagnosis:
         nis: mean normalised innovation squared per component; NaN with too few measurements.
         nis_band: band of ``nis`` with probability 1 - FALSE_DIAGNOSIS_PROBABILITY if the source is as stated; None with
             too few measurements.
-        factor: true sigma of the source over the stated one; NaN with too few parts.
+        factor: ratio of true to stated sigma of the source; NaN with too few parts.
         outlier_share: share of the parts that are outliers or were rejected.
-        bias_sigma: median of the innovations in their sigmas, by axis.
-        correlation: correlation of successive innovations, by axis.
+        bias_sigma: median of the innovations in their sigmas, for each axis.
+        correlation: correlation of successive innovations, for each axis.
     """
 
     kind: DiagnosisKind
@@ -93,7 +93,7 @@ class InnovationHistory:
     """Innovations of the newest data by source, and the diagnosis of each source.
 
     Example:
-        A sensor states 1″ about each axis, and measures with 2″:
+        The stated sigma of a sensor is 1″ about each axis; its true sigma is 2″:
 
         >>> import numpy as np
         >>> from ship_estimation.rejections import Reason
@@ -123,14 +123,14 @@ class InnovationHistory:
         self._newest_ns = 0
 
     def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
-        """Add the innovation of a decision; it replaces that of an earlier decision about the same measurement."""
+        """Add the innovation of a decision; it replaces an earlier innovation of the same measurement."""
         innovation = innovation_of(decision)
         if innovation is not None:
             self._pending.setdefault(source, []).append(innovation)
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
     def diagnoses(self) -> dict[str, InnovationDiagnosis]:
-        """Return the diagnosis of each source, in the order of their names."""
+        """Return the diagnosis of each source, in the order of the source names."""
         for source, innovations in self._pending.items():
             if source not in self._tables:
                 self._tables[source] = InnovationTable()
@@ -147,9 +147,9 @@ def clock_diagnoses(model: StateModel, mean: FloatArray, groups: Mapping[str, st
     """Return one line for each clock whose estimated offset exceeds :data:`CLOCK_SIGMAS` of its configured sigma.
 
     Args:
-        model: state model; states named ``<device>.time_offset`` are clock offsets from the configured ones, s.
+        model: state model; states ``<device>.time_offset`` are clock offsets minus their configured values, s.
         mean: states, shape (n,).
-        groups: first word of a device's name → group of its parameters, if that differs.
+        groups: parameter group by first word of a device's name, where the two differ.
 
     Example:
         >>> import numpy as np
@@ -196,7 +196,10 @@ def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
 def _kind_and_text(
     table: InnovationTable, parts: PartStatistics, axes: Iterable[AxisStatistics]
 ) -> tuple[DiagnosisKind, str]:
-    """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
+    """Return kind and text of the most important result.
+
+    A bias comes first, because it affects the sigma test; a wrong sigma affects the number of outliers.
+    """
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
         return DiagnosisKind.BIASED, biased.bias_text(table.on_axis(biased.name)[:, 1])

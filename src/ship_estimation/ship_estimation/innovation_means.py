@@ -1,9 +1,10 @@
-"""Windowed innovation means: the consistency of every filter with every source.
+"""Windowed innovation means, which show the consistency of every filter with every source.
 
 The main filter and every subfilter (:mod:`ship_estimation.subfilters`) compute innovations for every source. If a
 filter is fault-free and uses a source, the whitened innovations of that source have zero mean and unit covariance, and
-are independent of one another. Their exponential means over few and over many measurements show a mounting shift within
-three measurements, and a drift later. :mod:`ship_estimation.fault_isolation` isolates the faulty source.
+are independent of one another. Their exponential means over few measurements show a mounting shift within three
+measurements. The means over many measurements show a drift. :mod:`ship_estimation.fault_isolation` isolates the faulty
+source.
 """
 
 import math
@@ -22,13 +23,13 @@ WINDOW_LENGTHS = (3, 30, 300)
 """Window lengths of the means of whitened innovations, measurements."""
 
 MEASUREMENTS_PER_H = 18_000
-"""Number of measurements of one source in an hour, for the probability of a false exclusion: five in a second."""
+"""Assumed number of measurements of one source in an hour (5 Hz), for the probability of a false exclusion."""
 
 CONSISTENT_RATIO = 0.5
 """Share of the chi² limit below which a source counts as consistent."""
 
 NEVER_NS = -(2**62)
-"""Stamp before any other, of a source without a measurement or without inconsistency."""
+"""Stamp before any other stamp, for a source without a measurement or without an inconsistency."""
 
 FIELDS_BY_SUBFILTER = ("running", "excess", "rejection_counts")
 """Fields of :class:`InnovationMeans` with one row for each filter."""
@@ -49,18 +50,18 @@ INITIAL_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
 
 @dataclass(frozen=True)
 class InnovationMeans:
-    """Windowed means of whitened innovations; h filters, s sources, w window lengths.
+    """Windowed means of whitened innovations, for h filters, s sources and w window lengths.
 
     Attributes:
-        running: shape (h, s, w, 5). Columns 0 to 2: the mean innovation. Column 3: the filled share of the window, 0 at
-            the start, soon 1. Column 4: the variance of the mean if the innovations are independent; that of a single
-            whitened innovation is 1.
-        excess: ratio of chi² to its limit, the largest of the w means, shape (h, s). In a subfilter it is not used for
-            the source that this subfilter excludes.
+        running: shape (h, s, w, 5). Columns 0 to 2 are the mean innovation. Column 3 is the filled share of the window,
+            0 at the start, soon 1. Column 4 is the variance of the mean if the innovations are independent and have
+            variance 1.
+        excess: largest ratio of chi² to its limit among the w means, shape (h, s). The value of a subfilter is not used
+            for the source that this subfilter excludes.
         rejection_counts: number of successive rejections, shape (h, s).
         last_measured_ns: stamp of the last measurement of each source, shape (s,).
         inconsistent_since_ns: stamp since which the main filter is inconsistent with each source, shape (s,);
-            :data:`NEVER_NS` if it is consistent.
+            :data:`NEVER_NS` if the main filter is consistent.
     """
 
     running: FloatArray
@@ -89,7 +90,7 @@ def initial_means(subfilters: int, sources: int) -> InnovationMeans:
 def excess_limit(config: IntegrityConfig, sources: int) -> float:
     """Return the chi² limit of an innovation mean, for half of the configured rate of false exclusions.
 
-    Of a mean over N measurements, one value in N is independent.
+    The limit counts one value in N of a mean over N measurements as independent.
 
     Example:
         >>> print(round(excess_limit(IntegrityConfig(), sources=2), 1))
@@ -111,7 +112,7 @@ def updated_means(
     """Return the means after a measurement, or after simultaneous measurements of several sources.
 
     Args:
-        means: before the measurement.
+        means: means before the measurement.
         source: index of the source, or indices of l sources.
         innovation: whitened innovation in every filter, shape (h, 3), or (h, l, 3) for l sources.
         accepted: True for each filter whose gate the NIS passed, shape (h,), or (h, l) for l sources.
@@ -152,7 +153,7 @@ def updated_means(
     )
     if after is not None:
         return InnovationMeans(*after)
-    # A NaN does not enter the means; it counts as a rejection.
+    # An innovation of NaN does not enter the means and counts as a rejection.
     rejection_counts = means.rejection_counts.copy()
     rejection_counts[:, list(source)] += 1
     return replace(means, rejection_counts=rejection_counts)
@@ -161,10 +162,10 @@ def updated_means(
 def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
     """Return the windowed means of one filter and source after one more innovation, and their largest component.
 
-    The largest component of all window lengths is given in its own sigmas.
+    The largest component over all window lengths is divided by its sigma.
 
     Args:
-        running: columns of :attr:`InnovationMeans.running` before, shape (w, 5).
+        running: columns of :attr:`InnovationMeans.running` before the innovation, shape (w, 5).
         innovation: whitened innovation, shape (3,).
 
     Example:
@@ -179,7 +180,7 @@ def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArra
 def cleared_means(
     means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice
 ) -> InnovationMeans:
-    """Return the means with those of some filters and sources cleared.
+    """Return the means after the values of some filters and sources are set to zero.
 
     Example:
         >>> means = replace(initial_means(2, 2), rejection_counts=np.array([[1, 2], [3, 4]]))

@@ -35,7 +35,7 @@ TOLERATED_BIAS = 0.25
 """Mean of the innovations, in their sigmas, up to which no bias is reported."""
 
 TOLERATED_CORRELATION = 0.2
-"""Correlation of successive innovations up to which none is reported."""
+"""Correlation of successive innovations up to which no correlation is reported."""
 
 _OUTLIER_PROBABILITY = 1e-3
 """Probability below which a part is an outlier; the selection of stars rejects parts at a similar limit."""
@@ -66,7 +66,7 @@ class Innovation(NamedTuple):
         components: number of components of the innovation.
         own_share: share of the measurement noise in the innovation covariance.
         is_used: True if the filter uses the source; False if the source is excluded and only monitored.
-        axes: axis → mean innovation of all parts along this axis, in its sigma and in rad.
+        axes: mean innovation of all parts along each axis, in its sigma and in rad.
     """
 
     time_ns: int
@@ -124,8 +124,8 @@ class _Groups(NamedTuple):
     """Part and axis of each of m components.
 
     Attributes:
-        part_of: number of its part, shape (m,).
-        axis_of: number of its axis, shape (m,).
+        part_of: index of the part of each component, shape (m,).
+        axis_of: index of the axis of each component, shape (m,).
         parts: number of parts.
         axis_count: number of axes.
         axes: names of the axes.
@@ -152,7 +152,7 @@ def _groups(components: tuple[str, ...]) -> _Groups:
 
 
 _SINGLE_NUMBERS = 5
-"""Columns of an :class:`InnovationTable` before those of the axes."""
+"""Number of columns of an :class:`InnovationTable` before the columns of the axes."""
 _NO_AXIS = (math.nan, math.nan)
 
 
@@ -162,8 +162,9 @@ class InnovationTable:
     Attributes:
         axes: names of all axes.
         times_ns: stamps, shape (n,).
-        numbers: in columns: degrees, NIS, number of components, own share, is used; then for each axis the innovation
-            in sigmas and in rad; then the squares of the parts. Missing values are NaN. Shape (n, c).
+        numbers: one row per innovation, shape (n, c). The columns are degrees, NIS, number of components, own share and
+            is used, then for each axis the innovation in sigmas and in rad, then the squares of the parts. Missing
+            values are NaN.
 
     Example:
         >>> table = InnovationTable()
@@ -194,13 +195,13 @@ class InnovationTable:
         return _SINGLE_NUMBERS + 2 * len(self.axes)
 
     def on_axis(self, axis: str) -> FloatArray:
-        """Return the innovations along an axis, in sigmas and in rad, shape (k, 2), of the k that have this axis."""
+        """Return the k innovations that have an axis, along this axis, in sigmas and in rad, shape (k, 2)."""
         start = _SINGLE_NUMBERS + 2 * self.axes.index(axis)
         values: FloatArray = self.numbers[:, start : start + 2]
         return values[~np.isnan(values[:, 0])]
 
     def add_all(self, innovations: Collection[Innovation]) -> None:
-        """Add innovations; of several with one stamp the last one is kept."""
+        """Add innovations; the last of several innovations with the same stamp is kept."""
         self._widen(innovations)
         added_ns = [one.time_ns for one in innovations]
         times_ns = np.concatenate([self.times_ns, np.array(added_ns, dtype=np.int64)])
@@ -212,7 +213,7 @@ class InnovationTable:
         self.times_ns, self.numbers = times_ns, numbers
 
     def drop_old(self, until_ns: int, most: int) -> None:
-        """Drop the innovations up to a stamp, and all but the newest ``most`` of the others."""
+        """Drop the innovations up to a stamp, and all but the newest ``most`` of the later innovations."""
         first = max(int(self.times_ns.searchsorted(until_ns, side="right")), len(self) - most)
         if first > 0:
             self.times_ns, self.numbers = self.times_ns[first:], self.numbers[first:]
@@ -244,7 +245,7 @@ class PartStatistics:
     Outliers may be misidentifications or the tail of a larger noise. The sizes of the other parts distinguish the two.
 
     Attributes:
-        factor: true sigma of the source over the stated one; NaN with too few parts.
+        factor: ratio of true to stated sigma of the source; NaN with too few parts.
         outlier_share: share of the parts that are outliers or were rejected; NaN with too few parts.
         components: number of components of all innovations.
         nis: mean normalised square of a component; NaN without components.
@@ -282,16 +283,16 @@ class PartStatistics:
 
     @property
     def _has_many_outliers(self) -> bool:
-        """True if the outliers are significantly more than with a sigma that is too small by the tolerated factor."""
+        """True if outliers are significantly more frequent than for a sigma too small by the tolerated factor."""
         count, expected = self._count, _expected_outlier_share(self._degrees)
         return count * (self.outlier_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
     def _factor(self, count: int) -> float:
         """Return the ratio of true to stated sigma, from the median of the ``count`` smallest squares.
 
-        If there are many outliers, the lower quartile is used instead. In an exposure with large errors the selection
-        of stars rejects the largest parts until the others are consistent. This changes the median, but hardly the
-        lower quartile.
+        If there are many outliers, the lower quartile is used instead of the median. In an exposure with large errors
+        the selection of stars rejects the largest parts until the others are consistent. This rejection changes the
+        median, but hardly the lower quartile.
         """
         if count < LEAST_COUNT:
             return math.nan
@@ -299,15 +300,16 @@ class PartStatistics:
         found = float(self._squares[math.ceil(share * count) - 1])
         if math.isinf(found):
             return math.nan  # too many rejected parts of unknown size
-        # The innovation variance is the sum of the prediction's and the source's; only the source's is scaled.
+        # The innovation variance is the variance of the prediction plus the variance of the source. Only the latter is
+        # scaled.
         ratio = found / value_above(1.0 - share, self._degrees)
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
     def _excess(self, count: int) -> float:
-        """Return by how many sigmas the number of squares above the predicted median exceeds one half of all.
+        """Return the excess of the number of squares above the predicted median over one half of all squares, sigmas.
 
         Args:
-            count: number of squares that are counted, the smallest first.
+            count: number of smallest squares that are counted.
         """
         below = min(int(self._squares.searchsorted(value_above(0.5, self._degrees), side="right")), count)
         return (count - 2 * below) / math.sqrt(count)
@@ -326,7 +328,8 @@ class AxisStatistics:
     Attributes:
         name: name of the axis.
         count: number of innovations.
-        common_variance: variance of the prediction error that all innovations have in common, in their sigmas squared.
+        common_variance: variance of the prediction error that all innovations share, in squared sigmas of the
+            innovations.
         bias_sigma: median of the innovations, in their sigmas.
         spread: sigma of the innovations about their median, in predicted sigmas; at least 1.
         correlation: correlation of successive innovations, outliers clipped; 0 if all are equal.
@@ -346,13 +349,14 @@ class AxisStatistics:
 
     @property
     def is_correlated(self) -> bool:
-        """True if successive innovations are correlated although the errors of the prediction are not."""
+        """True if successive innovations are correlated although the prediction errors are uncorrelated."""
         most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(self.count))
         return self.common_variance == 0.0 and abs(self.correlation) > most
 
     def bias_text(self, residual: FloatArray) -> str:
         """Return the text of a bias and its possible cause, from the innovations along the axis, rad, shape (n,)."""
-        # In rad, because the sigma depends on the prediction. Successive differences give the noise without any drift.
+        # The bias is in rad, because the sigma depends on the prediction. Successive differences give the noise without
+        # drift.
         half, bias = len(residual) // 2, float(np.median(residual))
         change = float(np.median(residual[half:]) - np.median(residual[:half]))
         noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(residual)))) / math.sqrt(2.0)
@@ -376,7 +380,7 @@ class AxisStatistics:
 
     @property
     def _sigma_of_median(self) -> float:
-        """Sigma of the median, in predicted sigmas; correlated innovations count as fewer."""
+        """Sigma of the median, in predicted sigmas; correlated innovations count as fewer innovations."""
         correlation = min(max(self.correlation, 0.0), _MOST_CORRELATED)
         variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + correlation) / (1.0 - correlation) / self.count
         return math.sqrt(variance + self.common_variance)

@@ -13,7 +13,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
 _CLOCK_SIGMAS, _CLOCK_SHARE = 3.0, 0.1
-"""Bound of the part of a jump that a clock step does not explain: sigmas, and a share of the jump."""
+"""Bound of the part of a jump that a clock step does not explain: a number of sigmas plus a share of the jump."""
 _CLEAR_SIGMAS = 15.0
 """Size in sigmas from which a jump along the ship's rotation is attributed to the clock."""
 
@@ -90,7 +90,7 @@ class StarInsConfig(CheckedInsConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class InsErrorConfig(InsInputConfig):
-    """Parameters of an INS whose correlated errors are estimated: their correlation times."""
+    """Parameters of an INS whose correlated errors are estimated, with the correlation times of these errors."""
 
     tilt_time_s: float = parameter(
         1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
@@ -105,11 +105,11 @@ class InsJump:
     """A permanent jump of the INS attitude.
 
     Attributes:
-        time_ns: just before the first sample after the jump.
-        jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
+        time_ns: stamp just before the first sample after the jump.
+        jump_n: rotation vector of the jump in the horizon frame, rad, shape (3,).
         sigma_rad: standard deviation of the jump about each axis.
-        clock_s: step of the INS's clock that would explain the jump, s; NaN if none would.
-        is_drift: True if the attitude drifted by this amount, and may drift further, instead of a jump.
+        clock_s: step of the INS's clock that would explain the jump, s; NaN if no clock step would.
+        is_drift: True if the attitude drifted by ``jump_n`` instead of jumping, and may drift further.
 
     >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
     >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
@@ -126,21 +126,22 @@ class InsJump:
     def covariance_n(self) -> FloatArray:
         """Covariance by which the INS's correlated error is inflated for the jump, rad², shape (3, 3).
 
-        Along the jump it is the square of the jump. About every axis it is the variance of the jump and, because large
-        rotations do not commute, the square of half the squared jump.
+        The variance along the jump is the square of the jump. The variance of the estimated jump is added about every
+        axis. The square of half the squared jump is also added, because large rotations do not commute.
         """
         covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + self._across_rad**2 * np.eye(3)
         return covariance_n
 
     @property
     def shared_with_clock(self) -> tuple[FloatArray, FloatArray]:
-        """Return the jump with one half attributed to the attitude and one half to the clock, and its covariance.
+        """Jump with one half attributed to the attitude and one half to the clock, and the covariance of both.
 
-        While the ship's rotation does not change, a jump of the attitude and a clock step cannot be distinguished. The
-        halves are fully anticorrelated: attitude alone and clock alone are both one sigma away.
+        While the ship's rotation does not change, a jump of the attitude and a clock step cannot be distinguished. By
+        the covariance, a jump of the attitude alone and a clock step alone are both one sigma away.
 
         Returns:
-            Change of the correlated error and of the clock offset, rad and s, shape (4,); its covariance, shape (4, 4).
+            Change of the correlated error and of the clock offset, rad and s, shape (4,), and covariance of this
+            change, shape (4, 4).
         """
         half, jump_rad = 0.5 * np.append(self.jump_n, self.clock_s), vector_length(self.jump_n)
         covariance = np.outer(half, half)
@@ -160,19 +161,19 @@ class InsJump:
 
 
 InsChange = InsJump | ExtraNoise
-"""Change of an INS error: a jump of its attitude, or a change of its sample noise."""
+"""Change of an INS error, either a jump of the attitude or a change of the sample noise."""
 
 
 def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> float:
-    """Return the clock step that explains a jump by the ship's rotation in that time, s; NaN if none does.
+    """Return the clock step in which the ship rotates by a jump, s; NaN if no clock step explains the jump.
 
     Args:
-        jump_n: rotation vector, rad, shape (3,).
-        sigma_rad: its standard deviation about each axis.
+        jump_n: rotation vector of the jump, rad, shape (3,).
+        sigma_rad: standard deviation of the jump about each axis.
         rate_n: angular velocity at the jump in the same frame, rad/s, shape (3,).
 
     Example:
-        A ship that rolls at 0.1 rad/s jumps by 2 mrad in roll, and in heading:
+        The attitude of a ship that rolls at 0.1 rad/s jumps by 2 mrad, in roll or in heading:
 
         >>> roll_n, heading_n = np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])
         >>> [round(clock_step_s(0.02 * turned_n, 1e-5, roll_n), 4) for turned_n in (roll_n, heading_n)]
@@ -182,7 +183,7 @@ def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> fl
     if not square > 0.0:
         return math.nan
     step_s = float(jump_n @ rate_n) / square
-    # The rate of rotation changes in that time.
+    # A share of the jump is tolerated, because the rate of rotation changes during the clock step.
     explained = vector_length(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * vector_length(
         jump_n
     )

@@ -1,9 +1,9 @@
 """Plausibility checks of INS samples: frozen values, jumps of the attitude, and rates that are not measured.
 
-Samples are checked in the order of their stamps. Each attitude is compared with its prediction from earlier samples: by
-the rates if these are confirmed, otherwise by continued motion, otherwise by the fastest rotation of a hull. Rates that
-are not measured are removed from the samples, and the stamp after which earlier rates were wrong is returned for the
-correction of the track.
+Samples are checked in the order of their stamps. Each attitude is compared with its prediction from earlier samples.
+The prediction uses the rates if they are confirmed, otherwise continued motion, otherwise the fastest rotation of a
+hull. Rates that are not measured are removed from the samples, and the stamp after which earlier rates were wrong is
+returned for the correction of the track.
 """
 
 import math
@@ -38,10 +38,10 @@ class CheckedInsSample(NamedTuple):
     """Result of the checks of a sample.
 
     Attributes:
-        sample: the sample as it may be used: without its rate if the rates are not measured.
+        sample: sample to use, without its rate if the rates are not measured.
         rejection: rejection of the sample; None if it is accepted.
-        jumps: the jump of the attitude that is accepted with this sample, at each end of the interval in which it may
-            have happened; empty if there is none.
+        jumps: jump of the attitude that is accepted with this sample, given at each end of the interval in which the
+            jump may have happened; empty without a jump.
         rates_wrong_after_ns: stamp after which the rates of earlier samples were wrong; None without new information.
         noise: excess noise of the samples as estimated with this sample; None without new information.
     """
@@ -57,8 +57,8 @@ class CheckedBlock:
     """The leading samples of a block that were checked together.
 
     Attributes:
-        count: number of these samples.
-        last: result for the last one, if the attitude drifted or the rates are wrong with it; None otherwise.
+        count: number of checked samples.
+        last: result for the last checked sample if it shows a drift, wrong rates or new excess noise; None otherwise.
     """
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class CheckedBlock:
         return self.count - (self.last is not None)
 
     def add(self, times_ns: StampArray, rotations: FloatArray, drift_rad_per_s: float) -> None:
-        """Add checked samples: stamps, attitudes by integrated rates, shape (N, 3, 3), and bound of their drift."""
+        """Add checked stamps, attitudes by integrated rates, shape (N, 3, 3), and bound of the rate drift."""
         self._pieces.append(_Piece(self.count, times_ns, rotations, drift_rad_per_s))
         self.count += len(times_ns)
 
@@ -87,7 +87,7 @@ class CheckedBlock:
 
 
 class _Piece(NamedTuple):
-    """Samples from a number on, with the arguments of :meth:`CheckedBlock.add`."""
+    """Samples from the number ``start`` on, with the arguments of :meth:`CheckedBlock.add`."""
 
     start: int
     times_ns: StampArray
@@ -125,11 +125,11 @@ class InsCheck:
         self._drift_detector = RateDriftDetector()
         self._previous: NumberedSample | None = None
         self._accepted: NumberedSample | None = None
-        # The first of the samples that are rejected for a jump.
+        # First of the samples that are rejected before a jump is accepted.
         self._jump_candidate: AttitudeSample | None = None
-        # True if each sample since the last accepted one continues the motion before it.
+        # True if each sample since the last accepted sample continues the motion of the samples before.
         self._is_smooth_since_accepted = True
-        # Difference between attitudes and rates, and its stamp, at which the rates were found to be wrong.
+        # Difference between attitudes and rates for which the rates were found to be wrong, with its stamp.
         self._unresolved_jump: InsJump | None = None
         # Number of estimates of the rates' drift.
         self._drift_updates = 0
@@ -149,7 +149,7 @@ class InsCheck:
         self._set_sigma()
 
     def _set_sigma(self) -> None:
-        """Set the noise of all checks: the stated one or, if larger, the measured one."""
+        """Set the noise of all checks to the stated noise or, if larger, to the measured noise."""
         self._sigma_rad = self._excess.sigma_rad
         self._predictions.rate_bound.sigma_rad = self._predictions.motion_bound.sigma_rad = self._sigma_rad
         self._step_detector.reconfigure(self._sigma_rad, self._rate_sigma)
@@ -173,15 +173,15 @@ class InsCheck:
         motion_references: Mapping[str, MotionReference],
         reported_step_rad: float = 0.0,
     ) -> CheckedInsSample:
-        """Check a sample against those before it in time.
+        """Check a sample against earlier samples.
 
-        The checks follow the stream in order. A sample that arrives after later ones is compared with its neighbour
-        only.
+        The checks follow the stream in order. A sample that arrives after later samples is only compared with the
+        accepted sample before it in time.
 
         Args:
-            sample: the sample.
+            sample: sample to check.
             accepted_track: the samples accepted so far.
-            motion_references: by name, the attitude by other sources at about this time.
+            motion_references: attitude by each other source at about the time of the sample, by name of the source.
             reported_step_rad: possible step with this sample that the source itself reports, rad.
         """
         self._predictions.reported_step_rad = reported_step_rad
@@ -202,7 +202,7 @@ class InsCheck:
         return self._step_detector.least_rad
 
     def can_check_block(self, time_ns: int) -> bool:
-        """True if a block may be checked from this stamp on: rates are confirmed, and no check is unresolved."""
+        """True if a block may be checked from a stamp on: the rates are confirmed and no check is unresolved."""
         taken = self._accepted
         if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
             return False
@@ -217,11 +217,11 @@ class InsCheck:
     def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
 
-        The result for each is that of :meth:`check`; motion references do not affect it. After :meth:`commit_block` the
-        next sample is for :meth:`check`.
+        The result for each sample is the result of :meth:`check`; motion references do not affect this result. After
+        :meth:`commit_block` the next sample must be checked by :meth:`check`.
 
         Args:
-            samples: later than all before, in the order of their stamps.
+            samples: samples in the order of their stamps, later than all samples before.
             block: the same samples as arrays.
         """
         followed = CheckedBlock()
@@ -244,7 +244,7 @@ class InsCheck:
         """Commit the samples that :meth:`check_block` checked.
 
         Args:
-            values: their attitudes, shape (N, 3, 3).
+            values: attitudes of the checked samples, shape (N, 3, 3).
             checked: result of :meth:`check_block`.
             motion_references: as in :meth:`check`, at the last sample.
         """
@@ -258,7 +258,7 @@ class InsCheck:
     def _check_run(
         self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, followed: CheckedBlock
     ) -> None:
-        """Check samples until a new drift of the rates is estimated, which changes their integration."""
+        """Check samples until a new drift of the rates is estimated, which changes the integration of the rates."""
         start, joined, drift_rad_per_s = 0, len(integrated.error_rad), self._predictions.drift.bound_rad_per_s
         while start < joined and followed.last is None:
             # The rates are checked with the sample that reaches the due time.
@@ -277,16 +277,16 @@ class InsCheck:
     def _check_line(
         self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, due: int
     ) -> tuple[int, CheckedInsSample | None]:
-        """Accept leading samples that lie on the line of those before, up to one that updates the statistics.
+        """Accept leading samples on the line of earlier samples, up to a sample that updates the statistics.
 
         Args:
-            samples: the samples.
+            samples: samples to check.
             block: the same samples as arrays.
-            integrated: their attitudes by integrated rates.
+            integrated: attitudes of the samples by integrated rates.
             due: number of samples after which the rates are checked.
 
         Returns:
-            Number of accepted samples; and the result for the last one if it needs one.
+            Number of accepted samples, and the result for the last accepted sample as in :attr:`CheckedBlock.last`.
         """
         taken = self._accepted
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
@@ -314,7 +314,7 @@ class InsCheck:
     def _last_two(
         samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: NumberedSample, count: int
     ) -> tuple[NumberedSample, NumberedSample]:
-        """Return the last two of ``count`` accepted samples, numbered; ``taken`` is the one accepted before them."""
+        """Return the last two of ``count`` accepted samples, numbered; ``taken`` is the sample accepted before."""
         before = (taken.before, taken.sample, *samples[max(count - 3, 0) : count])
         last = NumberedSample(samples[count - 1], taken.number + count, before[-2], integrated.sample(count - 1))
         if count == 1:
@@ -324,7 +324,7 @@ class InsCheck:
     def _check_next(
         self, sample: AttitudeSample, previous: NumberedSample | None, motion_references: Mapping[str, MotionReference]
     ) -> CheckedInsSample:
-        """Check a sample later than all before."""
+        """Check a sample that is later than all samples before."""
         integrated = self._integrator.integrate(sample.time_ns, sample.rate_d)
         number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
         self._previous = seen = NumberedSample(sample, number, before, integrated)
@@ -348,7 +348,7 @@ class InsCheck:
         return self._compare(self._accepted, previous, seen)
 
     def _compare(self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample) -> CheckedInsSample:
-        """Check a sample against the last accepted one and the one before it."""
+        """Check a sample against the last accepted sample and the previous sample."""
         sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
         if measured and seen.integrated is not None:
             if (
@@ -381,7 +381,7 @@ class InsCheck:
             smooth = self._is_smooth_since_accepted and self._predictions.match_by_motion(previous, seen).fits
             self._is_smooth_since_accepted = smooth
             # Confirmed rates reject inconsistent attitudes. If the rates are then found to be wrong, these attitudes
-            # are accepted, provided that each of them continued the motion before it.
+            # are accepted, provided that each continued the motion of the samples before.
             fits = smooth and not measured
         verdict = self._jump_check.check(sample.time_ns, fits, step.fits)
         if verdict is JumpDecision.REJECTED:
@@ -403,7 +403,7 @@ class InsCheck:
         next_one: bool,
         jumped: bool,
     ) -> CheckedInsSample:
-        """Accept a sample without a line of earlier ones: at the start, or after a jump."""
+        """Accept a sample that no line of earlier samples predicts, at the start or after a jump."""
         jumps: tuple[InsJump, ...] = ()
         rejection = None
         if self._unresolved_jump is not None:
@@ -430,14 +430,14 @@ class InsCheck:
         return CheckedInsSample(seen.sample, rejection, jumps, wrong_after_ns)
 
     def _accepted_jump(self, match: PredictionMatch) -> InsJump:
-        """Return the jump that is accepted after samples that were rejected for it."""
+        """Return the jump that is accepted after mutually consistent, rejected samples."""
         first, clock_s = self._jump_candidate, math.nan
         if first is not None and first.rate_d is not None and self._rate_check.status is RateStatus.MEASURED:
             clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
         return InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
     def _keep_on_line(self, seen: NumberedSample) -> tuple[InsJump, ...]:
-        """Add a sample to the line by which the next ones are checked; return the jump that it shows."""
+        """Add a sample to the line by which the next samples are checked; return the jump that the sample shows."""
         found = self._step_detector.accept()
         if found is None:
             return self._drift_jumps(seen.sample)
@@ -457,7 +457,7 @@ class InsCheck:
         return checked._replace(noise=noise)
 
     def _drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Update drift and noise from the samples on the line; return the jump of a drift beyond the usual."""
+        """Update drift and noise from the samples on the line; return a drift beyond the usual as a jump."""
         sums, self._step_detector.noise = self._step_detector.noise, None
         if sums is not None:
             self._new_noise = self._excess.add(sums) or self._new_noise
@@ -471,7 +471,7 @@ class InsCheck:
         return () if drift is None else (InsJump(sample.time_ns - 1, drift.turn_n, drift.sigma_rad, is_drift=True),)
 
     def _late_rejection(self, sample: AttitudeSample, before: AttitudeSample | None) -> Rejection | None:
-        """Return the rejection of a sample that arrives after later ones, by the accepted one before it in time."""
+        """Return the rejection of a sample that arrives after later samples, from the accepted sample ``before``."""
         if self._stuck_check.is_frozen(sample.rotation_nd):
             return _STUCK
         if self._rate_check.status is RateStatus.WRONG_UNITS:
@@ -482,17 +482,17 @@ class InsCheck:
         return None if match.fits else _gate_rejection(match)
 
     def _check_rates(self, previous: NumberedSample, seen: NumberedSample) -> int | None:
-        """Check the rates if the attitude is plausible; return the stamp after which they are wrong, or None."""
+        """Check the rates if the attitude is plausible; return the stamp after which the rates are wrong, or None."""
         sample, integrated = seen.sample, seen.integrated
         if integrated is None or not are_in_one_run(previous.integrated, integrated) or self._stuck_check.is_repeated:
             return None
         reach_rad = FASTEST_RAD_PER_S * seconds_between(previous.sample, sample)
-        # 0.75 of the chord between two matrices exceeds the rotation: good samples need no logarithm.
+        # 0.75 of the chord between two matrices exceeds the rotation, so good samples need no logarithm.
         chord = math.hypot(*(sample.rotation_nd - previous.sample.rotation_nd).ravel().tolist())
         if not (0.75 * chord <= reach_rad <= 1.0 or self._predictions.match_by_time(previous.sample, sample).fits):
             self._rate_check.restart()
             return None
-        # The noise of a rate, as it adds to an attitude integrated from sample to sample, each axis.
+        # Noise of a rate, each axis, as an error of the attitude integrated over one sample interval.
         rate_noise_rad = self._predictions.rate_bound.typical_rad / math.sqrt(6.0)
         wrong_after_ns = self._rate_check.observe(
             sample.time_ns, seen.number, sample.rotation_nd, integrated, self.noise_rad, rate_noise_rad
@@ -519,7 +519,7 @@ class InsCheck:
         self._is_smooth_since_accepted = True
 
     def _learn_unproven(self, taken: NumberedSample, seen: NumberedSample, match: PredictionMatch, one: bool) -> None:
-        """Update the bounds with a good sample while the rates are not confirmed: by motion, and by usable rates."""
+        """Update the bounds of predictions by motion and by usable rates, while the rates are not confirmed."""
         if match.is_predicted:
             self._predictions.motion_bound.learn(match.difference)
         if self._rate_check.is_usable and one:
@@ -539,7 +539,7 @@ def _gate_rejection(match: PredictionMatch) -> Rejection:
 
 
 def _step_rejection(jumps: tuple[InsJump, ...]) -> Rejection | None:
-    """Return the rejection that reports a step or drift found by means; None if there is none.
+    """Return the rejection that reports a step or drift found by means; None without jumps.
 
     The samples since the step were accepted; the step is reported with the sample at which it was detected.
     """

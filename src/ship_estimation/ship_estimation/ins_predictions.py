@@ -1,4 +1,4 @@
-"""Predictions of INS samples from earlier ones, and the bounds of the differences from them."""
+"""Predictions of INS samples from earlier samples, and bounds of the differences from these predictions."""
 
 import math
 from dataclasses import replace
@@ -20,13 +20,14 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 
 _LARGEST_ACCELERATION = math.radians(60.0)
-"""Maximum angular acceleration of a hull, rad/s²: a small craft that rolls by 30° in 5 s reaches 47°/s²."""
+"""Maximum angular acceleration of a hull, rad/s². A small craft that rolls by 30° in 5 s reaches 47°/s²."""
 FASTEST_RAD_PER_S = math.radians(60.0)
-"""Maximum angular rate of a hull, rad/s: the limit if no rate predicts the next attitude."""
+"""Maximum angular rate of a hull, rad/s, as limit if no rate predicts the next attitude."""
 _LONGEST_STEP_S = 1.0
 _PIECES, _LEARNT_RAD_PER_S, _FORGET = 12, 5.0 * ARCSEC, 0.95
-"""Number of pieces of some seconds over which the drift of the rates is averaged; part of its bound, rad/s; and decay
-factor per piece of the largest recent drift, which enters the bound twice."""
+"""Number of pieces of some seconds over which the drift of the rates is averaged, constant part of the drift bound,
+rad/s, and decay factor per piece of the largest recent drift. The bound is the constant part plus twice the largest
+recent drift."""
 
 
 class NumberedSample(NamedTuple):
@@ -34,9 +35,9 @@ class NumberedSample(NamedTuple):
 
     Attributes:
         sample: the sample itself.
-        number: its number among all samples.
-        before: the earlier sample that defines the motion at this one; None if there is none.
-        integrated: attitude by integrated rates at its stamp; None if it has no rate.
+        number: number of the sample among all samples.
+        before: earlier sample that defines the motion at ``sample``; None if the motion is unknown.
+        integrated: attitude by integrated rates at the stamp of the sample; None if the sample has no rate.
     """
 
     sample: AttitudeSample
@@ -46,10 +47,10 @@ class NumberedSample(NamedTuple):
 
 
 class RateDrift:
-    """Estimates the constant error of the rates.
+    """Estimate of the constant error of the rates.
 
-    The gyroscope bias is constant in the deck frame. If the rates contain the Earth rate, that is the larger part, and
-    constant in the horizon frame.
+    The gyroscope bias is constant in the deck frame. If the rates contain the Earth rate, the Earth rate is the larger
+    part of the error and is constant in the horizon frame.
 
     Attributes:
         has_earth_rate: True if the rates contain the Earth rate.
@@ -73,7 +74,7 @@ class RateDrift:
             rotation_nd: current attitude, shape (3, 3).
         """
         self._pieces += 1
-        # The attitude drifts against the rates by the negative of their error.
+        # The attitude drifts against the rates by the negative of the rate error.
         self._drift = self._drift - (drift_n if self.has_earth_rate else drift_n @ rotation_nd) / min(
             self._pieces, _PIECES
         )
@@ -85,7 +86,7 @@ class RateDrift:
 
 
 class InsPredictions:
-    """Compares samples with their predictions, and estimates the bounds of the differences.
+    """Comparison of samples with their predictions, and estimated bounds of the differences.
 
     Args:
         stuck: stuck check, which estimates the resolution of the attitude.
@@ -112,7 +113,7 @@ class InsPredictions:
         self._stuck_check = stuck
 
     def match(self, start: NumberedSample, end: NumberedSample, rates_measured: bool) -> PredictionMatch:
-        """Compare two samples by the rates between them or, without an unbroken run, by continued motion."""
+        """Compare two samples by the rates between them or, without an unbroken run of rates, by continued motion."""
         if rates_measured and are_in_one_run(start.integrated, end.integrated):
             return self.match_by_rates(start, end)
         return self.match_by_motion(start, end)
@@ -138,7 +139,7 @@ class InsPredictions:
         return self.motion_bound.match(difference_n, step)
 
     def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> PredictionMatch:
-        """Compare two samples by their own two rates; over too long a time by the elapsed time only."""
+        """Compare two samples by the rates of these two samples; over too long a time by the elapsed time only."""
         seconds = seconds_between(start, end)
         if not rates_measured or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
             return self.match_by_time(start, end)
@@ -152,7 +153,7 @@ class InsPredictions:
         Args:
             start: the last accepted sample.
             end: a later sample.
-            step: match of that sample with the rejected one before it.
+            step: match of ``end`` with the rejected sample before it.
         """
         direct = self.match_by_two_rates(start.sample, end.sample, rates_measured=True)
         by_all = self.match(start, end, rates_measured=True)
@@ -175,7 +176,8 @@ class InsPredictions:
 def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> AttitudeSample | None:
     """Return the attitude at the time of the last accepted sample, extrapolated back from a new sample.
 
-    The motion is that before the last accepted sample. After a jump, the next sample is predicted with it.
+    The motion is assumed to be the same as before the last accepted sample. After a jump, the next sample is predicted
+    with the extrapolated attitude.
 
     Example:
         >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))

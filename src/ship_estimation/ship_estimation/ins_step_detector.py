@@ -1,8 +1,9 @@
 """Detection of steps of an INS attitude against its integrated rates.
 
-Attitude and integrated rates of a healthy INS differ by a slowly drifting rotation: gyroscope bias, Earth rate if the
-rates contain it, integration error. Over a second this is a straight line. A step of the attitude leaves the line. A
-large step shows at the first sample; a smaller one shows in the mean of several samples against the line before.
+Attitude and integrated rates of a healthy INS differ by a slowly drifting rotation. This rotation contains gyroscope
+bias, integration error and, if the rates contain the Earth rate, the Earth rate. Over a second the rotation follows a
+straight line. A step of the attitude leaves the line. A large step shows at the first sample. A smaller step shows in
+the mean of several samples against the line before the step.
 """
 
 import math
@@ -21,16 +22,18 @@ from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
-"""Lengths of the line before the step, s, shorter for noisier rates; maximum length after the step, s."""
+"""Lengths of the line before the step, s (shorter for noisier rates), and maximum length after the step, s."""
 _LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
-"""Least number of samples before the step; maximum period: below 5 Hz wave motion hides small steps."""
+"""Least number of samples before the step, and maximum period. Below 5 Hz wave motion hides small steps."""
 _MISSING, _IRREGULAR = 1.8, 0.35
-"""Interval from which a sample is missing, periods; scatter of intervals, as a share of their mean, from which stamps
-are irregular. One lost message in ten gives a scatter of 0.27, stamps at 20 Hz late by 0 to 12 ms give 0.1."""
+"""Interval, in periods, from which a sample is missing, and scatter of intervals, as a share of their mean, from which
+stamps are irregular. One lost message in ten gives a scatter of 0.27. Stamps at 20 Hz that are late by 0 to 12 ms give
+a scatter of 0.1."""
 _GAP = 8
 """Maximum gap that a line spans, periods."""
 _SIGMAS = 7.3
-"""Threshold of a step, sigmas: exceeded by noise of three axes once in 6e10 times (explanation/input_checks.md)."""
+"""Threshold of a step, sigmas. Noise of three axes exceeds the threshold once in 6e10 times
+(explanation/input_checks.md)."""
 _LAG_S = 0.0025
 """Maximum lag of the rates behind the attitude, s."""
 _LEARN_HZ = 25.0
@@ -46,9 +49,9 @@ class DetectedStep(NamedTuple):
 
     Attributes:
         first_ns: stamp of the first sample that may be after the step.
-        last_ns: stamp of the first sample that certainly is.
-        step_n: rotation vector in the horizon frame, rad, shape (3,).
-        sigma_rad: its standard deviation about each axis.
+        last_ns: stamp of the first sample that is certainly after the step.
+        step_n: rotation vector of the step in the horizon frame, rad, shape (3,).
+        sigma_rad: standard deviation of the step about each axis.
     """
 
     first_ns: int
@@ -58,13 +61,13 @@ class DetectedStep(NamedTuple):
 
 
 class LineStatistics(NamedTuple):
-    """Errors of the samples on a line.
+    """Statistics of the errors of the samples on a line.
 
     Attributes:
         drift_n: drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
         seconds: length of the line, s.
-        turning: mean angular rate of the deck in that time, rad/s.
-        typical_rad: root mean square difference of a sample from its prediction by the one before.
+        turning: angular rate of the deck, mean over the line, rad/s.
+        typical_rad: root mean square difference of a sample from its prediction by the previous sample.
     """
 
     drift_n: FloatArray
@@ -74,18 +77,18 @@ class LineStatistics(NamedTuple):
 
 
 class InsStepDetector:
-    """Detects steps of one INS attitude against its integrated rates.
+    """Detector of steps of one INS attitude against its integrated rates.
 
-    The period of the samples and the size of apparent steps by their errors are estimated, the latter by the mean of a
-    high power, which rare large errors dominate, as rounding causes them.
+    The period of the samples is estimated, and also the size of the apparent steps that sample errors cause. This size
+    is the mean of a high power, so that rare large errors dominate, for example those due to rounding.
 
     Args:
-        white_rad: noise of an attitude, each axis.
-        rate_sigma_rad_per_s: noise of a rate, each axis.
+        white_rad: noise of an attitude about each axis.
+        rate_sigma_rad_per_s: noise of a rate about each axis.
 
     Attributes:
-        line_statistics: errors of the samples recently accepted; None without new ones.
-        noise: noise sums of the samples recently accepted; None without new ones.
+        line_statistics: statistics of the recently accepted samples; None without new statistics.
+        noise: noise sums of the recently accepted samples; None without new sums.
 
     >>> watch, turned = InsStepDetector(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
     >>> turned[1400:] += [0.0, 3e-5, 0.0]
@@ -115,20 +118,20 @@ class InsStepDetector:
         self.restart()
 
     def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
-        """Set another noise."""
+        """Set the noise of attitudes and rates."""
         if (white_rad, rate_sigma_rad_per_s) != (self._white_rad, self._rate_sigma):
             self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
             if self._period.ns:
                 self._make_plan()
 
     def reset_statistics(self) -> None:
-        """Reset the statistics of the samples: the rates, or their calibration, have changed."""
+        """Reset the statistics of the samples, because the rates or their calibration have changed."""
         self._learns = 0
         self._high[:] = 0.0
         self.restart()
 
     def restart(self) -> None:
-        """Start a new line with the next sample: after a step of the attitude, or a gap."""
+        """Start a new line with the next sample, after a step of the attitude or a gap."""
         self._end = self._newest = 0
         self._to_line = None
         self._plan: StepPlan | None = None
@@ -138,7 +141,7 @@ class InsStepDetector:
 
     @property
     def smallest_rad(self) -> float:
-        """Smallest detectable step, rad; infinite if none is."""
+        """Smallest detectable step, rad; infinite if no step is detectable."""
         return math.inf if self._plan is None else float(self._bounds[-1])
 
     @property
@@ -158,11 +161,11 @@ class InsStepDetector:
         first_rad: float,
         coarseness_rad: float,
     ) -> bool | None:
-        """Return True if a sample is on the line of those accepted, None if unknown; False for NaN.
+        """Return True if a sample is on the line of the accepted samples, None if unknown; False for NaN.
 
         Args:
-            sample: with a rate; later than all accepted ones.
-            integrated: the attitude by integrated rates.
+            sample: sample with a rate, later than all accepted samples.
+            integrated: attitude by integrated rates at the stamp of the sample.
             first_rad: bound of the distance of a good sample from the line before the statistics are known.
             coarseness_rad: resolution of the attitude; zero if every value is new.
         """
@@ -177,7 +180,7 @@ class InsStepDetector:
         if self._to_line is None:
             self._to_line = integrated.rotation.dot(sample.rotation_nd.T)
         missed_rad = integrated.error_rad - self._error_rad
-        # A constant integration error per step is a slope. A change of it is an apparent step.
+        # A constant integration error per step is a slope of the line. A change of this error is an apparent step.
         feigned_rad = abs(missed_rad - self._last_step_error_rad)
         self._error_rad, self._last_step_error_rad = integrated.error_rad, missed_rad
         self._now_ns = time_ns
@@ -195,7 +198,7 @@ class InsStepDetector:
         self._sizes = compiled_checks.step_sizes(self._scaled, rows)
         if not self._is_ready:
             return None
-        # If several samples show a step better than this one alone, the step was before this sample.
+        # If several samples show a step better than this sample alone, the step was before this sample.
         own, *others = self._sizes.tolist()
         return bool(own <= 1.0 or max(others, default=0.0) > own)
 
@@ -239,11 +242,11 @@ class InsStepDetector:
     ) -> int:
         """Accept the leading samples of a block that are on the line; return their number.
 
-        The result is that of :meth:`check` and :meth:`accept` for each sample. If the first sample is not accepted, it
-        may be off the line or start a new one, and is for these methods.
+        The result is the same as with :meth:`check` and :meth:`accept` for each sample. A first sample that is not
+        accepted may be off the line or may start a new line; check it by these methods.
 
         Args:
-            times_ns: stamps, each later than all accepted ones, shape (N,).
+            times_ns: stamps in ascending order, later than all accepted samples, shape (N,).
             rotations_nd: attitudes, shape (N, 3, 3).
             rates_d: angular velocities, rad/s, shape (N, 3).
             integrated: the attitudes by integrated rates.
@@ -331,7 +334,7 @@ class InsStepDetector:
                 return
 
     def _use_plan(self, plan: StepPlan) -> None:
-        """Check samples against another line from now on."""
+        """Check samples with another plan from now on."""
         assert self._full is not None
         self._plan = plan
         self._least_rad = _SIGMAS * self._sigmas(plan)
@@ -340,7 +343,7 @@ class InsStepDetector:
         self._set_bounds(plan)
 
     def _set_bounds(self, plan: StepPlan) -> None:
-        """Set the bounds of apparent steps by the errors of good samples."""
+        """Set the bounds of the apparent steps that the errors of good samples cause."""
         self._is_ready = compiled_checks.set_bounds(
             plan.weights,
             self._least_rad,
@@ -355,13 +358,13 @@ class InsStepDetector:
         )
 
     def _sigmas(self, plan: StepPlan) -> FloatArray:
-        """Return sigma of each step of a plan by the noise of attitudes and rates, each axis, rad, shape (k,)."""
+        """Return the sigma of each step of a plan due to noise of attitudes and rates, rad, shape (k,)."""
         turn_rad = self._rate_sigma * self._period.ns * 1e-9
         sigmas: FloatArray = np.hypot(self._white_rad * plan.white, turn_rad * plan.walk)
         return sigmas
 
     def _shift(self) -> None:
-        """Make room for further samples, compute the line statistics, and restart a line that has become large."""
+        """Make room for further samples, compute the line statistics, and shift a line that has become large."""
         assert self._full is not None
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
@@ -378,9 +381,9 @@ class InsStepDetector:
             rows[:keep] -= rows[keep - 1].copy()
 
     def _sum_noise(self) -> FloatArray:
-        """Sum the noise of the accepted samples; return the differences of successive ones, rad, shape (n, 3).
+        """Sum the noise of the accepted samples; return the differences of successive samples, rad, shape (n, 3).
 
-        Samples at irregular times are not summed: there the integration error of the rates exceeds the noise.
+        Samples at irregular times are not summed, because the integration error of the rates exceeds the noise there.
         """
         times_ns, differences = self._times[: self._end], np.diff(self._rows[: self._end], axis=0)
         steps_ns = np.diff(times_ns)

@@ -22,9 +22,9 @@ class IntegratedAttitude(NamedTuple):
     """An attitude by integrated rates.
 
     Attributes:
-        rotation: the attitude, from an arbitrary start, shape (3, 3).
+        rotation: attitude with respect to an arbitrary start, shape (3, 3).
         run: number of the unbroken run of rates to which it belongs; attitudes of two runs must not be compared.
-        error_rad: bound of the integration error since that run began.
+        error_rad: bound of the integration error since the run began.
     """
 
     rotation: FloatArray
@@ -33,12 +33,12 @@ class IntegratedAttitude(NamedTuple):
 
 
 class IntegratedRun(NamedTuple):
-    """The attitudes by integrated rates of N samples of one run; see :class:`IntegratedAttitude`.
+    """Attitudes by integrated rates of N samples of one run; see :class:`IntegratedAttitude`.
 
     Attributes:
-        rotations: shape (N, 3, 3).
+        rotations: attitudes, shape (N, 3, 3).
         run: number of the run.
-        error_rad: shape (N,).
+        error_rad: bounds of the integration error, shape (N,).
     """
 
     rotations: FloatArray
@@ -72,15 +72,15 @@ class RateIntegrator:
     def integrate(self, time_ns: int, rate_d: FloatArray | None) -> IntegratedAttitude | None:
         """Integrate the rates up to the next sample, by the mean of two successive rates.
 
-        For periodic motion the error is a constant small share of the rotation. If the interval since the last rate is
-        too long, a new run starts.
+        For periodic motion the integration error is a constant small share of the rotation. If the interval since the
+        last rate is too long, a new run starts.
 
         Args:
-            time_ns: stamp of the sample, later than all before.
-            rate_d: its angular velocity in the deck frame, rad/s, shape (3,); None where it has none.
+            time_ns: stamp of the sample, later than all stamps before.
+            rate_d: angular velocity of the sample in the deck frame, rad/s, shape (3,); None if the sample has no rate.
 
         Returns:
-            The attitude by integrated rates; None if the sample has no rate, or a rate that is NaN.
+            The attitude by integrated rates; None without a rate or with a rate of NaN.
         """
         if rate_d is None:
             return None
@@ -99,11 +99,11 @@ class RateIntegrator:
         """Integrate the rates of a block without changing the state; see :meth:`resume_from`.
 
         Args:
-            times_ns: their stamps, shape (N,).
-            rates_d: their rates, rad/s, shape (N, 3).
+            times_ns: stamps of the samples, shape (N,).
+            rates_d: rates of the samples, rad/s, shape (N, 3).
 
         Returns:
-            The attitudes of the leading samples that continue the present run; none without a run.
+            The attitudes of the leading samples that continue the present run; empty without a run.
         """
         if self._last is None:
             return IntegratedRun(np.empty((0, 3, 3)), self._integrated.run, np.empty(0))
@@ -112,11 +112,11 @@ class RateIntegrator:
         return IntegratedRun(rotations[:joined], self._integrated.run, missed[:joined])
 
     def resume_from(self, time_ns: int, rate_d: FloatArray, integrated: IntegratedAttitude) -> None:
-        """Continue from a sample of a block, its rate in rad/s, shape (3,)."""
+        """Continue from a sample of a block and its rate, rad/s, shape (3,)."""
         self._integrated, self._last = integrated, (time_ns, rate_d)
 
     def _integrate(self, times_ns: StampArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the attitudes, shape (N, 3, 3), and bounds of their error, infinite from a gap on, shape (N,)."""
+        """Return attitudes, shape (N, 3, 3), and bounds of their errors, infinite from a gap on, shape (N,)."""
         assert self._last is not None
         rotation, _, missed_rad = self._integrated
         turns_d, missed = compiled_checks.rotation_steps(

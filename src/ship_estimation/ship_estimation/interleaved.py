@@ -1,8 +1,8 @@
-"""Detection of two interleaved streams: values that alternate between two continuous streams.
+"""Detection of two interleaved streams in values that alternate between two continuous streams.
 
-Two publishers on one topic cause this in a recording, which does not name publishers. A window of values is fitted by a
-cubic in time. If the residuals form two narrow, distant groups and the values change between them repeatedly, the
-window contains two streams.
+Two publishers on one topic cause interleaved streams in a recording, which does not name publishers. A window of values
+is fitted by a cubic in time. If the residuals form two narrow, distant groups and the values change between them
+repeatedly, the window contains two streams.
 """
 
 import math
@@ -18,28 +18,30 @@ WINDOW = 32
 """Number of values of a window."""
 
 _EVERY_NS = SECOND_NS // 2
-"""Time from the first value of a window to the first value of the next one; slower streams use each value."""
+"""Time from the first value of a window to the first value of the next window. Slower streams use each value."""
 
 _FEWEST, _FEWEST_CHANGES = 3, 4
 """Least number of values in the smaller group, and of changes between the two groups."""
 
 _SCATTERS = 8.0
-"""Least distance of the two groups, in standard deviations within a group: noise divided in two has 3."""
+"""Least distance of the two groups, in standard deviations within a group. Noise divided into two groups has a distance
+of 3."""
 
 _STEPS = 5.0
-"""Least distance of the two groups, in smallest steps of values that repeat: rounding makes groups a digit apart."""
+"""Least distance of the two groups, in smallest steps of repeated values. Rounding makes groups a digit apart."""
 
 _MOVES = 2.0
-"""Least distance of the two groups, in changes of the value between two samples: wrong stamps cause up to one."""
+"""Least distance of the two groups, in changes of the value between two samples. Wrong stamps cause up to one
+change."""
 
 _CLEAN = 2
-"""Number of successive windows with one stream after which the stream is one again."""
+"""Number of successive windows with one stream after which the source has one stream again."""
 
 StampArray = NDArray[np.int64]
 
 
 class _WindowResult(NamedTuple):
-    """The distance of two streams in a window, 0 for one stream; and True if motion may explain the distance."""
+    """Distance of two streams in a window, 0 for one stream, and True if motion may explain the distance."""
 
     distance: float
     may_be_motion: bool = False
@@ -49,14 +51,14 @@ _ONE = _WindowResult(0.0)
 
 
 class InterleavedStreams:
-    """Detects two streams in the values of one source, in their order of arrival.
+    """Detector of two streams in the values of one source, in their order of arrival.
 
     Args:
         least: distance below which two streams count as one, in the unit of the values.
 
     Attributes:
         distance: distance of the two streams in the unit of the values; 0 for one stream.
-        newest_ns: stamp of the last value; None if there was none yet.
+        newest_ns: stamp of the last value; None before the first value.
 
     >>> streams = InterleavedStreams(least=0.01)
     >>> for n in range(64):
@@ -90,7 +92,7 @@ class InterleavedStreams:
 
         Args:
             times_ns: stamps in ascending order, shape (N,).
-            values: shape (N, n).
+            values: values at these stamps, shape (N, n).
         """
         tried = InterleavedStreams(self._least)
         tried.distance, tried._due_ns, tried._clean = self.distance, self._due_ns, self._clean
@@ -98,7 +100,7 @@ class InterleavedStreams:
         return tried.add_all(times_ns, values)
 
     def add_all(self, times_ns: StampArray, values: FloatArray) -> int:
-        """Add values up to the one that changes the number of streams; return the number before that one."""
+        """Add values until one changes the number of streams; return the number of values before the change."""
         start = 0
         if len(times_ns):
             self.newest_ns = int(times_ns[-1])
@@ -114,7 +116,7 @@ class InterleavedStreams:
         return len(times_ns)
 
     def _evaluate_window(self) -> bool:
-        """Evaluate a full window and start another one; return as :meth:`add`."""
+        """Evaluate a full window and start another window; return True if the number of streams changed."""
         result = _evaluate(np.array(self._times), np.array(self._values), self._least)
         self._due_ns = self._times[0] + _EVERY_NS
         self._times, self._values = [], []
@@ -130,7 +132,8 @@ class InterleavedStreams:
 
 def _evaluate(times_ns: StampArray, values: FloatArray, least: float) -> _WindowResult:
     """Evaluate the values of a window, in their order of arrival."""
-    # A change between two streams makes a third difference of twice their distance; smooth motion makes small ones.
+    # A change between two streams makes a third difference of twice their distance. Smooth motion makes small
+    # differences.
     thirds = np.diff(values, n=3, axis=0)
     if float(np.max(np.einsum("ij,ij->i", thirds, thirds))) < least**2:  # NaN is not
         return _ONE
@@ -158,6 +161,6 @@ def _evaluate(times_ns: StampArray, values: FloatArray, least: float) -> _Window
 
 
 def _smallest_step(values: FloatArray, upper: NDArray[np.bool_]) -> float:
-    """Return the smallest step within a group, infinite if there is none; 0 if no value is repeated."""
+    """Return the smallest step within a group; 0 if no value is repeated, infinite if all values are equal."""
     steps = np.concatenate([np.linalg.norm(np.diff(values[group], axis=0), axis=1) for group in (upper, ~upper)])
     return float(steps[steps > 0.0].min(initial=math.inf)) if np.any(steps == 0.0) else 0.0

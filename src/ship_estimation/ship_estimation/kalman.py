@@ -1,10 +1,10 @@
 """State vector of named blocks, and Kalman filter steps on a covariance that is kept by error source.
 
-A state vector consists of named blocks (:class:`StateBlock`, :class:`StateModel`). A block defines which slice of the
-state is which quantity, how it evolves, and to which error source its process noise belongs. The covariance P is kept
-as ``parts``, shape (n_sources, n, n), with P = parts.sum(axis=0). All steps are linear in P; the measurement update has
+A state vector consists of named blocks (:class:`StateBlock`, :class:`StateModel`). A block defines the slice of the
+state for one quantity, how the quantity evolves, and the error source of its process noise. The covariance P is kept as
+``parts``, shape (n_sources, n, n), with P = parts.sum(axis=0). All steps are linear in P; the measurement update has
 Joseph's form. Each part is therefore propagated like P and updated with the gain of P, and the parts always add up to
-P. This is the covariance by error source, the error budget.
+P. The parts are the covariance by error source, the error budget.
 
 :meth:`StateModel.propagate` and :func:`propagate_covariance` are the time update. :func:`innovation` and :func:`update`
 are the measurement update. The arithmetic is compiled (:mod:`ship_estimation.compiled_steps`).
@@ -37,7 +37,7 @@ class StateBlock:
         sigma: standard deviation of each element before any measurement, shape (n,).
         time_s: correlation time of each element in seconds, shape (n,).
         walk: random walk per square root of a second, shape (n,); only where ``time_s`` is infinite.
-        source: the error source of its process noise.
+        source: error source of the process noise of the block.
     """
 
     name: str
@@ -57,7 +57,8 @@ def block(
     """Return a :class:`StateBlock` with scalars broadcast to the length of ``sigma``.
 
     Example:
-        The correlated error of an INS: 10″ in tilt over half an hour, 72″ in heading over three hours.
+        The correlated error of an INS is 10″ in tilt, with a correlation time of half an hour, and 72″ in heading, with
+        three hours:
 
         >>> from ship_geometry.rotations import ARCSEC
         >>> sigma = [10.0 * ARCSEC, 72.0 * ARCSEC]
@@ -80,11 +81,11 @@ class StateModel:
 
     Args:
         blocks: blocks in the order of their states.
-        noise_sources: error sources of measurement noise, in addition to those of the blocks.
+        noise_sources: error sources of measurement noise, in addition to the error sources of the blocks.
 
     Attributes:
-        blocks: by name.
-        slices: states of each block.
+        blocks: blocks by name.
+        slices: slice of the states of each block.
         size: number of states, n.
         sources: error sources, by name, in the order of the parts.
         source_indices: index of each error source.
@@ -126,7 +127,7 @@ class StateModel:
         self._initial_variance = sigma**2
 
     def state_indices(self, name: str) -> NDArray[np.intp]:
-        """Indices of a block in the state."""
+        """Return the indices of a block in the state."""
         return np.arange(self.slices[name].start, self.slices[name].stop)
 
     def initial_covariance_by_source(self) -> FloatArray:
@@ -163,7 +164,7 @@ class StateModel:
             dt_s: time step, s, not negative.
             means: states of h filters, shape (h, n). The correlated error is propagated by
                 :func:`propagate_correlated_error`.
-            stack: their covariances (:mod:`ship_estimation.subfilters`), shape (n_sources + h - 1, n, n).
+            stack: covariances of the filters (:mod:`ship_estimation.subfilters`), shape (n_sources + h - 1, n, n).
             correlated: name of the block of the correlated error.
 
         Returns:
@@ -193,7 +194,7 @@ class StateModel:
 
 
 def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Propagate a correlated error, shape (n,): an element decays unless it is a step (:func:`exceeds_model`).
+    """Propagate a correlated error, in which an element decays unless it is a step (:func:`exceeds_model`).
 
     Args:
         error: the error, shape (n,).
@@ -209,7 +210,7 @@ def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: Floa
 
 
 def exceeds_model(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """True for each element of a correlated error that is beyond five sigma: it is taken as a step, shape (n,).
+    """True for each element of a correlated error beyond five sigma, which counts as a step, shape (n,).
 
     Example:
         >>> print(exceeds_model(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))
@@ -225,8 +226,8 @@ class LinearMeasurement:
 
     Attributes:
         residual: measured minus predicted, shape (m,).
-        jacobian: shape (m, n).
-        noise_by_source: covariance of the measurement noise, shape (m, m), by the index of its error source.
+        jacobian: Jacobian of the measurement with respect to the states, shape (m, n).
+        noise_by_source: covariance of the measurement noise, shape (m, m), by index of the error source.
         noise: covariance of the whole measurement noise, shape (m, m).
         noise_parts: ``noise_by_source`` as contiguous matrices, for the compiled steps.
     """
@@ -252,7 +253,7 @@ class InnovationAndGain(NamedTuple):
 
     Attributes:
         covariance: innovation covariance, shape (m, m).
-        nis: normalised innovation squared: chi² with m degrees of freedom if the model holds.
+        nis: normalised innovation squared, chi² with m degrees of freedom if the model holds.
         gain: Kalman gain, shape (n, m).
     """
 
@@ -271,11 +272,12 @@ def propagate_covariance(
             shape (n_sources + h - 1, n, n); or several stacks, with a leading axis.
         decay: decay factor of each state, shape (n,).
         noise: variance of the process noise of each state, shape (n,).
-        source_of: index of the error source of that noise, shape (n,) (:attr:`StateModel.source_of`).
+        source_of: index of the error source of the noise of each state, shape (n,) (:attr:`StateModel.source_of`).
         filter_count: number of filters in the stack, h.
 
     Example:
-        One state, whose covariance of 4 belongs to the first of two sources, decays by half; noise of 1 is added:
+        The covariance of one state is 4, all from the first of two sources. The state decays by half, and noise of 1 is
+        added:
 
         >>> parts = np.array([[[4.0]], [[0.0]]])
         >>> print(propagate_covariance(parts, np.array([0.5]), np.array([1.0]), source_of=np.array([0])).ravel())
@@ -295,7 +297,7 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> InnovationA
         numpy.linalg.LinAlgError: the innovation covariance is not positive definite.
 
     Example:
-        A state with variance 3, a measurement with variance 1 and an innovation of 4, two sigma of their sum:
+        The state has variance 3 and the measurement has variance 1. The innovation of 4 is two sigma of the sum:
 
         >>> measured = LinearMeasurement(np.array([4.0]), np.array([[1.0]]), {1: np.array([[1.0]])})
         >>> parts = np.array([[[3.0]], [[0.0]]])  # by the INS, by the stars
@@ -317,12 +319,12 @@ def update(
     """Return the correction of the state, shape (n,), and the covariance by error source after a measurement update.
 
     Args:
-        covariance_by_source: before the measurement, shape (n_sources, n, n).
-        measurement: linearised at the predicted state.
-        gain: as returned by :func:`innovation`; Joseph's form is valid for any gain.
+        covariance_by_source: covariance by error source before the measurement, shape (n_sources, n, n).
+        measurement: measurement linearised at the predicted state.
+        gain: gain as returned by :func:`innovation`; Joseph's form is valid for any gain.
 
     Example:
-        The example of :func:`innovation` continued: the gain is 3/4, and the parts add up to the new variance, 3/4:
+        In the example of :func:`innovation` the gain is 3/4, and the parts add up to the new variance, 3/4:
 
         >>> measured = LinearMeasurement(np.array([4.0]), np.array([[1.0]]), {1: np.array([[1.0]])})
         >>> parts = np.array([[[3.0]], [[0.0]]])  # by the INS, by the stars

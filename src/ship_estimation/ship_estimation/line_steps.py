@@ -1,4 +1,4 @@
-"""Steps in values on a straight line: size by least squares, position by likelihood."""
+"""Steps in values on a straight line, with their size by least squares and their position by likelihood."""
 
 import functools
 from typing import NamedTuple
@@ -8,9 +8,9 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _CHI2_MARGIN = 9.0
-"""Chi² difference to the most likely position of a step from which a position is ruled out: three sigma."""
+"""Chi² difference to the most likely position of a step from which a position is ruled out (three sigma)."""
 _INTERVALS = 9
-"""Number of intervals of which the median is the period of the samples."""
+"""Number of successive intervals whose median is the period of the samples."""
 
 
 class StepPlan(NamedTuple):
@@ -19,7 +19,7 @@ class StepPlan(NamedTuple):
     Attributes:
         length: number of values.
         counts: numbers of values after the step, one for each of k positions.
-        weights: the step in terms of the values, oldest first, shape (k, length).
+        weights: weight of each value in the step, oldest first, shape (k, length).
         white: sigma of the step per sigma of a value, shape (k,).
         walk: sigma of the step per sigma of a random walk from value to value, shape (k,).
     """
@@ -69,12 +69,13 @@ def locate_step(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple
     """Return the most likely step among the positions of a plan.
 
     Args:
-        plan: with all possible positions of the step.
+        plan: plan with all possible positions of the step.
         values: successive values, oldest first, shape (length, n).
         sigmas: standard deviation of the step at each position, each component, shape (k,).
 
     Returns:
-        The step, shape (n,); its standard deviation, each component; and all possible numbers of values after it.
+        The step, shape (n,), the standard deviation of each component, and all possible numbers of values after the
+        step.
 
     Example:
         >>> values = np.repeat([[0.0], [2.0]], [8, 4], axis=0)
@@ -90,10 +91,10 @@ def locate_step(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple
 
 
 class Period:
-    """The time between samples: the median of the first ones.
+    """Time between samples, the median of nine successive intervals.
 
     Attributes:
-        ns: the period, ns; zero before it is known.
+        ns: the period, ns; zero before the period is known.
 
     >>> period = Period()
     >>> [period.update(time_ns) for time_ns in (10, 20, 30, 40, 50, 80, 90, 100, 110, 120)][-2:]

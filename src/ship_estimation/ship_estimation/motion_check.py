@@ -1,4 +1,4 @@
-"""Motion check: detect by other sources that the ship rotated while one source repeated its value."""
+"""Motion check, which detects by other sources that the ship rotated while one source repeated its value."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ import numpy as np
 from ship_geometry.rotations import FloatArray, log_rotation
 
 HISTORY_NS = 2_000_000_000
-"""Length of a reference's history with which it is compared, ns; motion is detected within this time."""
+"""Duration of the history with which a reference attitude is compared, ns; motion is detected within this time."""
 _SPACING_NS = 250_000_000
-"""Spacing of a reference's history, ns."""
+"""Spacing of the attitudes in a history, ns."""
 _SIGMAS = 5.0
 _REPEATS = 2
 
@@ -21,9 +21,9 @@ class MotionReference(NamedTuple):
 
     Attributes:
         time_ns: time of the attitude.
-        rotation: the attitude, relative to any constant frame, shape (3, 3).
-        sigma_rad: standard deviation of its noise about the worst axis.
-        drift_rad_per_s: bound of its drift, as of integrated rates.
+        rotation: attitude relative to any constant frame, shape (3, 3).
+        sigma_rad: standard deviation of the attitude noise about the worst axis.
+        drift_rad_per_s: bound of the attitude drift, for example of integrated rates.
     """
 
     time_ns: int
@@ -37,7 +37,7 @@ class MotionCheck:
 
     Args:
         since_ns: stamp since which the value is repeated; earlier reference attitudes are ignored.
-        first_references: by name, the reference attitudes at that stamp.
+        first_references: reference attitudes at that stamp, by name.
 
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     >>> watch = MotionCheck(0, {"another": MotionReference(0, np.eye(3), sigma_rad=1e-5)})
@@ -56,7 +56,7 @@ class MotionCheck:
         """True if a reference has rotated too far for the repeated value.
 
         Args:
-            motion_references: by name, the current reference attitudes.
+            motion_references: current reference attitudes, by name.
             sigma_rad: noise of the repeated value about its worst axis.
             resolution_rad: largest rotation that the value cannot resolve.
         """
@@ -86,8 +86,8 @@ class _ReferenceHistory:
         """Add the current attitude; return True if two successive attitudes show a rotation.
 
         A rotation exceeds five sigma of all noise plus the drift of the reference and the resolution of the value. Two
-        successive ones are required because in hours single attitudes exceed five sigma. An attitude that is not later
-        than the last one is ignored.
+        successive attitudes are required, because over hours single attitudes exceed five sigma. An attitude that is
+        not later than the last attitude is ignored.
         """
         if now.time_ns > self._last.time_ns:
             moved = any(_has_turned(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))

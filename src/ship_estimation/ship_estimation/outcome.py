@@ -1,4 +1,4 @@
-"""Outcome of an input: measurement decisions, estimates and failures, the same types for every estimator.
+"""Outcome of an input, with measurement decisions, estimates and failures, in types that all estimators share.
 
 A core returns an :class:`Outcome` for each input: the rejection of that input, the decisions about measurements that
 could be evaluated now, and the estimates to publish. :class:`MeasurementDecision` has the fields that all decisions
@@ -29,7 +29,7 @@ class Measurement(Protocol):
 
     @property
     def source(self) -> str:
-        """Source of the measurement: ``star.<id>``, ``reference.<name>``, ``beacons``."""
+        """Source of the measurement, for example ``star.<id>``, ``reference.<name>``, ``beacons``."""
         ...
 
     @property
@@ -44,11 +44,11 @@ class Measurement(Protocol):
 
     @property
     def reach_ns(self) -> int:
-        """Half of the duration of the measurement, ns: half of an exposure, about the stamp; 0 if instantaneous."""
+        """Half of the duration of the measurement about its stamp, ns, as of an exposure; 0 if instantaneous."""
         ...
 
     def content(self) -> bytes:
-        """Return all values as bytes. Repeated messages have equal bytes; the bytes put conflicting ones in order."""
+        """Return all values as bytes; repeated messages have equal bytes, and the bytes order conflicting messages."""
         ...
 
 
@@ -57,11 +57,11 @@ MeasurementT = TypeVar("MeasurementT", bound=Measurement, covariant=True)
 
 @dataclass(frozen=True)
 class MeasurementDecision(Generic[MeasurementT]):
-    """Decision about a measurement: accepted or rejected.
+    """Decision to accept or reject a measurement.
 
     Attributes:
         measurement: the measurement itself.
-        reason: reason of the rejection, or of the remark in ``text`` on an accepted measurement; NONE for neither.
+        reason: reason of the rejection, or of the remark in ``text`` on an accepted measurement; otherwise NONE.
         accepted: True if the measurement updated the estimate.
         components: names of the residuals.
         residual: measured minus predicted, rad, shape (m,); empty if no residual was computed.
@@ -70,7 +70,7 @@ class MeasurementDecision(Generic[MeasurementT]):
         gate: the value that ``nis`` must not exceed.
         text: explanation for people.
         rejected_parts: parts of the measurement (stars, beacons) that were not used, by name, with the reason.
-        revised: True if this decision replaces an earlier one, because another measurement arrived late.
+        revised: True if this decision replaces an earlier decision, because another measurement arrived late.
         covariance: innovation covariance, rad², shape (m, m).
         noise: part of ``covariance`` from the measurement noise, rad², shape (m, m).
     """
@@ -99,11 +99,11 @@ class Outcome(Generic[DecisionT, Estimate]):
     """Result of one input.
 
     Attributes:
-        rejection: rejection of this input; None if it was accepted or is pending.
-        decisions: decisions made now: about this input, or about measurements that waited for it.
-        estimates: estimates to publish. The times of valid ones strictly increase
+        rejection: rejection of this input; None if the input was accepted or is pending.
+        decisions: decisions made now, about this input or about measurements that waited for this input.
+        estimates: estimates to publish. The stamps of valid estimates strictly increase
             (:meth:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator.add_output`).
-        failures: by stamp, outputs that could not be computed because the software failed.
+        failures: stamp and rejection of each output that could not be computed because the software failed.
     """
 
     rejection: Rejection | None = None

@@ -1,7 +1,7 @@
-"""Fields of a configuration: each parameter with its unit, range and description.
+"""Fields of a configuration, which describe each parameter with unit, range and text.
 
 A component's configuration is a frozen dataclass with these fields; :mod:`ship_estimation.parameters` builds and checks
-it.
+this dataclass.
 """
 
 import dataclasses
@@ -21,13 +21,13 @@ def parameter(
     """Return a dataclass field with its description; without ``default`` the parameter must be given.
 
     Args:
-        default: value used if none is given.
+        default: value if the parameter is not given.
         doc: one sentence for the parameter's description.
-        unit: unit of the value, empty if there is none.
+        unit: unit of the value; empty without a unit.
         minimum: least value allowed (of each element of a tuple).
         maximum: greatest value allowed (of each element of a tuple).
-        choices: the only texts allowed.
-        live: changeable while the node runs (noise and gates; never geometry).
+        choices: allowed texts.
+        live: True if the parameter can change while the node runs (noise and gates; never geometry).
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -74,7 +74,7 @@ def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
 
 
 def stamp_age() -> Any:
-    """Return the parameter ``max_age_s`` of every node: maximum age of a stamp before an error is reported, s.
+    """Return the parameter ``max_age_s`` of every node, the age of a stamp above which an error is reported, s.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -110,7 +110,7 @@ def accept_unset_covariance() -> Any:
 
 
 def autosave_period() -> Any:
-    """Return the parameter ``alignment_autosave_s`` of a node that estimates an alignment: period of saving it, s.
+    """Return the parameter ``alignment_autosave_s``, the period at which a node saves its estimated alignment, s.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -131,7 +131,7 @@ def autosave_period() -> Any:
 
 
 def sources_off() -> Any:
-    """Return the live parameter ``sources_off`` of an estimator: the sources that are switched off.
+    """Return the live parameter ``sources_off`` of an estimator, the sources that are switched off.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -162,7 +162,7 @@ def mapping_of(doc: str) -> Any:
 
 
 def section(kind: type) -> Any:
-    """Return a field that is itself a configuration dataclass, with its own defaults.
+    """Return a field that is itself a configuration dataclass with defaults.
 
     Example:
         >>> from ship_estimation.gates import GateConfig

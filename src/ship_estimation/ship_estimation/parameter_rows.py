@@ -11,10 +11,10 @@ _BELOW = " " * 6
 
 
 def key_rows(kind: type) -> list[str]:
-    """Return the keys of a nested file as lines: name, unit, default, range and description in columns.
+    """Return the keys of a nested file as lines, with name, unit, default, range and description in columns.
 
     Args:
-        kind: the dataclass that the file is read into.
+        kind: dataclass into which the file is read.
 
     Example:
         >>> from ship_estimation.gates import GateConfig

@@ -1,4 +1,4 @@
-"""Configuration as frozen dataclasses: build, check, describe, flatten and change.
+"""Functions to build, check, describe, flatten and change configurations that are frozen dataclasses.
 
 The fields of a configuration are declared by :mod:`ship_estimation.parameter_fields`. Nested dataclasses and
 ``dict[str, Dataclass]`` (one entry per sensor id) give dotted names such as ``star_sensors.fore.elevation_deg``.
@@ -25,9 +25,9 @@ _CLOSEST_COUNT = 3
 
 
 class ParameterError(InputError):
-    """Error of a parameter: unknown, of the wrong type, out of its range or missing.
+    """Error of a parameter that is unknown, of the wrong type, out of its range or missing.
 
-    The text names it; ``parameters`` has its dotted name, and ``value`` the refused value.
+    The text names the parameter; ``parameters`` has its dotted name, and ``value`` the refused value.
     """
 
     def __init__(self, reason: str, *parameters: str, value: Any = None) -> None:
@@ -36,7 +36,7 @@ class ParameterError(InputError):
 
 @dataclasses.dataclass(frozen=True)
 class ParameterDescription:
-    """Description of one parameter by its dotted name (``<id>`` stands for any key of a mapping)."""
+    """Description of one parameter; in its dotted name ``<id>`` stands for any key of a mapping."""
 
     name: str
     kind: type
@@ -53,13 +53,14 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
     """Return a checked configuration from a nested mapping.
 
     Args:
-        kind: the dataclass.
+        kind: dataclass of the configuration.
         values: nested mapping.
         prefix: prefix of the names in messages.
-        placeholder: text that is accepted as an id; it stands for all ids in a help text.
+        placeholder: text that is accepted as an id and stands for all ids in a help text.
 
     Raises:
-        ParameterError: names the parameter, its value, its unit and what is allowed.
+        ParameterError: a value is not allowed; the text names the parameter, its value, its unit and the allowed
+            values.
 
     Example:
         >>> from ship_estimation.gates import GateConfig
@@ -125,7 +126,7 @@ def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Return dotted name → value of a configuration; tuples become lists.
+    """Return the values of a configuration by dotted name; tuples become lists.
 
     Example:
         >>> from ship_estimation.gates import GateConfig
@@ -146,7 +147,7 @@ def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
-    """Return a configuration with changed live parameters, dotted name → value.
+    """Return a configuration after changes of live parameters, which are given by dotted name.
 
     Raises:
         ParameterError: a parameter is unknown, out of range, or can be set only at the start.
@@ -169,7 +170,7 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
 
 
 def _name(field: "dataclasses.Field[Any]") -> str:
-    """Return the parameter name of a field; a field named like a Python keyword has an underscore: ``from_``."""
+    """Return the parameter name of a field, without the underscore that follows a Python keyword, as in ``from_``."""
     return field.name.removesuffix("_")
 
 
@@ -188,7 +189,7 @@ def _live_names(config: Any, prefix: str = "") -> set[str]:
 
 
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the nested mapping of dotted names.
+    """Return a nested mapping of values that are given by dotted name.
 
     Example:
         >>> nest({"gate.probability": 0.999, "gate.reopen_after": 5})
@@ -215,7 +216,7 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def _expected_names(name: str, known: Collection[str]) -> str:
-    """Return the text with the expected names (of many the closest ones), and the one that was probably meant.
+    """Return the text with the expected names, or the closest of many, and the name that was probably meant.
 
     Example:
         >>> _expected_names("colour", ["gate", "lever_m"])

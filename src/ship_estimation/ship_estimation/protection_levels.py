@@ -1,13 +1,13 @@
-"""Protection levels: bounds of the error of an output under an undetected fault of one source.
+"""Protection levels, which bound the error of an output under an undetected fault of one source.
 
-The main filter uses all sources; subfilter i excludes source i. Without a fault of source i their solution separation
-d_i has the covariance P_i - P_0. If |d_i| exceeds its threshold K_fa σ(d_i), a fault is detected. The error of a
-component under an undetected fault is bounded by the protection level
+The main filter uses all sources; subfilter i excludes source i. Without a fault of source i the solution separation d_i
+of the two filters has the covariance P_i - P_0. If |d_i| exceeds its threshold K_fa σ(d_i), a fault is detected. The
+error of a component under an undetected fault is bounded by the protection level
 
     max( K_0 σ_0,  max over i of  K_fa σ(d_i) + K_md,i σ_i )
 
-If source i is faulty, subfilter i is fault-free, and the solution separation d_i is within its threshold. This is the
-method of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51, DOI 10.1109/TAES.2014.130739).
+If source i has an undetected fault, subfilter i is fault-free, and the solution separation d_i is within its threshold.
+This is the method of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51, DOI 10.1109/TAES.2014.130739).
 """
 
 import enum
@@ -31,25 +31,25 @@ TESTS_PER_H = 360
 A separation changes over ten seconds and more, as the estimate of the INS's correlated error changes."""
 
 NORMAL_95 = 1.96
-"""Half-width of the two-sided 95 % interval of a normal error, sigmas: the accuracy of an angle in this suite."""
+"""Half-width of the two-sided 95 % interval of a normal error, sigmas; it defines the accuracy of an angle."""
 
 _COMPONENTS = 3
 LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
-"""Minimum variance of a solution separation: as a share of the main filter's variance, and absolute, rad².
-
-The two variances may be equal, or zero for exact sources. Without the minimum, rounding errors of the means would then
-exceed the threshold."""
+"""Minimum variance of a solution separation, as a share of the main filter's variance and absolute, rad². The variances
+of main filter and subfilter may be equal, or zero for exact sources. Without the minimum, rounding errors of the states
+would then exceed the threshold."""
 INFLATION_START_SIGMAS = 3.0
-"""Solution separation above which the published covariance is inflated, sigmas; smaller ones are usual."""
+"""Solution separation above which the published covariance is inflated, sigmas; smaller separations are usual."""
 _NO_LEVEL = np.full(_COMPONENTS, np.nan)
 _NO_LEVEL.flags.writeable = False
 _MAX_MISSED_DETECTION = 0.5
-"""Maximum probability of a missed detection: K_md is not negative, so no level is below K_fa σ(d_i)."""
+"""Maximum probability of a missed detection. With this maximum K_md is not negative, so no level is below K_fa
+σ(d_i)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PriorConfig:
-    """Fault rates of the sources of each kind: faults that the source itself does not report."""
+    """Rates of the faults that a source itself does not report, for each kind of source."""
 
     ins: float = parameter(
         1e-4, doc="INS: a step or a drift that its own rates do not show", unit="1/h", minimum=1e-12, maximum=1.0
@@ -113,16 +113,16 @@ class IntegrityConfig:
 
     @property
     def alert_limit(self) -> FloatArray:
-        """Alert limit of each component, rad, shape (3,); NaN if none is configured."""
+        """Alert limit of each component, rad, shape (3,); NaN without configured limits."""
         return ARCSEC * np.array(self.alert_limit_arcsec or [math.nan] * _COMPONENTS)
 
 
 def joint_prior_per_h(priors_per_h: Sequence[float]) -> float:
-    """Return the rate of simultaneous faults of independent sources, 1/h: the product of their hourly probabilities.
+    """Return the rate of simultaneous faults of independent sources, 1/h, the product of their hourly probabilities.
 
-    Each probability is that of a fault that begins in the exposure time of ``p_hmi``, one hour (Blanch et al. 2015,
-    fault modes of section III). So both faults begin in the same hour, in any order. A second fault that follows an
-    older undetected one is not counted.
+    Each factor is the probability that a fault begins in the exposure time of ``p_hmi``, one hour (Blanch et al. 2015,
+    fault modes of section III). Both faults therefore begin in the same hour, in any order. A second fault that follows
+    an older undetected fault is not counted.
 
     Example:
         Two sources with one fault in a thousand hours each:
@@ -152,13 +152,14 @@ def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) ->
     """Return the sigma multipliers for the configured probabilities.
 
     The probability of misleading information is allocated in equal parts to the fault-free case and to each hypothesis.
-    Half of the rate of false exclusions is allocated equally to the solution separations: one for each hypothesis and
-    component, each with :data:`TESTS_PER_H` independent values in an hour.
+    Half of the rate of false exclusions is allocated equally to the solution separations. There is one separation for
+    each hypothesis and component, with :data:`TESTS_PER_H` independent values in an hour.
 
     Args:
-        config: the probabilities.
-        priors_per_h: fault rate of each hypothesis, 1/h; for several sources by :func:`joint_prior_per_h`. K_md is zero
-            if the rate is at most twice the probability that is allocated to the hypothesis.
+        config: configuration with the probabilities.
+        priors_per_h: fault rate of each hypothesis, 1/h; for a hypothesis of several sources from
+            :func:`joint_prior_per_h`. K_md is zero if the rate is at most twice the probability that is allocated to
+            the hypothesis.
 
     Example:
         Two star sensors and an INS with one fault in a thousand hours each:
@@ -172,14 +173,15 @@ def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) ->
     missed = [normal_value_above(min(share / prior, _MAX_MISSED_DETECTION)) for prior in priors_per_h]
     return SigmaMultipliers(
         fault_free=normal_value_above(0.5 * share / tests),
-        # Two-sided; the other half of the false exclusions is allocated to ship_estimation.innovation_means.
+        # The test is two-sided. The other half of the false exclusions is allocated to
+        # ship_estimation.innovation_means.
         false_exclusion=normal_value_above(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed_detection=np.array(missed),
     )
 
 
 class ProtectionLevels(NamedTuple):
-    """Protection levels of an output, and its solution separations; h tested hypotheses, three components.
+    """Protection levels and solution separations of an output, for h tested hypotheses and three components.
 
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
@@ -206,15 +208,16 @@ def protection_levels(
 ) -> ProtectionLevels:
     """Return the protection levels of an output, and the solution separations of the subfilters from the main filter.
 
-    The error of an output is that of its states plus noise of its own, which is the same in every filter.
+    The error of an output is the error of its states plus output noise, which is the same in every filter.
 
     Args:
         k: sigma multipliers of h hypotheses.
-        tested_subfilters: indices of the subfilters that are tested: those whose sources are not excluded already.
+        tested_subfilters: indices of the tested subfilters, whose sources are not excluded already.
         states: indices of the n states that determine the components, shape (n,).
-        output_errors: Jacobian of the components with respect to the error of the output, shape (3, 3); their Jacobian
-            with respect to these states, shape (3, n). The third is the covariance of the error of the output by the
-            main filter, its own noise included, shape (3, 3).
+        output_errors: three matrices. The first is the Jacobian of the components with respect to the error of the
+            output, shape (3, 3). The second is the Jacobian of the components with respect to these states,
+            shape (3, n). The third is the covariance of the output in the main filter, output noise included,
+            shape (3, 3).
         mean: states of the main filter, shape (m,).
         means: states of each subfilter, shape (h, m).
         covariance_by_source: covariance of the main filter by error source, shape (p, m, m).
@@ -252,7 +255,7 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
 
     Args:
         variance: variance of the components in each subfilter, rad², shape (h, 3).
-        variance_0: of the components in the main filter, rad², shape (3,).
+        variance_0: variance of the components in the main filter, rad², shape (3,).
 
     Example:
         >>> print(separation_sigma(np.array([[9.0, 25.0, 16.0]]), np.array([0.0, 16.0, 16.0])))
@@ -267,19 +270,19 @@ def separation_inflation(separations: FloatArray, statistic: FloatArray) -> Floa
 
     A drifting source separates the main filter from its subfilter long before the separation exceeds the threshold.
     Until then the published covariance covers both solutions. Each subfilter whose separation d exceeds three sigmas
-    adds d dᵀ (1 - 9 / s²), where s is the separation in sigmas. The term is continuous: it is zero at s = 3.
+    adds d dᵀ (1 - 9 / s²), where s is the separation in sigmas. The term is continuous, because it is zero at s = 3.
 
-    The term is added to published covariances only. States, separations and protection levels do not contain it.
+    The term is added to published covariances only. States, separations and protection levels do not contain the term.
 
     Args:
         separations: solution separations of each subfilter, in n components or in n states, shape (h, n).
-        statistic: largest separation of each subfilter, sigmas, shape (h,). A subfilter with a NaN adds nothing.
+        statistic: largest separation of each subfilter, sigmas, shape (h,). A subfilter with NaN adds nothing.
 
     Returns:
-        Covariance of these components or states, shape (n, n).
+        Added covariance of these components or states, shape (n, n).
 
     Example:
-        One subfilter is separated by 10″ in the second component, six sigmas; another one by less than three sigmas:
+        One subfilter is separated by 10″ in the second component, six sigmas. Another subfilter is within three sigmas:
 
         >>> print(separation_inflation(np.array([[0.0, 10.0, 0.0], [4.0, 4.0, 4.0]]), np.array([6.0, 2.0])))
         [[ 0.  0.  0.]
@@ -304,19 +307,19 @@ class IntegrityState(enum.IntEnum):
 
 
 class IntegrityReport(NamedTuple):
-    """Protection levels of an output and the excluded sources; h hypotheses.
+    """Protection levels of an output and the excluded sources, for h hypotheses.
 
     Attributes:
         time_ns: stamp of the output.
         state: state of the levels against their alert limits.
-        level: protection level of each component, rad, shape (3,); NaN if there is none.
-        hypotheses: the source that each subfilter excludes.
+        level: protection level of each component, rad, shape (3,); NaN without a level.
+        hypotheses: name of the source that each subfilter excludes.
         statistic: largest solution separation of each subfilter, sigmas, shape (h,).
         threshold: threshold of the solution separations, K_fa, sigmas.
         excluded: the excluded sources, and the stamp since which each is excluded.
         dominant: the hypothesis with the largest level; empty for the fault-free case.
         largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components, rad. If
-            the directions of the components rotate, the levels change in proportion to it.
+            the directions of the components rotate, the levels change in proportion to this sigma.
     """
 
     time_ns: int
@@ -343,13 +346,13 @@ def integrity_report(
 
     Args:
         time_ns: stamp of the output.
-        config: with the alert limits.
+        config: configuration with the alert limits.
         k: sigma multipliers.
         names: names of the tested hypotheses; sources that are excluded already are not tested.
         found: protection levels and solution separations of these hypotheses.
         excluded: the excluded sources, and the stamp since which each is excluded.
-        is_checked: True if the sources in use can check one another. There is a level only if they can, and if no
-            separation exceeds the threshold.
+        is_checked: True if the sources in use can check one another. A level requires such sources, and separations
+            within the threshold.
 
     Example:
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
@@ -383,7 +386,7 @@ def integrity_report(
 
 
 def alert_limit_text(report: IntegrityReport, quantities: Sequence[str]) -> str:
-    """Return the reason why the alert limits are not met; empty if they are met, or if none are configured.
+    """Return the reason why the alert limits are not met; empty if the limits are met or not configured.
 
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])

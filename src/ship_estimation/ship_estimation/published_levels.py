@@ -1,8 +1,8 @@
 """The protection levels published last, and their coverage of later outputs.
 
 A protection level belongs to one output. The levels of the following outputs are mostly the same, so levels are
-published only once a period. They are also published before an output that the published levels do not cover: its
-levels are larger, or its integrity state or the excluded sources have changed.
+published only once a period. Levels are also published before an output that the published levels do not cover. Such an
+output has larger levels, another integrity state or other excluded sources.
 """
 
 from typing import Any, Protocol
@@ -15,7 +15,7 @@ from ship_estimation.protection_levels import IntegrityReport
 from ship_geometry.rotations import FloatArray
 
 MAX_LEVEL_RATIO = 1.05
-"""Ratio by which an output's protection level may exceed the published one before a new report is due."""
+"""Ratio by which an output's protection level may exceed the published level before a new report is due."""
 
 _MAX_LEVEL_SIGMAS = 2.0
 """Upper bound of a protection level, in units of K_fa σ_i: K_fa σ(d_i) + K_md,i σ_i ≤ 2 K_fa σ_i."""
@@ -36,13 +36,14 @@ class PublishedLevels:
     rotation of the directions in which the errors are measured.
 
     Attributes:
-        report: report published last; None before the first.
+        report: report published last; None before the first report.
         state: filter state of the last output that was evaluated.
-        redundancy_key: further attributes of that output, such as its sources; if they change, an output is evaluated.
-        directions: direction cosines of the components whose errors are bounded, at that output, shape (k, l).
+        redundancy_key: further attributes of that output, such as its sources; an output with other attributes is
+            evaluated.
+        directions: direction cosines, at that output, of the components whose errors are bounded, shape (k, l).
         until_ns: stamp from which the next report is due.
         max_variance: maximum trace of the covariance of an output that the published levels cover, rad².
-        max_direction_change: maximum change of each direction cosine for an output that they cover.
+        max_direction_change: maximum change of each direction cosine for an output that the published levels cover.
 
     Example:
         >>> from types import SimpleNamespace
@@ -55,7 +56,7 @@ class PublishedLevels:
         >>> [published.needs_update(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
         [True, False, False, True, False]
 
-        The published level of 10.6 covers levels up to 11.1, so the last one, 11.0, may grow by 1.2 %. Half of this
+        The published level of 10.6 covers levels up to 11.1, so the last level, 11.0, may grow by 1.2 %. Half of this
         growth is allocated to the variance, half to a rotation of the directions.
 
         >>> print(round(published.max_variance, 3), round(published.max_direction_change, 4))
@@ -74,7 +75,7 @@ class PublishedLevels:
 
         Args:
             times_ns: stamps of the outputs, which are from the same filter state, shape (N,).
-            covariances_n: covariances of their errors, rad², shape (N, 3, 3).
+            covariances_n: error covariances of the outputs, rad², shape (N, 3, 3).
             directions: direction cosines of each output, shape (N, k, l).
         """
         until, published = (self.until_ns, self.max_variance), (self.directions, self.max_direction_change)
@@ -82,11 +83,11 @@ class PublishedLevels:
         return count
 
     def needs_update(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
-        """True if the levels of an output must be published before it; they are then stored as the published ones.
+        """True if the levels of an output must be published before the output; they are then stored as published.
 
         Args:
             output: the output.
-            report: its protection levels.
+            report: protection levels of the output.
             period_ns: maximum time between two reports, ns.
         """
         published = self.report
@@ -100,14 +101,14 @@ class PublishedLevels:
 
 
 def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool:
-    """True if a report has the integrity state and the excluded sources of the published one."""
+    """True if a report has the integrity state and the excluded sources of the published report."""
     return report.state is published.state and report.excluded == published.excluded
 
 
 def _coverage(
     output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport
 ) -> tuple[bool, float, float]:
-    """Return true if published levels cover an output, and the bounds for later outputs: variance and rotation."""
+    """Return True if published levels cover an output, and the bounds of variance and rotation for later outputs."""
     entering = _MAX_LEVEL_SIGMAS * report.threshold * report.largest_sigma
     found: tuple[bool, float, float] = compiled_integrity.coverage(
         report.level, published.level, output.covariance_n, entering, MAX_LEVEL_RATIO, _TINY

@@ -1,4 +1,4 @@
-"""Rate consistency check: detects angular rates that are well formed but wrong: zero, noise, in degrees, other axes.
+"""Rate consistency check, which detects angular rates that are zero, noise, in degrees or about other axes.
 
 The rates integrated over a short piece of motion (:mod:`ship_estimation.integrated_rates`) must equal the rotation of
 the attitude. Their difference determines the status of the rates. Without motion the last status is kept.
@@ -37,19 +37,19 @@ class _PieceStart:
 
 
 class RateConsistencyCheck:
-    """Checks the rates of an INS, piece of motion by piece of motion.
+    """Check of the rates of an INS in successive pieces of motion.
 
-    A piece lasts until the rotation is clear: at least a quarter of a second and at most two seconds. A piece without
-    rotation is ignored. The rates of a piece are right if they equal the rotation of the attitude to three tenths.
-    Before the first right piece a single wrong one makes the rates unusable; later two successive ones do. Twenty
-    successive right pieces make them usable again. Twenty pieces with a ratio of 57.3 or 1/57.3 show a wrong unit, and
-    four pieces with another ratio end that status.
+    A piece lasts until the rotation is clear, at least a quarter of a second and at most two seconds. A piece without
+    rotation is ignored. The rates of a piece are right if they equal the rotation of the attitude to within 30 %.
+    Before the first right piece a single wrong piece makes the rates unusable; later two successive wrong pieces do.
+    Twenty successive right pieces make the rates usable again. Twenty pieces with a ratio of 57.3 or 1/57.3 show a
+    wrong unit, and four pieces with another ratio end that status.
 
     Attributes:
         status: status of the rates.
         is_usable: True if the rates have not been found to be wrong.
-        slope: rotation by the rates over rotation by the attitude, if the unit is wrong.
-        due_ns: stamp before which no sample can end the piece of motion; zero if the next one may.
+        slope: ratio of the rotation by the rates to the rotation by the attitude, if the unit is wrong.
+        due_ns: stamp before which no sample can end the piece of motion; zero if the next sample may.
 
     >>> from ship_estimation.integrated_rates import RateIntegrator
     >>> from ship_geometry.rotations import exp_rotation
@@ -65,10 +65,10 @@ class RateConsistencyCheck:
     _SHORTEST_NS = 250_000_000
     _LONGEST_NS = 2 * SECOND_NS
     _SLOWEST_RAD_PER_S = 72.0 * ARCSEC
-    """Slowest rotation that is checked, rad/s: rates may contain the Earth rate, 15″ per second, or a bias."""
+    """Slowest rotation that is checked, rad/s, because rates may contain the Earth rate, 15″ per second, or a bias."""
     _CLEAR_SIGMAS = 25.0
     _FIRST_SIGMA_RAD = 36.0 * ARCSEC / np.sqrt(12.0)
-    """Assumed noise before the resolution of the attitude is known, rad: that of a hundredth of a degree."""
+    """Assumed noise before the resolution of the attitude is known, rad, from a resolution of 0.01°."""
     _TOLERANCE = 0.3
     _PIECES = 20
     _WRONG_PIECES = 2
@@ -90,7 +90,7 @@ class RateConsistencyCheck:
         self._turns: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self._PIECES)
 
     def restart(self) -> None:
-        """End the piece of motion: the attitude of the next sample starts a new one."""
+        """End the piece of motion; the attitude of the next sample starts a new piece."""
         self._start, self.due_ns = None, 0
 
     def observe(
@@ -105,16 +105,16 @@ class RateConsistencyCheck:
         """Compare a measured attitude with the integrated rates, and update the status of the rates.
 
         Args:
-            time_ns: stamp of both.
+            time_ns: stamp of both attitudes.
             number: number of the sample.
             rotation_nd: measured attitude, shape (3, 3).
             integrated: attitude by integrated rates. A new run starts a new piece.
             sigma_rad: noise of a measured attitude about its worst axis.
-            step_sigma_rad: noise that each further sample of a piece adds by its rate.
+            step_sigma_rad: noise that the rate of each further sample of a piece adds.
 
         Returns:
-            The stamp after which the rates were wrong, -1 for all of them, if this attitude made them unusable; None
-            otherwise.
+            The stamp after which the rates were wrong if this attitude made the rates unusable, -1 if all rates were
+            wrong; None otherwise.
         """
         start, here = self._start, _PieceStart(time_ns, number, rotation_nd, integrated)
         if start is None or integrated.run != start.integrated.run:
@@ -132,7 +132,8 @@ class RateConsistencyCheck:
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
         right = difference <= self._TOLERANCE * turn
         were_usable = self.is_usable
-        # Unconfirmed rates are found wrong after one interval; everything else takes the full length of a piece.
+        # Unconfirmed rates may be found wrong after one interval; any other result takes the shortest length of a
+        # piece.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
             size_known = vector_length(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
             self._evaluate(time_ns, right, attitude, rate, size_known)

@@ -1,8 +1,8 @@
 """Detection of a drift of an INS attitude against its own integrated rates.
 
 The rates have a slowly changing bias, and the attitude error is a random walk. Their relative drift is therefore
-similar from one piece of some seconds to the next. If it changes suddenly, the attitude drifts or the bias of the rates
-has changed.
+similar from one piece of some seconds to the next. If this drift changes suddenly, the attitude drifts or the bias of
+the rates has changed.
 """
 
 import math
@@ -13,25 +13,26 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _OVER = (1, 2, 4)
-"""Numbers of pieces that are tested together: a slower drift needs more of them."""
+"""Numbers of pieces that are tested together; a slower drift needs more pieces."""
 _LIMIT, _LIMIT_EARLY = 36.0, 25.0
-"""Chi² limits of three axes, in general and in the first minute. The first is exceeded once in 1e7 pieces of two
-seconds, once in thousands of hours. The second is wider, as for Student's distribution: few pieces give the spread."""
+"""Chi² limits of three axes, in general and in the first minute. The first limit is exceeded once in 1e7 pieces of two
+seconds, which is once in thousands of hours. The second value gives a wider limit, as for Student's distribution, while
+few pieces determine the spread."""
 _LEAST, _MEMORY = 8, 500
-"""Number of pieces from which the spread of slopes is known, and over which it is averaged."""
+"""Number of pieces from which the spread of slopes is known, and number over which the spread is averaged."""
 _FARTHEST = 3.0
-"""Bound of a slope in the estimate of the spread, sigmas: a drifting piece must not enlarge it."""
+"""Bound of a slope in the estimate of the spread, sigmas, so that a drifting piece does not enlarge the spread."""
 
 _FASTER = 1.5
-"""Ratio to the fastest earlier rotation above which a piece is not tested: it shows scale errors not met before."""
+"""Ratio to the fastest earlier rotation above which a piece is not tested, because it shows new scale errors."""
 
 
 class RateDisagreement(NamedTuple):
     """Drift of an attitude against its rates.
 
     Attributes:
-        turn_n: the drift as rotation vector in the horizon frame, rad, shape (3,).
-        sigma_rad: its standard deviation about the worst axis.
+        turn_n: rotation vector of the drift in the horizon frame, rad, shape (3,).
+        sigma_rad: standard deviation of the drift about the worst axis.
     """
 
     turn_n: FloatArray
@@ -39,7 +40,7 @@ class RateDisagreement(NamedTuple):
 
 
 class RateDriftDetector:
-    """Detects drift of one INS attitude against its rates, piece by piece.
+    """Detector of drift of one INS attitude against its rates, in successive pieces of time.
 
     >>> detector, rng = RateDriftDetector(), np.random.default_rng(1)
     >>> clean = [detector.detect(rng.normal(0.0, 1e-6, 3), 2.0, 0.1) for _ in range(30)]
@@ -56,19 +57,19 @@ class RateDriftDetector:
         self._fresh = -1
 
     def reset(self) -> None:
-        """Reset the spread of slopes: the rates, or their calibration, have changed."""
+        """Reset the spread of slopes, because the rates or their calibration have changed."""
         self._square, self._known, self._fresh = np.zeros(3), 0, -1
         self._fastest = 0.0
         self._slopes_n.clear()
         self._turning.clear()
 
     def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> RateDisagreement | None:
-        """Return the drift of the attitude in this piece and those before; None if it is no larger than usual.
+        """Return the drift of the attitude in this piece and the pieces before; None if the drift is usual.
 
         Args:
-            slope_n: drift of the piece, minus the estimated one, horizon frame, rad/s, shape (3,).
+            slope_n: drift in the piece minus the estimated drift, horizon frame, rad/s, shape (3,).
             seconds: length of the piece, s.
-            turning: mean angular rate of the ship in it, rad/s.
+            turning: mean angular rate of the ship in the piece, rad/s.
         """
         self._fresh += 1
         if self._fresh == 0 and not self._known:
@@ -87,7 +88,7 @@ class RateDriftDetector:
         for over in _OVER:
             summed_n = np.sum(self._slopes_n[-over:], axis=0)
             square = over * self._square
-            # Written so that a spread of zero, and NaN, never exceed the limit.
+            # The condition is false for a spread of zero and for NaN.
             if over <= self._fresh and square.min() > 0.0 and float(np.sum(summed_n**2 / square)) > limit:
                 self._fresh = 0
                 return RateDisagreement(summed_n * seconds, math.sqrt(float(square.max())) * seconds)
@@ -96,7 +97,7 @@ class RateDriftDetector:
     def _learn(self, slope_n: FloatArray, turning: float) -> None:
         known = self._known >= _LEAST
         if known and turning > _FASTER * self._fastest:
-            # At once: during this rotation every piece shows the same scale error.
+            # The spread grows at once, because every piece during this rotation shows the same scale error.
             self._square = np.maximum(self._square, slope_n**2)
         elif known:
             slope_n = np.minimum(np.abs(slope_n), _FARTHEST * np.sqrt(self._square))

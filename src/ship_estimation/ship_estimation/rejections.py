@@ -29,10 +29,10 @@ CONFLICT_HOLD_S = 10.0
 _CONFLICT_HOLD_NS = round(CONFLICT_HOLD_S * SECOND_NS)
 
 _AT_ALL_STAMPS_NS = -(2**62)
-"""Stamp from which a source has two publishers if its stamps may have restarted meanwhile."""
+"""Stamp since which a source counts as having two publishers if its stamps may have restarted."""
 
 DETECTION_TIME_S = 2.0
-"""Time from their second message within which two publishers of one source are detected, s."""
+"""Time within which two publishers of one source are detected, from the second message of both, s."""
 
 LONGEST_TEXT = 200
 """Maximum length of a reason, and of any text from outside in an output, characters."""
@@ -95,7 +95,7 @@ class Reason(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Rejection:
-    """Rejection of an input: reason and text; the text is shortened to :data:`LONGEST_TEXT`."""
+    """Rejection of an input, with reason and text; the text is shortened to :data:`LONGEST_TEXT`."""
 
     reason: Reason
     text: str
@@ -107,7 +107,7 @@ class Rejection:
 def failure_rejection(error: Exception) -> Rejection:
     """Return the rejection of an input because of an exception in this software.
 
-    It is reported as a defect of the software; other inputs are processed as usual.
+    The exception is reported as a defect of the software; other inputs are processed as usual.
 
     Example:
         >>> failure_rejection(ZeroDivisionError("division by zero"))
@@ -139,12 +139,12 @@ class Content(Protocol):
     """An object whose content can be compared as bytes."""
 
     def content(self) -> bytes:
-        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes; repeated messages have equal bytes, and the bytes order conflicting messages."""
         ...
 
 
 def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
-    """Return, for two inputs with the same stamp, True if the new one replaces the known one, and the rejection.
+    """Return True if a new input replaces a known input with the same stamp, and the rejection of the other input.
 
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
 
@@ -168,20 +168,21 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
 class StampConflicts:
     """Sources that recently sent conflicting data with the same stamp.
 
-    One of the two inputs is kept, and it may be the wrong one: results from such a source are not VALID. Neither are
-    results from a source with two publishers.
+    One of two conflicting inputs is kept, perhaps the wrong one, so results from such a source are not VALID. Results
+    from a source with two publishers are not VALID either.
 
     Attributes:
-        latest_ns: by source, the stamp of its last conflict, however old.
-        since_ns: by source, the stamp of the first conflict of the series, each within ten seconds of another.
-        duplicate_publishers: by source, the stamp from which two publishers send, and a text that names them.
+        latest_ns: stamp of the last conflict of each source, however old.
+        since_ns: stamp of the first conflict in the last series of each source; each conflict of a series is within ten
+            seconds of another.
+        duplicate_publishers: stamp since which two publishers of a source send, and a text that names them, by source.
 
     Example:
         >>> conflicts = StampConflicts()
         >>> conflicts.record("ship", 5 * SECOND_NS, Rejection(Reason.CONFLICT, "the same stamp with other content"))
         >>> conflicts.record("encoder", 5 * SECOND_NS, Rejection(Reason.DUPLICATE, "the same again"))
 
-        A conflict is active for ten seconds; a duplicate is none:
+        A conflict is active for ten seconds; a duplicate is not a conflict:
 
         >>> conflicts.active_at(12 * SECOND_NS)
         {'ship': 5000000000}
@@ -206,9 +207,9 @@ class StampConflicts:
         return bool(self.latest_ns or self.duplicate_publishers)
 
     def reset(self) -> None:
-        """Clear the conflicts; two publishers remain recorded until :meth:`set_duplicate_publishers` ends it.
+        """Clear the conflicts; two publishers remain recorded until :meth:`set_duplicate_publishers` removes them.
 
-        They then apply to all stamps, because stamps may restart before the one of the detection.
+        The record then applies to all stamps, because stamps may restart before the stamp of the detection.
         """
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
@@ -217,11 +218,11 @@ class StampConflicts:
         }
 
     def set_duplicate_publishers(self, source: str, time_ns: int, text: str) -> None:
-        """Record that a source has two publishers; an empty text ends it.
+        """Record that a source has two publishers; an empty text removes the record.
 
         Args:
             source: the source.
-            time_ns: stamp of the detection; both may have sent for :data:`DETECTION_TIME_S` before.
+            time_ns: stamp of the detection; both publishers may have sent for :data:`DETECTION_TIME_S` before.
             text: text for users, with the names of the publishers.
         """
         if text:
@@ -231,18 +232,18 @@ class StampConflicts:
             self.duplicate_publishers.pop(source, None)
 
     def record(self, source: str, time_ns: int, rejection: Rejection | None) -> None:
-        """Record the rejection of an input with this stamp if its reason is CONFLICT."""
+        """Record the rejection of an input with a stamp if the reason of the rejection is CONFLICT."""
         if rejection is not None and rejection.reason is Reason.CONFLICT:
             latest_ns = self.latest_ns.get(source, time_ns)
             since_ns = self.since_ns.get(source, time_ns)
-            # A conflict long after the last one, or long before the first, starts a new series.
+            # A conflict long after the last conflict, or shortly before the first, starts a new series.
             is_new = time_ns - latest_ns > _CONFLICT_HOLD_NS
             if is_new or since_ns - _CONFLICT_HOLD_NS <= time_ns < since_ns:
                 since_ns = time_ns
             self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
 
     def active_at(self, time_ns: int) -> dict[str, int]:
-        """Return the sources with a recent conflict, each with the stamp of its last one.
+        """Return the sources with a recent conflict, each with the stamp of its last conflict.
 
         A source with two publishers is returned with the stamp from which both may have sent.
         """
@@ -268,7 +269,7 @@ class StampConflicts:
         return " and ".join(words)
 
     def common_interval(self, sources: Set[str]) -> tuple[int, int] | None:
-        """Return the interval in which all sources have conflicts, each from its first one on; None if none."""
+        """Return the interval in which all sources have conflicts, each from its first conflict on, or None."""
         if not sources <= self.latest_ns.keys():
             return None
         first_ns = max(self.since_ns[source] for source in sources)

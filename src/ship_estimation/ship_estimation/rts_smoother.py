@@ -2,11 +2,11 @@
 
 A link is an estimate by the measurements up to its time. Between two links are the prediction, an inflation of the
 covariance (for a jump of a source or a mounting shift), and the measurement of the later link. If the estimate changed
-otherwise, because a source was excluded or only some states were updated, there is no backward step: the smoother
-restarts there, and earlier times get no information from later measurements.
+otherwise, because a source was excluded or only some states were updated, there is no backward step. The smoother then
+restarts, and earlier times get no information from later measurements.
 
-Each filter defines the smoothed quantities between two links, and the prediction from one to the next
-(:class:`StatePredictor`). Its states must record how they resulted (:class:`TracedState`).
+Each filter defines the smoothed quantities between two links, and the prediction from one link to the next
+(:class:`StatePredictor`). The states of the filter must record their last update (:class:`TracedState`).
 """
 
 import bisect
@@ -28,7 +28,7 @@ _MOST_AT_ONCE = 1000
 """Maximum number of times between two links that are predicted together."""
 
 _ROUNDING = 1e-9
-"""Least eigenvalue of a difference of two normalised covariances that counts as zero."""
+"""Size of a negative eigenvalue that counts as zero in a difference of two normalised covariances."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class StateUpdate:
     Attributes:
         predicted: prediction from the state before, with inflations of its covariance.
         estimate: estimate after the measurement.
-        is_update: True if it is the full update of the prediction. False if only some states were updated, or if
-            another filter replaced the estimate: there is no backward step then.
-        jumped_ns: for a jump of a source the stamp of its last sample before it, which may be later than the state;
-            None for a measurement.
+        is_update: True if ``estimate`` is the full update of ``predicted``. False if only some states were updated, or
+            if another filter replaced the estimate; then there is no backward step.
+        jumped_ns: stamp of the last sample before a jump of a source, which may be later than the state; None for a
+            measurement.
     """
 
     predicted: GaussianEstimate
@@ -70,7 +70,7 @@ class TracedState(Protocol[GivenOut]):
 
     @property
     def last_update(self) -> StateUpdate | None:
-        """The last update, by an accepted measurement or a jump; None if there was none yet."""
+        """The last update, by an accepted measurement or a jump; None before the first update."""
         ...
 
     @property
@@ -103,7 +103,7 @@ class StatePredictor(Protocol[Given]):
         ...
 
     def cross_to(self, anchor: Anchor[Given], later: Anchor[Given]) -> FloatArray:
-        """Return the covariance between the states at an anchor and those predicted at a later one, shape (n, n)."""
+        """Return the covariance between states at an anchor and predicted states at a later anchor, shape (n, n)."""
         ...
 
     def estimates_at(
@@ -112,12 +112,13 @@ class StatePredictor(Protocol[Given]):
         """Return the r smoothed quantities at N times, none before the anchor, in ascending order.
 
         Args:
-            anchor: the last estimate before them.
-            times_ns: the times; those before a jump may be later than the estimate that is inflated for it.
-            later: the next estimate; None if there is none, or no backward step from it.
+            anchor: last estimate before the times.
+            times_ns: the N times; times before a jump may be later than the estimate that is inflated for the jump.
+            later: next estimate; None without a next estimate or without a backward step from the next estimate.
 
         Returns:
-            Shapes (N, r) and (N, r, r); and the covariance with all states at the next estimate, shape (N, r, n).
+            Estimates, shapes (N, r) and (N, r, r), and covariance with all states at the next estimate,
+            shape (N, r, n), or None without a next estimate.
         """
         ...
 
@@ -127,7 +128,8 @@ class Piece(NamedTuple):
 
     Attributes:
         times_ns: N times.
-        found: backward step to them from the later link; their estimate if there is no backward step.
+        found: backward step from the later link to these times; the estimate at these times if there is no backward
+            step.
     """
 
     times_ns: list[int]
@@ -139,8 +141,9 @@ class _Link:
     """An estimate, and the backward steps from it.
 
     Attributes:
-        back: backward step to the link before; the estimate of that link if there is none. None for the first link.
-        pieces: requested times between the two.
+        back: backward step to the link before; the estimate of that link if there is no backward step. None for the
+            first link.
+        pieces: requested times between the two links.
     """
 
     back: SmootherStep | GaussianEstimate | None
@@ -148,14 +151,14 @@ class _Link:
 
 
 class RtsSmoother(Generic[Given]):
-    """Links and the requested times between them, from the oldest one still required.
+    """Links and the requested times between them, from the oldest required link on.
 
     Args:
-        predictor: predicts states and quantities between links.
-        start: the state before those that are added.
+        between: predictor of states and quantities between links.
+        start: state before the added states.
 
     Attributes:
-        predictor: as above; it is replaced when noise and gates are reconfigured.
+        predictor: ``between``, which is replaced when noise and gates are reconfigured.
     """
 
     def __init__(self, between: StatePredictor[Given], start: TracedState[Given]) -> None:
@@ -176,28 +179,28 @@ class RtsSmoother(Generic[Given]):
         self._requested_ns.append(time_ns)
 
     def add_state(self, state: TracedState[Given]) -> None:
-        """Add the state after a measurement or a jump, which follows the one added last; most make a link."""
+        """Add the state after a measurement or a jump, which follows the last added state; most states make a link."""
         came, before, now = state.last_update, self._last_update, GaussianEstimate(state.mean, state.covariance)
         self._last_update = came
         if state.time_ns is None:
             if not _is_equal(now, self._last.estimate):
-                # Changed before the first measurement: earlier requests are dropped.
+                # The estimate changed before the first measurement, so earlier requests are dropped.
                 self._requested_ns.clear()
                 self._last = Anchor(None, now, state.prediction_input)
             return
         if came is not None and came is not before:
             self._add_link(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
         if not _is_equal(now, self._last.estimate):
-            # Neither measurement nor jump: the covariance was inflated, or the filters restarted from a subfilter.
+            # Without a measurement or jump, the covariance was inflated or the filters restarted from a subfilter.
             self._add_link(state, now, now, _is_inflated(self._last.estimate, now))
 
     def take_smoothed(self, time_ns: int) -> list[tuple[list[int], GaussianEstimate]]:
-        """Return the requested times up to one with their smoothed estimates, and remove the requests.
+        """Return the requested times up to ``time_ns`` with their smoothed estimates, and remove these requests.
 
         A time before the first link is omitted if no estimate exists.
 
         Returns:
-            A list of N times in ascending order with mean (N, r) and covariance (N, r, r); see
+            A list of pieces, each with N times in ascending order, mean (N, r) and covariance (N, r, r); see
             :class:`StatePredictor`.
         """
         taken = []
@@ -245,7 +248,7 @@ class RtsSmoother(Generic[Given]):
         self._link_estimates = []
 
     def _take_requested(self, time_ns: int) -> list[int]:
-        """Remove and return the requested times up to one that belong to no link yet."""
+        """Remove and return the requested times up to ``time_ns`` that belong to no link yet."""
         times_ns = []
         while self._requested_ns and self._requested_ns[0] <= time_ns:
             times_ns.append(self._requested_ns.popleft())
@@ -267,7 +270,7 @@ class RtsSmoother(Generic[Given]):
 
 
 def _split_piece(stretch: Piece, time_ns: int) -> tuple[Piece, Piece | None]:
-    """Split a piece at a time; return the part up to it and the rest, or None without a rest."""
+    """Split a piece at a time; return the part up to that time and the rest, or None without a rest."""
     count = bisect.bisect_right(stretch.times_ns, time_ns)
     if count == len(stretch.times_ns):
         return stretch, None
@@ -289,5 +292,5 @@ def _is_inflated(before: GaussianEstimate, after: GaussianEstimate) -> bool:
     sigma = np.sqrt(after.covariance.diagonal())
     scale = np.where(sigma > 0.0, sigma, 1.0)
     added = (after.covariance - before.covariance) / (scale[:, None] * scale)
-    # Written so that NaN gives False.
+    # The result for NaN is False.
     return bool(np.linalg.eigvalsh(added)[0] >= -_ROUNDING)

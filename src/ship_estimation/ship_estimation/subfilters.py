@@ -1,13 +1,13 @@
-"""Main filter and subfilters: one filter uses all sources, each subfilter excludes one; all are updated together.
+"""Main filter, which uses all sources, and subfilters, which exclude one source each; all are updated together.
 
 The innovations of a measurement are computed for all filters at once. A subfilter that excludes the source of a
 measurement updates only the states that belong to that source alone (its installation). The other states and their
-covariance are, to the last digit, those of a filter without the source. So the subfilter monitors the source that it
-excludes, and the mounting of that source is known when the source is reinstated.
+covariance are, to the last digit, the same as in a filter without the source. The subfilter therefore monitors the
+source that it excludes, and the mounting of that source is known when the source is reinstated.
 
-The main filter keeps its covariance by error source; each subfilter keeps one matrix. All are kept in one stack: the
-n_sources parts of the main filter, then the covariances of the h - 1 subfilters. Main filter, subfilter and solution
-separation are terms of ARAIM (Blanch et al. 2015, see :mod:`ship_estimation.protection_levels`).
+The main filter keeps its covariance by error source; each subfilter keeps one matrix. All matrices are kept in one
+stack, first the n_sources parts of the main filter, then the covariances of the h - 1 subfilters. Main filter,
+subfilter and solution separation are terms of ARAIM (Blanch et al. 2015, see :mod:`ship_estimation.protection_levels`).
 """
 
 from typing import NamedTuple
@@ -22,17 +22,17 @@ from ship_geometry.rotations import FloatArray
 
 
 class FilterInnovations(NamedTuple):
-    """Innovations of a measurement of m components in h filters of n states: the main filter first, then subfilters.
+    """Innovations of a measurement of m components in h filters of n states, the main filter first.
 
     Attributes:
         residual: measured minus predicted by each filter, shape (h, m).
         covariance: innovation covariance, shape (h, m, m).
         nis: normalised innovation squared, shape (h,).
         gain: Kalman gain, shape (h, n, m).
-        whitened_innovation: innovation as a rotation vector of the device (least squares), whitened: its covariance is
-            the unit matrix if the filter is consistent, shape (h, 3).
-        whitened_noise: covariance of the main filter's whitened innovation from the measurement noise alone; the rest
-            of the unit matrix is from the state; shape (3, 3).
+        whitened_innovation: whitened innovation as a rotation vector of the device (least squares), shape (h, 3). Its
+            covariance is the unit matrix if the filter is consistent.
+        whitened_noise: covariance of the main filter's whitened innovation due to the measurement noise alone,
+            shape (3, 3). The rest of the unit matrix is due to the state.
         whitening_root: square root of the covariance of the rotation vector, rad, shape (h, 3, 3). The rotation vector
             is ``whitening_root @ whitened_innovation``.
     """
@@ -70,10 +70,10 @@ def add_error(
     """Inflate the covariance of some states, in place, in all filters or in one subfilter.
 
     Args:
-        stack: shape (n_sources + h - 1, n, n).
-        filter_count: h.
+        stack: covariances of the filters, shape (n_sources + h - 1, n, n).
+        filter_count: number of filters, h.
         source_index: error source to which the added covariance belongs in the main filter.
-        states: the k states.
+        states: slice of the k states.
         covariance: added covariance, shape (k, k).
         subfilter: index of the subfilter; None for all filters.
 
@@ -90,16 +90,16 @@ def add_error(
 def solution_separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
     """Return the solution separations of the filters from the main filter in k states.
 
-    Their standard deviations are as in :func:`ship_estimation.protection_levels.separation_sigma`. The test statistic
-    of a filter is NaN if one of its separations is.
+    The standard deviations of the separations are as in :func:`ship_estimation.protection_levels.separation_sigma`. The
+    test statistic of a filter is NaN if one of its separations is NaN.
 
     Args:
-        means: shape (h, n).
-        stack: shape (n_sources + h - 1, n, n).
-        states: the k states.
+        means: states of each filter, shape (h, n).
+        stack: covariances of the filters, shape (n_sources + h - 1, n, n).
+        states: slice of the k states.
 
     Returns:
-        Separations, shape (h, k), and the test statistic of each filter: its largest separation in sigmas, shape (h,).
+        Separations, shape (h, k), and the test statistic of each filter, its largest separation in sigmas, shape (h,).
 
     Example:
         A subfilter of variance 13 is separated by six from the main filter, whose two parts are 1 and 3:
@@ -138,8 +138,8 @@ def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int)
     the subfilter, and the same map transforms each part. The sum of the parts is exact, their shares are approximate.
 
     Args:
-        stack: shape (n_sources + h - 1, n, n).
-        filter_count: h.
+        stack: covariances of the filters, shape (n_sources + h - 1, n, n).
+        filter_count: number of filters, h.
         subfilter: index of the subfilter.
 
     Example:
@@ -173,17 +173,17 @@ def subfilter_innovations(
 
     Args:
         means: predicted states, shape (h, n).
-        stack: their covariances, shape (n_sources + h - 1, n, n).
-        measurement: linearised at the state ``linearisation_mean``.
-        linearisation_mean: shape (n,).
+        stack: covariances of the filters, shape (n_sources + h - 1, n, n).
+        measurement: measurement linearised at the state ``linearisation_mean``.
+        linearisation_mean: state of the linearisation, shape (n,).
         rotation_jacobian: derivative of the residual with respect to a rotation vector of the device, shape (m, 3).
 
     Raises:
         numpy.linalg.LinAlgError: an innovation covariance is not positive definite.
 
     Example:
-        One state has sigma 3 in the main filter (two parts) and 4 in the subfilter. It is predicted as 0 and 5, and
-        measured as 10 with sigma 4:
+        One state has sigma 3 in the main filter (two parts) and 4 in the subfilter. The state is predicted as 0 and 5,
+        and measured as 10 with sigma 4:
 
         >>> stack = np.array([[[5.0]], [[4.0]], [[16.0]]])
         >>> measured = LinearMeasurement(np.array([10.0]), np.array([[1.0]]), {0: np.array([[16.0]])})
@@ -212,10 +212,11 @@ def update_subfilters(
     The update has Joseph's form, which is valid for any gain. A state that is not updated has a gain of zero.
 
     Args:
-        stack: before the measurement, shape (n_sources + h - 1, n, n).
+        stack: covariances of the filters before the measurement, shape (n_sources + h - 1, n, n).
         measurement: the measurement.
-        innovations: its innovations, from :func:`subfilter_innovations`.
-        updated_states: states that each filter updates, shape (h, n); none if it rejects the measurement.
+        innovations: innovations of the measurement, from :func:`subfilter_innovations`.
+        updated_states: True for each state that a filter updates, shape (h, n); all False if the filter rejects the
+            measurement.
 
     Example:
         The sum of two states of variance 4 is measured with sigma 1. The subfilter updates only the second state. The

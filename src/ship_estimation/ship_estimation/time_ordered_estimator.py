@@ -1,25 +1,28 @@
-"""Time-ordered estimator: order of measurements, late data, rejections, and the order of outputs.
+"""Time-ordered estimator, which puts measurements and outputs in order and rejects late and repeated data.
 
 An estimator is an :class:`EstimatorModel` (state transition by a measurement) in a :class:`TimeOrderedEstimator`, which
-is independent of what is measured. A measurement is processed as follows:
+is independent of the kind of measurement. A measurement is processed as follows:
 
-1. If it is more than ``lag_s`` behind the newest data, it is rejected as LATE (:class:`LagWindow`). The core checks
-   this first, and then the plausibility of the measurement; what it rejects does not reach the time-ordered estimator.
-2. If another one has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as CONFLICT; the
-   one whose bytes sort first is kept. If too many later ones of its source are known, it is rejected as OVERFLOW.
+1. If it is more than ``lag_s`` behind the newest data, it is rejected as LATE (:class:`LagWindow`). The core checks the
+   lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
+   time-ordered estimator.
+2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
+   CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. If too many later measurements of
+   its source are known, it is rejected as OVERFLOW.
 3. It is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again, and a decision
    that changes is published again as revised. The number of repetitions is limited for each input and for each second;
    the rest is pending.
 4. It is pending, with all measurements after it, while the model lacks data that may still arrive within ``lag_s``.
-5. The model accepts or rejects it. If the model raises an exception, it is rejected as FAILED and the state is kept.
-6. After ``lag_s`` the window closes behind it: it is committed, the decision is final.
+5. The model accepts or rejects it. If the model raises an exception, the measurement is rejected as FAILED and the
+   state is kept.
+6. After ``lag_s`` the measurement leaves the window. It is committed, and the decision is final.
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
-out of order than :data:`MOST_OVERTAKEN_PER_S`.
+measurements out of order than :data:`MOST_OVERTAKEN_PER_S`.
 
 Two clocks are used. Outputs are ordered by their stamps, the time of the data. Timeouts are measured by the timeout
-clock, which is monotonic; the node runtime passes its time (``waiting_ns``) with each input and tick. Old stamps, or a
-correction of the system clock, cause no timeout.
+clock, which is monotonic; the node runtime passes the time of this clock (``waiting_ns``) with each input and tick. Old
+stamps, or a correction of the system clock, cause no timeout.
 """
 
 import bisect
@@ -44,7 +47,7 @@ AnyDecision = TypeVar("AnyDecision")
 
 
 class LagWindow:
-    """Window of accepted stamps: from ``lag_s`` behind the newest data on.
+    """Window of accepted stamps, which begins ``lag_s`` before the newest data.
 
     Args:
         lag_s: maximum lag of data, s.
@@ -59,14 +62,14 @@ class LagWindow:
         self.newest_ns, self.oldest_ns = 0, -self._lag_ns
 
     def late_rejection(self, time_ns: int) -> Rejection | None:
-        """Return the rejection of data with this stamp if they are late; None otherwise."""
+        """Return the rejection of data with a stamp if the data are late; None otherwise."""
         if time_ns >= self.oldest_ns:
             return None
         late_s = (self.newest_ns - time_ns) / SECOND_NS
         return Rejection(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
 
     def advance_to(self, time_ns: int) -> None:
-        """Advance the window to data of this stamp."""
+        """Advance the window to data with a stamp."""
         self.newest_ns = max(self.newest_ns, time_ns)
         self.oldest_ns = self.newest_ns - self._lag_ns
 
@@ -96,21 +99,21 @@ def is_within_lag(
 MOST_REPEATS_PER_S = 400
 """Maximum number of measurements applied again in a second.
 
-Ordinary data need ten; inputs of a ship that all arrive out of order by up to two seconds need two to three hundred. A
-flood of late data would need thousands, and delay the outputs."""
+Ordinary data need ten repetitions. Inputs of a ship that all arrive out of order by up to two seconds need two to three
+hundred repetitions. A flood of late data would need thousands, and delay the outputs."""
 MOST_REPEATS_AT_ONCE = 50
-"""Maximum number of measurements applied again for one input; it limits the delay of the next output."""
+"""Maximum number of measurements applied again for one input, which limits the delay of the next output."""
 MOST_OVERTAKEN_PER_S = 200
-"""Maximum number of pairs of a late measurement and a later one of the same source in the log, in a second.
-
-It suffices for star exposures at 14 Hz in any order within two seconds, and attitudes at 100 Hz late by up to 0.1 s."""
+"""Maximum number, in a second, of pairs of a late measurement and a later measurement of the same source in the log.
+The number suffices for star exposures at 14 Hz in any order within two seconds, and for attitudes at 100 Hz late by up
+to 0.1 s."""
 
 
 class _RateLimit:
     """Rate limit with a burst of one second.
 
     Args:
-        per_s: permitted number in a second.
+        per_s: permitted number of events in a second.
     """
 
     def __init__(self, per_s: int) -> None:
@@ -118,11 +121,11 @@ class _RateLimit:
         self._paid_until_ns = -SECOND_NS
 
     def allows(self, count: int, now_ns: int) -> bool:
-        """True if ``count`` more are permitted."""
+        """True if ``count`` more events are permitted."""
         return self._since_ns(now_ns) + count * self._cost_ns <= now_ns
 
     def spend(self, count: int, now_ns: int) -> None:
-        """Use up ``count``, also if fewer are permitted."""
+        """Use up ``count`` events, even if fewer events are permitted."""
         self._paid_until_ns = self._since_ns(now_ns) + count * self._cost_ns
 
     def _since_ns(self, now_ns: int) -> int:
@@ -131,7 +134,7 @@ class _RateLimit:
 
 
 Key = tuple[int, Any]
-"""(time_ns, tie-breaker): the order of application."""
+"""Key (time_ns, tie-breaker), which gives the order of application."""
 
 
 @dataclass
@@ -143,10 +146,10 @@ class _Entry(Generic[State, Item, AnyDecision]):
 
 
 class TimeOrderedLog(Generic[State, Item, AnyDecision]):
-    """Measurements of the window in time order, on a committed state, each with the state after it.
+    """Committed state, and the measurements of the window in time order, each with the state after the measurement.
 
     A late measurement is inserted, and all measurements after it are applied again from the state before it. A
-    measurement for which the step raises an exception changes no state and delays no other one.
+    measurement for which the step raises an exception changes no state and delays no other measurement.
 
     Args:
         state: the state before any measurement.
@@ -154,7 +157,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     Attributes:
         state: state after the last measurement applied by :meth:`apply`.
         pending_count: number of measurements not applied yet.
-        oldest_ns: time of the first measurement of the window; None if there is none.
+        oldest_ns: time of the first measurement of the window; None without measurements.
     """
 
     def __init__(self, state: State) -> None:
@@ -180,7 +183,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return [entry.measurement for entry in self._entries[self._applied_count :]]
 
     def get(self, key: Key) -> Item | None:
-        """Return the measurement of exactly this time and tie-breaker; None if there is none."""
+        """Return the measurement of exactly this time and tie-breaker, or None."""
         index = bisect.bisect_left(self._keys, key)
         found = index < len(self._keys) and self._keys[index] == key
         return self._entries[index].measurement if found else None
@@ -190,7 +193,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
 
     def insert(self, key: Key, measurement: Item) -> None:
-        """Insert a measurement in time order; one with the same key is replaced."""
+        """Insert a measurement in time order; a measurement with the same key is replaced."""
         index = bisect.bisect_left(self._keys, key)
         if index < len(self._keys) and self._keys[index] == key:
             self._entries[index].measurement = measurement
@@ -215,18 +218,19 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         failure_decision: Callable[[Item, Exception], AnyDecision],
         window_ns: tuple[int, int] | None = None,
     ) -> list[tuple[AnyDecision, AnyDecision | None]]:
-        """Apply pending measurements, in order, until ``step`` returns None because it needs data still to arrive.
+        """Apply pending measurements, in order, until ``step`` returns None because required data may still arrive.
 
         Args:
-            step: returns state and decision after a measurement.
-            failure_decision: returns the decision about a measurement for which ``step`` raised; the state is kept.
-            window_ns: the stamp before which no relevant data can arrive, and the time now. At most
+            step: function that returns state and decision after a measurement.
+            failure_decision: function that returns the decision about a measurement for which ``step`` raised an
+                exception; the state is kept.
+            window_ns: stamp before which no relevant data can arrive, and present time; None for no limit. At most
                 :data:`MOST_REPEATS_AT_ONCE` measurements are applied again, and :data:`MOST_REPEATS_PER_S` in a second.
-                The others stay pending until the next call, or until no more data can arrive. The final state is the
-                same. None: no limit.
+                The other measurements stay pending until the next call, or until no more data can arrive. The limit
+                does not change the final state.
 
         Returns:
-            For each applied measurement: its decision and, if it was applied before, the one that it replaces.
+            The decision about each applied measurement and the decision that it replaces, or None.
         """
         decisions: list[tuple[AnyDecision, AnyDecision | None]] = []
         repeats = 0
@@ -255,10 +259,10 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return decisions
 
     def commit_before(self, time_ns: int) -> list[State]:
-        """Commit the applied measurements before a time: they can no longer be revised.
+        """Commit the applied measurements before a time, which can then no longer be revised.
 
         Returns:
-            The states after each of them.
+            The state after each committed measurement.
         """
         count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied_count)
         closed = self.states(count)
@@ -270,16 +274,16 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return closed
 
     def states(self, count: int | None = None) -> list[State]:
-        """Return the states after the first ``count`` measurements of the window; None for all applied ones."""
+        """Return the states after the first ``count`` measurements of the window; None for all applied measurements."""
         return [self._state_before(number + 1) for number in range(self._applied_count if count is None else count)]
 
     @property
     def _applied_count(self) -> int:
-        """Number of measurements of the window that are applied: always its first ones."""
+        """Number of applied measurements, which are always the first measurements of the window."""
         return len(self._entries) - self.pending_count
 
     def _may_repeat(self, key: Key, repeats: int, closed_ns: int, now_ns: int) -> bool:
-        # Before the closed time no data can arrive: one more repetition is final there.
+        # Before the closed time no data can arrive, so one more repetition is final there.
         return key[0] < closed_ns or (repeats < MOST_REPEATS_AT_ONCE and self._repeats.allows(1, now_ns))
 
     def _state_before(self, index: int) -> State:
@@ -292,16 +296,16 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorModel(Generic[State, MeasurementT, DecisionT, Jump]):
-    """The functions of an estimator; none of them changes the state that it receives.
+    """The functions of an estimator, which do not change the state that they receive.
 
     Attributes:
         step: returns the state after a measurement and the decision about it. The last argument is True if the
-            measurement may wait; the function then returns None if data that belong to it may still arrive.
+            measurement may wait; the function then returns None if data for the measurement may still arrive.
         inflate: returns the state with the covariance inflated for a jump of a source.
-        failure_decision: returns the decision about a measurement for which ``step`` raised.
+        failure_decision: returns the decision about a measurement for which ``step`` raised an exception.
         until_ns: returns the stamp of the last sample that can change a decision.
         drop_before: drops the data that no measurement at or after a stamp needs.
-        on_decision: called with each decision, also with a repeated one.
+        on_decision: called with each decision, repeated decisions included.
         on_commit: called with the states after committed measurements, in order.
     """
 
@@ -316,7 +320,7 @@ class EstimatorModel(Generic[State, MeasurementT, DecisionT, Jump]):
 
 @dataclass(frozen=True)
 class _CovarianceInflation(Generic[Jump]):
-    """An inflation of the covariance for a jump of a source, at its time; ``failed`` if it raised an exception."""
+    """Inflation of the covariance for a jump of a source; ``failed`` is set if the inflation raised an exception."""
 
     time_ns: int
     jump: Jump
@@ -329,8 +333,8 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     Args:
         model: the functions of the estimator.
         state: state before any measurement.
-        lag_s: maximum lag of a measurement, which is then applied at its own time, s.
-        reach_ns: time before its stamp in which data may affect a measurement, ns.
+        lag_s: maximum lag of a measurement, s; a measurement within this lag is applied at its own stamp.
+        reach_ns: time before the stamp of a measurement in which data may affect it, ns.
 
     Attributes:
         state: state after the last applied measurement.
@@ -347,7 +351,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         self.reset(state, clock_jumped=True)
 
     def reset(self, state: State, clock_jumped: bool = False) -> None:
-        """Drop all measurements and start from a state; after a jump of the clock, outputs may restart earlier."""
+        """Drop all measurements and start from a state; after a clock jump, outputs may restart at earlier stamps."""
         self.state = state
         self._has_inflation = False
         self.window = LagWindow(self._lag_s)
@@ -370,7 +374,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def add(self, measurement: MeasurementT, outcome: Outcome[DecisionT, Estimate]) -> bool:
-        """Add a measurement that is not late; return False if another one of its source and stamp is kept."""
+        """Add a measurement that is not late; return False if the measurement is rejected."""
         key = measurement.time_ns, measurement.source
         known, taken = self._log.get(key), True
         if known is not None and not isinstance(known, _CovarianceInflation):
@@ -405,7 +409,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
 
     @property
     def is_idle(self) -> bool:
-        """True if no measurement is pending: a new sample, the newest of its track, is only stored then."""
+        """True if no measurement is pending; then a new sample that is the newest of its track is only stored."""
         return not self._log.pending_count
 
     def advance_to(self, time_ns: int) -> None:
@@ -414,7 +418,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         self._close()
 
     def add_rejected(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
-        """Record a conflict for a rejected sample that is not late if the track has another one of its stamp."""
+        """Record a conflict for a rejected sample that is not late if the track has another sample with its stamp."""
         known = track.get(sample.time_ns)
         if known is not None and self.window.late_rejection(sample.time_ns) is None:
             self.stamp_conflicts.record(source, sample.time_ns, resolve_same_stamp(known, sample)[1])
@@ -424,9 +428,9 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
 
         Args:
             time_ns: time of the jump; it may be earlier than applied measurements.
-            source: the source.
-            jump: the jump.
-            changed_after_ns: stamp after which interpolated values of the track have changed; None if none have.
+            source: source that jumped.
+            jump: jump, as argument of :attr:`EstimatorModel.inflate`.
+            changed_after_ns: stamp after which interpolated values of the track have changed; None without a change.
         """
         self._log.insert((time_ns, source), _CovarianceInflation(time_ns, jump))
         self._has_inflation = True
@@ -478,7 +482,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
                 outcome.decisions.append(replace(decision, revised=True))
 
     def _may_overtake(self, key: Key) -> bool:
-        """True if a measurement may still be inserted before later ones of its source."""
+        """True if a measurement may still be inserted before later measurements of its source."""
         overtaken = self._log.count_overtaken(key)
         if not overtaken:
             return True
@@ -503,7 +507,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
 
     @property
     def oldest_state(self) -> State:
-        """The committed state: the earliest one from which a measurement may still be applied."""
+        """The committed state, the earliest state from which a measurement may still be applied."""
         return self._log.base
 
     def _close(self) -> None:
@@ -535,7 +539,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     # -- outputs --------------------------------------------------------------------------------------------
 
     def can_publish(self, time_ns: int) -> bool:
-        """True if an output of this stamp may be published: it is later than all before."""
+        """True if an output with a stamp may be published, because the stamp is later than all stamps before."""
         return self._last_output_ns is None or time_ns > self._last_output_ns
 
     def add_output(
@@ -546,7 +550,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         estimate: Callable[[State], Estimate | None],
         timeout_ns: int = SECOND_NS,
     ) -> None:
-        """Add the estimate of a stamp to the outcome if it is later than all before.
+        """Add the estimate of a stamp to the outcome if the stamp is later than all output stamps before.
 
         If its computation raises an exception, a failure is reported; the next estimate is computed as usual.
 
@@ -554,7 +558,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             outcome: receives the estimate.
             time_ns: the stamp.
             waiting_ns: time by the timeout clock.
-            estimate: computes the estimate from the current state; None if there is none.
+            estimate: function that computes the estimate from the current state; it may return None.
             timeout_ns: time without a further output after which INVALID is reported; at least a second.
         """
         if not self.can_publish(time_ns):
@@ -569,7 +573,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             self.record_output(time_ns, waiting_ns, timeout_ns)
 
     def record_output(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
-        """Record that an estimate was published, later than all before; arguments as for :meth:`add_output`."""
+        """Record that an estimate was published, later than all before it; arguments as for :meth:`add_output`."""
         self._last_output_ns, self._invalid_reported_ns = time_ns, None
         self._output_timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
 
@@ -580,7 +584,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
 
     @property
     def state_now(self) -> State:
-        """The state for outputs: jumps inflate it at once, even if measurements before them are pending."""
+        """State for outputs, which jumps inflate at once, even if measurements before the jumps are pending."""
         if not (self._has_inflation and self._log.pending_count):
             return self.state
         pending = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]
@@ -591,7 +595,8 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     ) -> None:
         """Add an INVALID output, once a second, if no estimate was published for the timeout.
 
-        It has the time of a tick. It does not count for the order of outputs: an older valid estimate may follow.
+        The INVALID output has the time of a tick. It does not count for the order of outputs, so an older valid
+        estimate may follow.
         """
         if self._output_timeout_ns is not None and waiting_ns <= self._output_timeout_ns:
             return

@@ -1,4 +1,4 @@
-"""Time shift of estimates at a step of the time base: the same values, with all stamps shifted by the step."""
+"""Time shift of estimates at a step of the time base, which shifts all stamps and keeps all other values."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass

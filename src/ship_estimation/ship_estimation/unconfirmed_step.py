@@ -1,11 +1,11 @@
 """A step of a source is unconfirmed until other sources are consistent with it at two different times.
 
 The covariance is inflated for a step, so that the first measurement after it determines the new value in any case. Only
-a measurement of another time can confirm it: a source that is frozen while the ship or the telescope rotates, or whose
-axis does not follow, is consistent with the first one only.
+a measurement at another time can confirm the step. A source that is frozen while the ship or the telescope rotates, or
+whose axis does not follow, is consistent with the first measurement only.
 
-The very first measurement is used with a prior that may be wide. It is confirmed by the next consistent one, of another
-time or of another source.
+The very first measurement is used with a prior that may be wide. This measurement is confirmed by the next consistent
+measurement at another time or of another source.
 """
 
 from typing import NamedTuple
@@ -15,11 +15,11 @@ class UnconfirmedStep(NamedTuple):
     """A step that other sources have not confirmed yet.
 
     Attributes:
-        since_ns: stamp after which measurements may confirm it.
+        since_ns: stamp after which measurements may confirm the step.
         why: text that names what is unconfirmed.
-        confirming: text that names the confirming sources: stars, lights.
-        confirmed_ns: stamp of the first consistent measurement; None before it.
-        confirmed_by: source of that measurement, if another source at the same time confirms it as well; empty if only
+        confirming: text that names the confirming sources, for example stars or lights.
+        confirmed_ns: stamp of the first consistent measurement; None before that measurement.
+        confirmed_by: source of that measurement, if another source may confirm the step at the same time; empty if only
             another time counts.
     """
 
@@ -30,7 +30,7 @@ class UnconfirmedStep(NamedTuple):
     confirmed_by: str = ""
 
     def with_confirmation(self, time_ns: int, source: str = "") -> "UnconfirmedStep | None":
-        """Return the step after a consistent measurement of a source; None if it is confirmed now.
+        """Return the step after a consistent measurement of a source; None if the step is confirmed now.
 
         >>> step = UnconfirmedStep(10, "the encoders have jumped", "lights")
         >>> step.with_confirmation(10) is step, step.with_confirmation(20).confirmed_ns
@@ -38,7 +38,7 @@ class UnconfirmedStep(NamedTuple):
         >>> step.with_confirmation(20).with_confirmation(30) is None
         True
 
-        Another source may confirm it at the same time:
+        Another source may confirm the step at the same time:
 
         >>> first = UnconfirmedStep(9, "one exposure alone", "stars", confirmed_ns=10, confirmed_by="star.fore")
         >>> first.with_confirmation(10, "star.fore") is first, first.with_confirmation(10, "star.aft")

@@ -1,6 +1,6 @@
-"""Unobservable combinations of states: linear combinations that the data have not determined better than the prior.
+"""Linear combinations of states that the data have not determined much better than the prior.
 
-A single state may look unknown although its sum with another one is well known. The combinations are therefore given,
+A single state may look unknown although its sum with another state is well known. The combinations are therefore given,
 each with as few states as possible.
 """
 
@@ -14,7 +14,7 @@ _UNOBSERVED_RATIO = 0.5
 """Ratio of sigma to prior sigma above which a combination counts as unobservable."""
 
 _TAKES_PART = 0.1
-"""Least coefficient of a state in a combination, relative to the largest one, in prior sigmas."""
+"""Least coefficient of a state in a combination, relative to the largest coefficient, in prior sigmas."""
 
 
 def unobservable_combinations(
@@ -25,7 +25,8 @@ def unobservable_combinations(
     Args:
         covariance: covariance of n states, shape (n, n).
         sigma: prior sigma of each state, above 0, shape (n,).
-        leading: names of the states, in pivot order: the leading state of a combination is eliminated from all others.
+        leading: names of the states in pivot order; the leading state of a combination is eliminated from all other
+            combinations.
         order: names of the states in the order in which a text lists them; None for the order of ``leading``.
 
     Example:
@@ -36,17 +37,17 @@ def unobservable_combinations(
         ('heading - azimuth',)
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
-    # Rows: unobservable combinations, in prior sigmas.
+    # The rows are unobservable combinations, in prior sigmas.
     runs = _sparse_basis(vectors[:, values > _UNOBSERVED_RATIO**2].T)
     order = leading if order is None else order
     return tuple(_text(run, sigma, leading, order) for run in runs)
 
 
 def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequence[str]) -> str:
-    """Return a combination as text: its states, each with a factor if it differs from the first one in size.
+    """Return a combination as text, with a factor for each state whose coefficient differs from the first in size.
 
     Args:
-        run: the combination in prior sigmas, shape (n,).
+        run: coefficients of the combination in prior sigmas, shape (n,).
         sigma: prior sigma of each state, shape (n,).
         names: names of the states.
         order: names of the states in the order of the text.
@@ -62,7 +63,7 @@ def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Seque
 
 
 def _sparse_basis(runs: FloatArray) -> FloatArray:
-    """Return rows that span the same space with few elements each: Gauss–Jordan, leading columns in order."""
+    """Return rows that span the same space with few elements each, by Gauss–Jordan elimination in column order."""
     runs = runs.copy()
     done = 0
     for column in range(runs.shape[1]):

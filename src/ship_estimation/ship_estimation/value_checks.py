@@ -1,8 +1,8 @@
-"""Two checks for any stream of values: for a repeated value (frozen source) and for a jump.
+"""Two checks for any stream of values, one for a repeated value (frozen source) and one for a jump.
 
 **Frozen source.** A frozen sensor repeats one value to the last bit, and so does a healthy sensor with coarse
-resolution while there is little motion. Other sources, the motion references, distinguish the two by the rotation of
-the ship: a healthy value is repeated no longer than the rotation is below the resolution, which is estimated.
+resolution while there is little motion. Other sources, the motion references, distinguish the two sensors by the
+rotation of the ship. A healthy sensor repeats a value only while the rotation is below its estimated resolution.
 
 **Jump.** Each value is compared with its prediction from earlier values. :class:`PredictionBound` gives the largest
 difference of a good value. :class:`JumpCheck` accepts a jump after a few rejected values that are consistent.
@@ -25,7 +25,7 @@ JUMP_SAMPLES = 5
 """Default number of rejected, mutually consistent values after which a jump is accepted."""
 
 ROUNDING_SPREAD = 1.8
-"""Bound of the error by rounding to unit steps in each of three axes: a little more than sqrt(3)."""
+"""Bound of the error due to rounding to unit steps in each of three axes, a little more than sqrt(3)."""
 
 
 def vector_length(vector: FloatArray) -> float:
@@ -39,11 +39,11 @@ def vector_length(vector: FloatArray) -> float:
 
 
 _LEAST_NS = 500_000_000
-"""Least time for which a value is repeated before it counts as frozen, ns: drivers repeat values occasionally."""
+"""Least time for which a value is repeated before it counts as frozen, ns; drivers occasionally repeat values."""
 _UNKNOWN_RESOLUTION = np.deg2rad(0.1)
 """Resolution assumed before the value has changed, rad."""
 _STEPS = 64
-"""Number of changes of the value of which the smallest is the resolution."""
+"""Number of changes of the value; the smallest of these changes is the resolution."""
 
 
 class StuckCheck:
@@ -51,10 +51,10 @@ class StuckCheck:
 
     A source is stuck if a value has been repeated for half a second and a motion reference has rotated meanwhile by
     more than five sigma (of both sources) beyond the resolution of the source. The next different value is accepted. If
-    the stuck value returns to the bit within two seconds, the source is still stuck.
+    exactly the stuck value returns within two seconds, the source is still stuck.
 
     Attributes:
-        is_repeated: True if the last value is equal to the one before it.
+        is_repeated: True if the last value is equal to the value before.
         coarseness_rad: resolution of the source's values, rad; zero if every value is new.
 
     >>> guard = StuckCheck()
@@ -75,7 +75,7 @@ class StuckCheck:
         self.is_repeated = False
 
     def is_frozen(self, value: FloatArray) -> bool:
-        """True if the value is the one at which the source is stuck."""
+        """True if the source is stuck at this value."""
         return self._current is not None and self._current.is_stuck and _is_equal(value, self._current.value)
 
     def observe(
@@ -85,9 +85,9 @@ class StuckCheck:
 
         Args:
             time_ns: stamp of the value.
-            value: the value: an attitude, shape (3, 3), directions of stars, shape (k, 3), or angles, shape (2,).
+            value: an attitude, shape (3, 3), directions of stars, shape (k, 3), or angles, shape (2,).
             sigma_rad: noise of the value about its worst axis.
-            motion_references: by name, the attitude by other sources at about this time.
+            motion_references: attitude by each other source at about the time of the value, by name of the source.
         """
         current = self._current
         if current is not None and _is_equal(value, current.value):
@@ -105,11 +105,11 @@ class StuckCheck:
         return current.is_stuck
 
     def count_new_values(self, first_ns: int, values: FloatArray) -> int:
-        """Return the number of leading values that need no check: none of them is a repetition.
+        """Return the number of leading values that need no check, because no value is a repetition.
 
         Args:
             first_ns: stamp of the first value.
-            values: as in :meth:`observe`, shape (N, 3, 3).
+            values: attitudes as in :meth:`observe`, shape (N, 3, 3).
         """
         current = self._current
         if current is None or current.is_stuck or current.repeats or not self._steps or any(self._repeated):
@@ -126,7 +126,7 @@ class StuckCheck:
 
         Args:
             time_ns: stamp of the last value.
-            values: shape (N, 3, 3), N at least 1.
+            values: attitudes, shape (N, 3, 3), N at least 1.
             motion_references: as in :meth:`observe`, at the last value.
         """
         assert self._current is not None
@@ -140,7 +140,7 @@ class StuckCheck:
     def _start_value(
         self, time_ns: int, value: FloatArray, motion_references: Mapping[str, MotionReference]
     ) -> "_RepeatedValue":
-        """Start a value that differs from the one before: a new value, or the frozen value again."""
+        """Start a value that differs from the value before, either a new value or the frozen value again."""
         before, former = self._current, self._former
         if former is not None and time_ns - self._left_ns <= HISTORY_NS and _is_equal(value, former.value):
             self._current, self._former = former, None
@@ -157,8 +157,9 @@ class StuckCheck:
         return self._current
 
     def _learn(self, before: FloatArray, values: FloatArray) -> None:
-        """Estimate the resolution from the changes of values, shape (N, k, l), after the value before, shape (k, l)."""
-        # For rotations and for directions: the largest change of an axis, or of a star.
+        """Estimate the resolution from changes of values, shape (N, k, l), after the value ``before``, shape (k, l)."""
+        # The change of a rotation is the largest change of an axis. The change of directions is the largest change of a
+        # star.
         self._steps.extend(filter(math.isfinite, compiled_checks.changes(before, values)))
         if self._steps:
             self._resolution_rad = min(self._steps)
@@ -182,27 +183,27 @@ def _is_equal(value: FloatArray, other: FloatArray) -> bool:
 
 
 _SIGMAS = 7.0
-"""Bound of a good difference, sigmas: at 100 Hz no good sample must be rejected in a voyage."""
+"""Bound of a good difference, sigmas, so that at 100 Hz no good sample is rejected in a voyage."""
 _TYPICAL = 6.0
-"""Bound of a good difference, in units of the typical one."""
+"""Bound of a good difference, in units of the typical difference."""
 _MEMORY = 100
-"""Number of differences over which the typical one is averaged."""
+"""Number of differences over which the typical difference is averaged."""
 _LEARNING = 20
-"""Number of differences before the typical one is known; until then the bound is wider by the next constant."""
+"""Number of differences before the typical difference is known; until then the bound is wider by ``_UNKNOWN_RAD``."""
 _UNKNOWN_RAD = math.radians(0.1)
 DRIFT_RAD_PER_S = 60.0 * ARCSEC
-"""Bound of the drift of integrated rates against the attitude, rad/s: Earth rate and gyroscope bias."""
+"""Bound of the drift of integrated rates against the attitude, rad/s, for Earth rate and gyroscope bias."""
 _BOUND_SIGMAS = 3.0
-"""Ratio of the bound of a difference to its standard deviation, at least."""
+"""Least ratio of the bound of a difference to the standard deviation of the difference."""
 
 
 class PredictionStep(NamedTuple):
-    """The prediction of a value from an earlier one, and its uncertainty.
+    """The prediction of a value from an earlier value, and the uncertainty of the prediction.
 
     Attributes:
         seconds: time between the two values, s.
-        samples: number of samples from the earlier to the later value: 1 for the next.
-        uncertain_rad: error of the prediction by accelerations or changes of the rate.
+        samples: number of samples from the earlier to the later value, 1 for the next sample.
+        uncertain_rad: error of the prediction due to accelerations or changes of the rate.
         noise_gain: variance of the difference per variance of a sample's noise.
         coarseness_rad: resolution of the source's values; zero if every value is new.
         drift_rad_per_s: bound of the drift of the prediction against the values.
@@ -221,7 +222,7 @@ def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coa
 
     Args:
         turned_s: time between the two earlier values, s.
-        seconds: time from the second of them to the value, s.
+        seconds: time from the second earlier value to the predicted value, s.
         max_acceleration: maximum angular acceleration, rad/s².
         coarseness_rad: as in :class:`PredictionStep`.
 
@@ -258,10 +259,10 @@ class PredictionMatch(NamedTuple):
         return self.bound_rad / _BOUND_SIGMAS
 
     def is_consistent_with(self, step: "PredictionMatch") -> bool:
-        """True if the value is consistent with the last accepted one although values between were rejected.
+        """True if the value is consistent with the last accepted value although values between were rejected.
 
-        The bound grows with time. For a value that is consistent with the rejected one before it, the bound is no wider
-        than that of the last step alone.
+        The bound grows with time. For a value that is consistent with the rejected value before it, the bound is at
+        most the bound of the last step alone.
 
         Args:
             step: the same value compared with its prediction from the value before it, accepted or not.
@@ -273,13 +274,13 @@ class PredictionMatch(NamedTuple):
 class PredictionBound:
     """Bound of the difference between a value and its prediction.
 
-    The noise is the configured one or, if larger, that of the differences so far, which contain rounding, rate noise
-    and integration errors.
+    The noise is the configured noise or, if larger, the noise of the differences so far, which contain rounding, rate
+    noise and integration errors.
 
     Attributes:
         sigma_rad: noise of a value about its worst axis.
-        typical_rad: root mean square of the one-sample differences so far; zero before there are enough.
-        noise_rad: bound of a one-sample difference by noise; infinite before there are enough.
+        typical_rad: root mean square of the one-sample differences so far; zero before enough differences are known.
+        noise_rad: bound of a one-sample difference due to noise; infinite before enough differences are known.
 
     >>> next_sample = PredictionStep(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
     >>> match = PredictionBound(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
@@ -313,7 +314,7 @@ class PredictionBound:
         self._set_typical()
 
     def learn(self, difference: FloatArray) -> None:
-        """Add the difference of an accepted value, one sample after the one before, to the statistics."""
+        """Add the difference of an accepted value from its prediction over one sample to the statistics."""
         self._count = min(self._count + 1, _MEMORY)
         self._mean_square += (vector_length(difference) ** 2 - self._mean_square) / self._count
         if self._count >= _LEARNING:
@@ -333,14 +334,14 @@ class JumpDecision(enum.Enum):
 
 
 class JumpCheck:
-    """Rejects values that are inconsistent with the last accepted one, until a jump is accepted.
+    """Check that rejects values inconsistent with the last accepted value, until a jump is accepted.
 
     Args:
-        samples: number of rejected, mutually consistent values after which the next one is accepted.
+        samples: number of rejected, mutually consistent values after which the next consistent value is accepted.
 
     Attributes:
         rejected_count: number of successive values that were rejected and are mutually consistent.
-        since_ns: stamp of the first of them.
+        since_ns: stamp of the first of these values.
 
     >>> guard = JumpCheck(samples=2)
     >>> [guard.check(n, continues=False, is_consistent=n > 0).value for n in range(3)]
@@ -357,8 +358,8 @@ class JumpCheck:
 
         Args:
             time_ns: stamp of the value.
-            continues: True if it matches the prediction from the last accepted value.
-            is_consistent: True if it matches the prediction from the value before it, accepted or not.
+            continues: True if the value matches the prediction from the last accepted value.
+            is_consistent: True if the value matches the prediction from the value before, accepted or not.
         """
         if continues:
             self.rejected_count = 0

@@ -1,4 +1,4 @@
-"""Alignment: estimated installation angles and clock offsets.
+"""Alignment, which consists of the estimated installation angles and clock offsets.
 
 :class:`Alignment` holds named values for the alignment topic, :class:`AlignmentPrior` the start values of the next
 voyage.
@@ -46,7 +46,7 @@ class AlignmentPrior:
         serials: serial number by star sensor id.
         rotations_dv: rotation deck from device by device name, shape (3, 3).
         time_offsets_s: total clock offset by state name, s.
-        names: state blocks of ``covariance``, in order.
+        names: names of the state blocks of ``covariance``, in order.
         covariance: joint covariance of rotation vectors in the device frames (rad) and clock offsets (s).
     """
 
@@ -58,7 +58,7 @@ class AlignmentPrior:
     covariance: FloatArray
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations by name, with the serial number of a star sensor: rad or s, shape (3,) or (1,)."""
+        """Return standard deviations, rad or s, shape (3,) or (1,), by name and serial number of a star sensor."""
         sigmas, first = {}, 0
         for name in self.names:
             serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")

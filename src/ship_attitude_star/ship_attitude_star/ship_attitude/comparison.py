@@ -1,4 +1,4 @@
-"""Predicted attitude of a device, and comparison of a measurement with it: residual, Jacobian and noise.
+"""Predicted attitude of a device, and residual, Jacobian and noise of a measurement compared with this attitude.
 
 Single stars are compared one by one (:mod:`ship_attitude_star.stars.residuals`).
 """
@@ -24,7 +24,7 @@ from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 
 _UP_RIGHT_BY_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Derivative of the direction (up, right) of a point ahead by a rotation of the device (forward, up, right)."""
+"""Jacobian of the direction (up, right) of a point ahead with respect to a device rotation (forward, up, right)."""
 _UP_RIGHT_BY_ROTATION.flags.writeable = False
 
 _LENGTH_SIGMAS = 5.0
@@ -33,7 +33,7 @@ _LENGTH_SIGMAS = 5.0
 _HALF_TURN_RAD = math.radians(177.0)
 """Rotation angle above which noise of up to 1° per attitude may decide the sense of the rotation vector, rad."""
 _TIE_BREAK_RAD = 0.01
-"""Value added to each component of an error, rad, so that of two equal angles the negative one is chosen."""
+"""Value added to each component of an error, rad, so that the negative of two equal angles is chosen."""
 
 _IDENTITY = np.eye(3)
 _IDENTITY.flags.writeable = False
@@ -44,7 +44,7 @@ class PredictedAttitude(NamedTuple):
 
     Attributes:
         rotation_nv: horizon from device, shape (3, 3).
-        jacobian_v: derivative of the rotation vector in the device frame by the state, shape (3, n).
+        jacobian_v: Jacobian of the rotation vector in the device frame with respect to the state, shape (3, n).
         interpolation_v: covariance of the interpolation error of the INS attitude, rotation vector in the device
             frame, rad², shape (3, 3).
     """
@@ -63,11 +63,11 @@ class ComparedMeasurement(NamedTuple):
     """A measurement compared with its prediction.
 
     Attributes:
-        linear: residual, rad, shape (m,), its Jacobian by the state and its noise by source.
-        rotation_jacobian: derivative of the residual by a rotation vector of the device in its frame, shape (m, 3).
+        linear: residual, rad, shape (m,), with its Jacobian with respect to the state and its noise by source.
+        rotation_jacobian: Jacobian of the residual with respect to a rotation vector in the device frame, shape (m, 3).
         components: names of the residual components.
-        rotation_nv: measured attitude, horizon from device, shape (3, 3); the predicted one if the single stars are
-            consistent with it.
+        rotation_nv: measured attitude, horizon from device, shape (3, 3); the predicted attitude if the single stars
+            are consistent with it.
         predicted_nv: predicted attitude, horizon from device, shape (3, 3).
         attitude_noise_v: noise of a measured attitude, rotation vector in the device frame, rad², shape (3, 3); zero
             for single stars.
@@ -94,8 +94,8 @@ def predict_attitude(
 ) -> PredictedAttitude:
     """Predict the attitude of a device from an (interpolated) INS attitude.
 
-    The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation
-    J_left(v) dv in the frame to its left, which the product so far rotates into the device frame.
+    The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation J_left(v)
+    dv in the frame to the left of the factor. The product so far rotates it into the device frame.
     """
     chain = model.rotation_chains[device.name]
     result = compiled_rotations.composed_attitude(
@@ -135,7 +135,7 @@ def compare(
         covariance: covariance of the state, shape (n, n).
         sky_model: sky model; None if no sensor needs it.
         expected: attitude of the device at the predicted mean, if ``mean`` is another linearisation point; stars are
-            selected with it.
+            selected with this attitude.
 
     Returns:
         The comparison, or the rejection of a measurement that cannot be compared.
@@ -188,12 +188,13 @@ def _compare_baseline(
 ) -> ComparedMeasurement | Rejection:
     """Compare a baseline with its predicted direction and its length aboard.
 
-    The residual is the direction of its end, up and right in its own frame, rad: two components, as for a single star.
+    The residual is the direction of the end of the baseline, up and right in the baseline frame, rad. The residual has
+    two components, as for a single star.
     """
     length_m, measured_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
     direction_n = measurement.direction_n
     sigma_m = math.sqrt(float(direction_n @ noise_n @ direction_n) + device.length_sigma_m**2)
-    # Written so that NaN is rejected.
+    # NaN is rejected.
     if not abs(measured_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
         text = f"baseline length {measured_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
         return Rejection(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
@@ -225,7 +226,7 @@ def _compare_baseline(
 def _attitude_residual(
     measurement: AttitudeMeasurement, predicted: PredictedAttitude, model: ShipStateModel, mean: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return measured minus predicted attitude and its Jacobian by the state.
+    """Return measured minus predicted attitude, and the Jacobian of this residual with respect to the state.
 
     Returns:
         The residual log(R_predicted^T R_measured), rotation vector in the device frame, rad, shape (3,), and the
@@ -248,14 +249,14 @@ def _attitude_residual(
 def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
     """Return a residual of about 180° in the sense that leads to the smaller INS error.
 
-    Noise decides the sense of the logarithm there. An INS whose heading jumped by 180° and back would end with an error
-    of 360°, where a rotation vector has no derivative. For an error of about zero both senses are equal, and the
-    negative one is chosen.
+    At 180° noise decides the sense of the logarithm. An INS whose heading jumped by 180° and back would end with an
+    error of 360°, where a rotation vector has no derivative. For an error of about zero both senses are equal, and the
+    negative sense is chosen.
 
     Args:
         residual: rotation vector of the device, rad, shape (3,).
         error_n: predicted attitude error of the INS, rotation vector in the horizon frame, rad, shape (3,).
-        by_error_v: derivative of the residual by that error, shape (3, 3).
+        by_error_v: Jacobian of the residual with respect to that error, shape (3, 3).
     """
     size = math.hypot(*residual.tolist())
     other = (1.0 - 2.0 * math.pi / size) * residual

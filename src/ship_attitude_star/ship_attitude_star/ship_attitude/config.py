@@ -37,7 +37,7 @@ FIX_TYPES = ("float", "fixed")
 """RTK solution types from which a direction is computed."""
 
 BY_INPUT = "by_input"
-"""Shared error of a star sensor by its message type."""
+"""Choice for which the message type of a star sensor determines the shared error."""
 
 _MIN_BASELINE_M = 0.3
 """Minimum baseline length, m; at this length an error of 1 cm is 2°."""
@@ -131,7 +131,7 @@ class StarSensorConfig(MountingConfig):
 
     @property
     def needs_sky(self) -> bool:
-        """True if its messages are used with the sky model."""
+        """True if the messages of the sensor are used with the sky model."""
         return self.shared_error == SHARED_BY_SKY
 
 
@@ -187,7 +187,7 @@ def _metres(default: float, doc: str, least: float = -1000.0) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class ShipBaselineConfig:
-    """Parameters of the baseline between two antennas aboard; there is none if the three components are 0."""
+    """Parameters of the baseline between two antennas aboard; the three components are 0 without a baseline."""
 
     forward_m: float = _metres(0.0, "vector from the base antenna to the rover antenna, component toward the bow")
     up_m: float = _metres(0.0, "vector between the antennas, upward component")
@@ -213,7 +213,7 @@ class ShipBaselineConfig:
 
     @property
     def length_m(self) -> float:
-        """Length of the baseline, m; 0 if there is none."""
+        """Length of the baseline, m; 0 without a baseline."""
         return float(np.linalg.norm(self.vector_d))
 
     @property
@@ -223,7 +223,7 @@ class ShipBaselineConfig:
 
     @property
     def rotation_dv(self) -> FloatArray:
-        """Rotation deck from baseline, with forward along it and no roll, shape (3, 3)."""
+        """Rotation deck from baseline, with forward along the baseline and no roll, shape (3, 3)."""
         azimuth = math.atan2(self.right_m, self.forward_m)
         elevation = math.atan2(self.up_m, math.hypot(self.right_m, self.forward_m))
         return rotation_from_angles(azimuth, elevation, 0.0)
@@ -298,7 +298,7 @@ class ShipAttitudeConfig(StarSensorsById):
 
     @property
     def models_deflection(self) -> bool:
-        """True if the deflection of the vertical is a state; without a source of it only with ins.model schuler."""
+        """True if the deflection of the vertical is a state, due to gravity.deflection or ins.model schuler."""
         drives_ins = self.ins.model == SCHULER and self.gravity.unknown_sigma_arcsec > 0.0
         return self.gravity.is_modelled or drives_ins
 

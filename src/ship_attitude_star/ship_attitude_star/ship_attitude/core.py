@@ -2,8 +2,8 @@
 
 The core uses no ROS, no files and no clock. It consists of the filter, the INS samples and the sky model, in a
 time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when a measurement is applied and
-which output may follow. This module adds what is specific to the ship attitude: the plausibility checks of the inputs,
-and the attitude from star sensors alone when the INS is not available.
+which output may follow. This module adds the parts for the ship attitude. These are the plausibility checks of the
+inputs, and the attitude from star sensors alone when the INS is not available.
 """
 
 from collections import deque
@@ -78,7 +78,7 @@ class ShipAttitudeCore:
     Args:
         config: parameters of the node.
         sky_model: sky model; None if no sensor needs it.
-        on_commit: called with states that can no longer change, in order; None if they are not needed.
+        on_commit: called with states that can no longer change, in order; None if these states are not needed.
     """
 
     filter_class: ClassVar[type[ShipFilter]] = ShipFilter
@@ -100,7 +100,7 @@ class ShipAttitudeCore:
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
-        # The stamps of a device may be offset from those of the INS.
+        # The stamps of a device may be offset from the stamps of the INS.
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: EstimatorModel[FilterState, Measurement, AttitudeDecision, InsChange] = EstimatorModel(
             step=self._step,
@@ -124,13 +124,13 @@ class ShipAttitudeCore:
         return self._initial()[1]
 
     def _initial(self) -> tuple[FilterState, list[str]]:
-        """Return the state before any measurement, by configuration or alignment file, and remarks for the operator."""
+        """Return the state before any measurement, from prior or saved alignment, and remarks for the operator."""
         if self._start is None:
             return self.filter.initial_state(), []
         return state_from_prior(self.filter, self.config, *self._start)
 
     def reset(self, clock_jumped: bool = False) -> None:
-        """Discard all measurements. After a jump of the clock, outputs may start again at earlier times."""
+        """Discard all measurements; after a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
         self._estimator.reset(initial, clock_jumped)
         if self._sky_model is not None:
@@ -143,12 +143,12 @@ class ShipAttitudeCore:
         """Continue after a step of the time base; INS error, mountings and ship position stay as they are.
 
         Args:
-            step_ns: the step.
+            step_ns: step of the time base, ns.
             state: state before the step.
         """
         stars = [source for source, device in self.filter.devices.items() if device.is_star]
         if stars and all(source in state.excluded for source in stars):
-            # They may have been excluded for an error of UTC.
+            # The stars may have been excluded for an error of UTC.
             state = self.filter.fault_detector.restart_subfilters(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
         self._estimator.step_time_base(state, step_ns)
@@ -179,7 +179,7 @@ class ShipAttitudeCore:
         """Add an INS sample.
 
         Args:
-            sample: attitude of the deck, and its rate if the INS measures it.
+            sample: attitude of the deck, and rate of the deck if the INS measures the rate.
             arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
             estimate: False if no attitude is needed, as in a Monte Carlo run.
         """
@@ -210,7 +210,7 @@ class ShipAttitudeCore:
             return None
         if not (newest.time_ns < first_ns and self._estimator.can_publish(first_ns)):
             return None
-        # No sample after a gap, after an INS timeout, or one that may arrive too late.
+        # The batch ends before a gap, before an INS timeout, and before a sample that may be late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
         near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._ins_timeout_ns, SECOND_NS))
@@ -249,7 +249,7 @@ class ShipAttitudeCore:
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
-        """Finish a batch; return the outcome of the sample that needs separate handling, None if there is none."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, or None."""
         values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
         self._plausibility.ins.commit_block(values, batch.checked, self._plausibility.motion_references)
         if last is None:
@@ -266,13 +266,13 @@ class ShipAttitudeCore:
         """Use a checked INS sample and publish the attitude at its stamp."""
         time_ns = checked.sample.time_ns
         if checked.rates_wrong_after_ns is not None:
-            # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
+            # The rates are faulty. Measurements evaluated with these rates are evaluated again without rates.
             changed_after_ns = self._track.drop_rates(checked.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._estimator.rewind_after(changed_after_ns)
                 self._estimator.apply(outcome)
         if checked.noise is not None:
-            # Measurements since then are evaluated again with the measured noise of the samples.
+            # Measurements since the change are evaluated again with the measured noise of the samples.
             since_ns = self._track.add_noise(checked.noise)
             self._estimator.add_jump(self.filter.change_effective_ns(checked.noise), INS, checked.noise, since_ns)
             self._estimator.apply(outcome)
@@ -324,7 +324,7 @@ class ShipAttitudeCore:
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        """Record that two publishers send as a source; an empty text ends it."""
+        """Record that two publishers send as a source; an empty text removes the record."""
         self._estimator.stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
@@ -346,7 +346,7 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Publish the attitude from stars alone if the INS has timed out, and INVALID once a second if there is none.
+        """Publish the attitude from stars alone after an INS timeout, or INVALID once a second.
 
         Args:
             now_ns: current time.
@@ -366,7 +366,8 @@ class ShipAttitudeCore:
     def linearise(self, measurement: Measurement) -> LinearisedMeasurement | None:
         """Linearise a measurement at the current estimate; return None if it cannot be evaluated.
 
-        The INS samples around its stamp must still be stored, so call this directly after the measurement decision.
+        The INS samples around the stamp must still be stored, so this call must follow the measurement decision
+        directly.
         """
         state = self.state
         # The state contains the measurement already, so no correlation with other measurements is considered.
@@ -384,7 +385,7 @@ class ShipAttitudeCore:
         return installation_rotation(self.filter, self.state, f"star.{id_}")
 
     def deflection(self, time_ns: int) -> DeflectionReading | None:
-        """Return the estimated deflection of the vertical at a time; None if it is not a state."""
+        """Return the estimated deflection of the vertical at a time; None if the deflection is not a state."""
         if self.vertical is None or not self.config.gravity.is_modelled:
             return None
         errors = self._corrected_by(self.state).errors([time_ns])
@@ -395,7 +396,7 @@ class ShipAttitudeCore:
         return observability_of(self.filter, self.config, self.state)
 
     def recommended_manoeuvre(self, rotation_nd: FloatArray) -> RecommendedTurn | None:
-        """Return the turn of the ship that would improve the attitude most; None if none is worthwhile."""
+        """Return the turn of the ship that would improve the attitude most; None if no turn is worthwhile."""
         return recommended_manoeuvre(self.filter, self.state, rotation_nd, self._recent_sources)
 
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
@@ -403,7 +404,7 @@ class ShipAttitudeCore:
         return integrity_of(self.filter, self.config, estimate)
 
     def alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment to save for the next voyage; None if there is no measurement and no saved alignment."""
+        """Return the alignment to save for the next voyage; None without measurements and saved alignment."""
         if self.state.time_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -422,7 +423,7 @@ class ShipAttitudeCore:
 
     @property
     def is_consistent(self) -> bool:
-        """True if the state is based on stars, no source is excluded and all are consistent."""
+        """True if the state is based on stars, no source is excluded and all sources are consistent."""
         return is_consistent(self.filter, self.state, self.config.gate.degraded_after)
 
     @property
@@ -433,7 +434,7 @@ class ShipAttitudeCore:
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
         """Return another estimator that starts from a stored state, else from the saved alignment or the prior.
 
-        With a stored state it also starts with the current position and air data.
+        With a stored state the estimator also starts with the current position and air data.
         """
         second = self._new_estimator(None if self._sky_model is None else self._sky_model.clone(memory is not None))
         second._start = self._start
@@ -453,7 +454,7 @@ class ShipAttitudeCore:
         return type(self)(self.config, sky_model)
 
     def take_jumps(self) -> list[InsJump]:
-        """Return the INS jumps that were detected from its rates since the last call."""
+        """Return the INS jumps that were detected from the INS rates since the last call."""
         jumps = list(self._ins_jumps)
         self._ins_jumps.clear()
         return jumps
@@ -471,11 +472,11 @@ class ShipAttitudeCore:
         return {} if residual is None else {measurement.source: residual}
 
     def largest_difference_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
-        """Return the largest difference of a constant state from the stored one, in standard deviations of both."""
+        """Return the largest difference of a constant state from the stored state, in standard deviations of both."""
         return largest_difference_sigmas(self.filter, state, memory, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return the sources of which no measurement was accepted recently."""
+        """Return the sources without a recently accepted measurement."""
         since_ns, used_ns = self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.last_used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
@@ -485,12 +486,12 @@ class ShipAttitudeCore:
 
     @property
     def rate_status(self) -> RateStatus:
-        """Result of the rate check of the INS: faulty rates are not used."""
+        """Result of the rate check of the INS; faulty rates are not used."""
         return self._plausibility.ins.rate_status
 
     @property
     def excess_noise(self) -> str:
-        """Text about INS attitude noise in excess of the stated noise; empty if there is none."""
+        """Text about INS attitude noise in excess of the stated noise; empty without excess noise."""
         return self._plausibility.ins.excess_text
 
     # -- functions of the estimator model --------------------------------------------------------------------
@@ -504,7 +505,7 @@ class ShipAttitudeCore:
         predicted = self.filter.propagate(state, measurement.time_ns)
         compared = with_utc_evaluated(state, predicted, self.filter.model, *found)
         if compared[0].utc_step is None:
-            # UTC is verified, or cannot be verified any more: the measurement is used.
+            # UTC is verified, or cannot be verified any more, so the measurement is used.
             return self.filter.step(compared[0], measurement, self._track, self._sky_model, may_wait)
         return compared
 
@@ -531,11 +532,11 @@ class ShipAttitudeCore:
             self.vertical.drop_before(time_ns, needed_since_ns if state_ns is None else min(needed_since_ns, state_ns))
 
     def _needed_since_ns(self, closed_ns: int) -> int:
-        """Return the earliest time that is still needed; measurements before ``closed_ns`` are final."""
+        """Return the earliest time whose data are still needed; measurements before ``closed_ns`` are final."""
         return closed_ns
 
     def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
-        """Evaluate the affected measurements after a time again; None: no change."""
+        """Evaluate the affected measurements after a time again; None means no change."""
         if changed_after_ns is not None:
             self._estimator.rewind_to_first(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
@@ -560,14 +561,14 @@ class ShipAttitudeCore:
         return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
     def _degrade_if_contradicted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
-        """Return the estimate, DEGRADED if one of its sources recently contradicted itself."""
+        """Return the estimate, DEGRADED if one of its sources recently sent conflicting data."""
         text = self._contradiction_text(estimate.time_ns)
         if not text:
             return estimate
         return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=text)
 
     def _contradiction_text(self, time_ns: int) -> str:
-        """Return a text about the sources in use that recently contradicted themselves; empty if there is none."""
+        """Return a text about the sources in use that recently sent conflicting data; empty without such a source."""
         if not self._estimator.stamp_conflicts:
             return ""
         used_ns, devices = self.state.last_used_ns, self.filter.devices
@@ -579,7 +580,7 @@ class ShipAttitudeCore:
         return self._estimator.stamp_conflicts.text(contradictory)
 
     def _publish_from_star(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
-        """Without INS samples, publish the attitude by the newest star measurement once, within 1 s of its arrival."""
+        """Without INS samples, publish the attitude from the newest star measurement, within 1 s of its arrival."""
         if self._newest_star is None or not self._is_ins_timed_out(waiting_ns):
             return
         (measurement, arrival_ns), self._newest_star = self._newest_star, None

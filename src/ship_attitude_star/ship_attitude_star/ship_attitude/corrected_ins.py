@@ -1,4 +1,4 @@
-"""INS attitudes corrected by filter states: the published attitude, its covariance by error source and its status."""
+"""INS attitudes corrected by filter states, as published, with covariance by error source and status."""
 
 import copy
 import math
@@ -25,7 +25,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
-"""Indices of the states that correct an INS attitude: its correlated error (north, up, east) and its time offset."""
+"""Indices of the states that correct an INS attitude, the correlated error (north, up, east) and the time offset."""
 
 _AFTER_ALL_SAMPLES_NS = np.iinfo(np.int64).max
 """Stamp later than every sample."""
@@ -43,17 +43,17 @@ class CorrectedIns:
 
     Attributes:
         state: the filter state.
-        time_offset_s: estimated time offset tau of the INS, in addition to the configured one, s.
+        time_offset_s: estimated time offset tau of the INS, in addition to the configured offset, s.
         since_ns: time of the state, from which the error is propagated. Before the first measurement it is later than
             every sample, so that nothing is propagated.
-        newest_star_ns: stamp of the last accepted star measurement; None for none.
+        newest_star_ns: stamp of the last accepted star measurement; None without such a measurement.
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components that do not decay, because they exceed the error model, shape (3,),
             uint8.
         covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4),
             or (n_sources, 6, 6) with the deflection of the vertical.
-        model_constants: model constants: correlation time, steady-state variance and white variance, shape (3,) each,
-            and the indices of the error sources INS drift, INS noise and interpolation.
+        model_constants: correlation time, steady-state variance and white variance of the INS error, shape (3,) each,
+            and indices of the error sources INS drift, INS noise and interpolation.
         drift_index: index of the error source INS drift.
         error_propagation: propagation of the INS error if the filter needs the vertical; else None.
     """
@@ -101,7 +101,7 @@ class CorrectedIns:
         """Return the INS errors at some times, if the filter needs the vertical."""
         assert self.error_propagation is not None
         since_ns = self.state.time_ns
-        # A sample older than the state counts as of the time of the state.
+        # A sample older than the state is treated as a sample at the time of the state.
         until_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
         return self.error_propagation.errors(
             since_ns, self.state.vertical, self._mean, self.covariance_by_source, until_ns
@@ -128,7 +128,7 @@ class CorrectedIns:
         return [status for status, _ in statuses], [text for _, text in statuses]
 
     def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
-        """Return the sources of each attitude: the INS, and those with an accepted measurement within recent_ns."""
+        """Return the sources of each attitude, the INS and sources with a measurement accepted within recent_ns."""
 
         def at(stamp_ns: int) -> tuple[str, ...]:
             used = [source for source, used_ns in self.state.last_used_ns.items() if used_ns >= stamp_ns - recent_ns]
@@ -175,7 +175,7 @@ def corrected_attitudes(
         propagated: INS samples propagated by the time offset.
 
     Returns:
-        Shapes (N, 3, 3) and (N, n_sources, 3, 3).
+        Attitudes, shape (N, 3, 3), and covariances, shape (N, n_sources, 3, 3).
     """
     found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected_attitudes(
         state_index,
@@ -193,11 +193,11 @@ def corrected_attitudes(
 def _attitudes_with_deflection(
     corrected: Sequence[CorrectedIns], segments: Sequence[slice], time_ns: StampArray, propagated: PropagatedBlock
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return the corrected attitudes as :func:`corrected_attitudes`, if the filter needs the vertical.
+    """Return the results of :func:`corrected_attitudes` if the filter needs the vertical.
 
     Returns:
-        Shapes (N, 3, 3) and (N, n_sources, 3, 3), and True for each time at which the vertical is known without stars,
-        shape (N,).
+        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and True for each time at which the
+        vertical is known without stars, shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
     rotation_nd, covariance_by_source = compiled_rotations.corrected_attitudes(
@@ -282,7 +282,8 @@ def _horizons(
     star_age_s: FloatArray, vertical_known: NDArray[np.bool_] | None, config: ShipAttitudeConfig
 ) -> NDArray[np.int64]:
     """Return the horizon of each of N attitudes, shape (N,)."""
-    # NaN compares false: before the first star the horizon is that of the INS, unless the vertical is known.
+    # NaN compares false. Before the first star the horizon is therefore the horizon of the INS, unless the vertical is
+    # known.
     is_geodetic = star_age_s <= config.ins.tilt_time_s
     if vertical_known is not None:
         is_geodetic = (is_geodetic | vertical_known) & (config.horizon == GEODETIC)
@@ -290,7 +291,7 @@ def _horizons(
 
 
 def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
-    """Return the time since the last accepted star measurement for each time, s; NaN if there is none."""
+    """Return the time since the last accepted star measurement for each time, s; NaN without such a measurement."""
     newest_ns = np.array([one.newest_star_ns or 0 for one in corrected])
     none_yet = np.array([one.newest_star_ns is None for one in corrected])
     ages_s: FloatArray = np.where(none_yet[state_index], np.nan, (time_ns - newest_ns[state_index]) / SECOND_NS)
@@ -298,6 +299,6 @@ def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
-    """Return the stamp of the last accepted star measurement; None if there is none."""
+    """Return the stamp of the last accepted star measurement, or None."""
     stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

@@ -1,12 +1,12 @@
 """Fault detection and exclusion (FDE) of the ship filter, from innovations and solution separations of the subfilters.
 
-The filters are those of :mod:`ship_attitude_star.ship_attitude.subfilter_set`. A source is excluded if only the
-subfilter without it is consistent with its data. An INS that drifts away from all other sources is excluded in the same
-way.
+The filters are defined in :mod:`ship_attitude_star.ship_attitude.subfilter_set`. A source is excluded if only the
+subfilter without this source is consistent with all sources that the subfilter uses. An INS that drifts away from all
+other sources is excluded in the same way.
 
 A step is treated differently, because a position error rotates all stars just as a step of the INS would. If all stars
 suddenly contradict the INS, the fault is unresolved, and the stars are excluded until they are consistent with the INS
-again. A jump of the INS is detected from its own rates (:mod:`ship_estimation.ins_check`). If one was reported
+again. A jump of the INS is detected from its own rates (:mod:`ship_estimation.ins_check`). If such a jump was reported
 recently, the INS is excluded instead (:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
 """
 
@@ -66,7 +66,7 @@ _DRIFT_OBSERVED_NS = 3 * SECOND_NS
 """Minimum uninterrupted reception of all sources in use before a drift of the INS is detected, ns."""
 
 _DRIFT_DURATION_NS = 10 * SECOND_NS
-"""Time for which the offset of the INS from all stars must grow to count as a drift: half a slow roll period, ns."""
+"""Time for which the offset of the INS from all stars must grow to count as a drift (half a slow roll period), ns."""
 
 
 class FaultDetector:
@@ -158,7 +158,7 @@ class FaultDetector:
         )
         last_innovations = with_entry(state.last_innovations, source, innovation)
         exclusion = state.excluded.get(source)
-        # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
+        # A measurement that no filter uses leaves all filters bit-identical. An excluded source may still update its
         # own mounting states.
         is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not is_update:
@@ -240,7 +240,7 @@ class FaultDetector:
             time_ns: stamp of the measurement.
 
         Returns:
-            The state after exclusions and reinstatements, and a text about the source, empty if there is none.
+            The state after exclusions and reinstatements, and a text about the source, which may be empty.
         """
         if self._is_all_consistent(state):
             return state, ""
@@ -258,7 +258,7 @@ class FaultDetector:
         if state.excluded:
             candidates = [row for row in candidates if subfilters.names[row - 1] not in state.excluded]
         pairs = subfilters.relevant_pairs(in_use, state.excluded) if subfilters.pair_subfilters else []
-        # Rejections show a step. Rates that rule out a step of the INS do not rule out its drift.
+        # Rejections show a step. Rates that rule out a step of the INS do not rule out a drift of the INS.
         stepped = any(state.innovation_means.rejection_counts[0].tolist())
         if is_ins_confirmed and stepped:
             candidates, pairs = (
@@ -271,7 +271,7 @@ class FaultDetector:
         isolation = isolate_fault(
             state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs
         )
-        # An error that all stars share. Written so that NaN counts as one.
+        # True for an error that all stars share. NaN counts as such an error.
         shared = not state.correction_sums.sigmas <= subfilters.common_threshold and INS not in state.excluded
         if not isolation.is_detected and not shared:
             return self._with_no_fault(state, in_use, separations_n, separation_sigmas, time_ns), ""
@@ -291,19 +291,19 @@ class FaultDetector:
         if INS in faulty and (stepped or not subfilters.can_show_ins_fault(others)):
             faulty = ()  # The fault may be a position error, which has the same effect as a fault of the INS.
         if INS in faulty and any(time_ns - state.received_since_ns[name] < _DRIFT_OBSERVED_NS for name in in_use):
-            faulty = ()  # A mounting may have shifted during the timeout; too few measurements to exclude the INS.
+            faulty = ()  # A mounting may have shifted during the timeout, so the INS is not excluded yet.
         if INS in state.excluded and len(in_use) < MIN_SOURCES_FOR_PAIRS:
-            faulty = ()  # If two sources contradict each other, a fault of either explains it.
+            faulty = ()  # If two sources contradict each other, a fault of either explains this.
         if faulty and not set(in_use).issubset(faulty):
             return self._exclude(state, faulty, time_ns)
         unresolved = self._with_unresolved_fault(state, separations_n, separation_sigmas, contradicting)
         return self._exclude_stars(unresolved, contradicting, shared, time_ns) if contradicting else unresolved, ""
 
     def _is_all_consistent(self, state: FilterState) -> bool:
-        """True if all sources are consistent, none is excluded, and no covariance for an earlier fault is left."""
+        """True if all sources are consistent, no source is excluded, and no covariance for an earlier fault is left."""
         if state.excluded or state.unresolved_fault is not None or state.separation_covariance_n is not None:
             return False
-        # Written so that NaN is inconsistent.
+        # NaN is inconsistent.
         return (
             state.correction_sums.sigmas <= COMMON_ERROR_START_SIGMAS
             and is_consistent_with_all(state.innovation_means, self._degraded_after)
@@ -322,8 +322,8 @@ class FaultDetector:
         """Return the state if no fault is detected, with a covariance that covers large solution separations.
 
         A drifting source separates the main filter from the subfilter without it long before it is excluded. A mounting
-        shift of a few standard deviations separates them within a second. Before that the recent innovations of the
-        source are inconsistent, so the covariance is inflated for these innovations too.
+        shift of a few standard deviations separates these filters within a second. Even earlier the recent innovations
+        of the source are inconsistent, so the covariance is inflated for these innovations too.
         """
         if INS not in state.excluded and self.ins_fault.can_be_excluded(in_use):
             separation_sigmas = separation_sigmas.copy()
@@ -332,7 +332,7 @@ class FaultDetector:
                     separation_sigmas[row] = np.maximum(
                         separation_sigmas[row], state.recent_innovations[source].largest_sigmas
                     )
-        # Written so that NaN counts as large.
+        # NaN counts as large.
         within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in separation_sigmas.tolist())
         correction_sums = state.correction_sums.with_unresolved_error(
             time_ns, round(self._integrity.return_after_s * SECOND_NS)
@@ -355,9 +355,10 @@ class FaultDetector:
         )
 
     def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after the INS reported its own jump: contradictions of sources with the INS are reset.
+        """Return the state after the INS reported its own jump, without contradictions of sources with the INS.
 
-        If a fault is unresolved, all filters restart from the main filter: their differences are due to that fault.
+        If a fault is unresolved, all filters restart from the main filter, because their differences are due to that
+        fault.
         """
         if state.unresolved_fault is not None:
             means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
@@ -367,10 +368,10 @@ class FaultDetector:
         return self._reset_faults(state)
 
     def exclude_drifting_ins(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after the INS reported a drift: it is excluded if enough other sources check one another.
+        """Return the state after a drift of the INS, which is excluded if enough other sources check one another.
 
-        The filters restart from the subfilter without the INS, which the drift does not affect. Before that an
-        unresolved fault is reset, and the stars excluded for it are reinstated.
+        The filters restart from the subfilter without the INS, which the drift does not affect. Before this restart an
+        unresolved fault is reset, and the stars excluded for that fault are reinstated.
         """
         after_reset = state if state.unresolved_fault is None else self.reset_for_ins_jump(state, time_ns)
         if INS in state.excluded or not self.ins_fault.can_be_excluded(after_reset.in_use(self._sources, time_ns)):
@@ -400,7 +401,7 @@ class FaultDetector:
     # -- exclusion and reinstatement ------------------------------------------------------------------------
 
     def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
-        """Return the isolated sources, empty if there is none.
+        """Return the isolated sources; empty without an isolated source.
 
         If several subfilters explain the fault, and one of them alone excludes only sources that were excluded before,
         the fault is attributed to these sources.
@@ -415,7 +416,7 @@ class FaultDetector:
         return () if row is None else excluded_sources[row - 1]
 
     def _exclude(self, state: FilterState, faulty: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
-        """Exclude sources: all filters restart from the subfilter without them.
+        """Exclude sources; all filters restart from the subfilter without these sources.
 
         Args:
             state: state after the measurement.
@@ -434,7 +435,7 @@ class FaultDetector:
             dict(state.last_used_ns),
         )
         for name in faulty:
-            # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
+            # An offset larger than any mounting shift has another cause, so the mounting is not estimated again.
             has_mounting_shift = name != INS and self._mounting_shift(state, name) is not None
             if has_mounting_shift:
                 self._inflate_mounting(stack, state, name)
@@ -462,7 +463,7 @@ class FaultDetector:
     def _exclude_stars(
         self, state: FilterState, stars: tuple[str, ...], shared: bool, time_ns: int
     ) -> FilterState:
-        """Exclude all star sensors, which contradict the INS: the fault is not isolated.
+        """Exclude all star sensors, which contradict the INS, for a fault that is not isolated.
 
         No mounting shift is known, so the mountings are not estimated again. All filters restart from the main filter,
         which has rejected the stars. If the sum of the star corrections shows an error that the stars share, these
@@ -511,7 +512,7 @@ class FaultDetector:
         if not is_reinstated:
             state = with_changes(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.offset is None and self._is_inconsistent(state, index):
-                # Another mounting shift: the mounting is estimated again from now on.
+                # After another mounting shift the mounting is estimated again from now on.
                 stack = state.stack.copy()
                 self._inflate_mounting(stack, state, source)
                 state = with_changes(
@@ -571,9 +572,9 @@ class FaultDetector:
 
     @staticmethod
     def _reinstated_with(state: FilterState, source: str) -> list[str]:
-        """Return the sources to reinstate: a source, and those excluded together with it that are consistent now.
+        """Return the sources to reinstate, a source and consistent sources that were excluded together with it.
 
-        Star sensors that were excluded together check one another. A single sensor would not: its offset cannot be
+        Star sensors that were excluded together check one another. The offset of a single sensor cannot be
         distinguished from a drift of the INS.
         """
         own = state.excluded[source]
@@ -587,10 +588,11 @@ class FaultDetector:
         ]
 
     def _remaining_offset_ratio(self, state: FilterState, source: str, time_ns: int) -> float:
-        """Return the ratio of an excluded source's current offset to that at its exclusion; 0 if it has none.
+        """Return the ratio of an excluded source's current offset to its offset at the exclusion; 0 without an offset.
 
-        If all star sensors were excluded for a shared error, the ratio is computed from their offsets together. A
-        single sensor hardly measures the rotation about its line of sight, so its ratio would change as the INS drifts.
+        If all star sensors were excluded for a shared error, the ratio is computed from the offsets of these sensors
+        together. A single sensor hardly measures the rotation about its line of sight, so its ratio would change as the
+        INS drifts.
         """
         own, since_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
         names = [source]
@@ -647,7 +649,7 @@ class FaultDetector:
     def _contradicting_stars(
         self, state: FilterState, faulty: tuple[str, ...], in_use: list[str], shared: bool
     ) -> tuple[str, ...]:
-        """Return all star sensors in use if each of them contradicts the main filter, else none.
+        """Return all star sensors in use if each of them contradicts the main filter; otherwise an empty tuple.
 
         Args:
             state: state after the measurement.
@@ -666,7 +668,7 @@ class FaultDetector:
         """Return the standard deviation of a mounting shift that explains a source's last innovation.
 
         Returns:
-            Rotation vector in the device frame, rad, shape (3,); None if it is larger than any mounting shift.
+            Rotation vector in the device frame, rad, shape (3,); None if the vector is longer than any mounting shift.
         """
         shift_v = _SHIFT_SIGMA_RATIO * state.last_innovations[source].rotation_v
         return shift_v if np.linalg.norm(shift_v) <= _MAX_SHIFT_RAD else None

@@ -1,4 +1,4 @@
-"""Error-state Kalman filter of the ship attitude: state and measurement in, next state and measurement decision out."""
+"""Error-state Kalman filter of the ship attitude, from state and measurement to next state and decision."""
 
 import math
 from dataclasses import replace
@@ -44,7 +44,7 @@ _AGAINST_PREDICTION = (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFI
 
 
 class ShipFilter:
-    """Kalman filter for a configuration. It stores no state: each step receives one and returns the next.
+    """Kalman filter for a configuration, which stores no state; each step receives a state and returns the next state.
 
     Args:
         config: configuration of the node.
@@ -85,7 +85,7 @@ class ShipFilter:
         return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the initial state at its first time; states of the INS error process start from the vertical there."""
+        """Return the initial state at its first time, where the INS error process starts from the vertical."""
         if self.vertical is None:
             return with_changes(state, time_ns=time_ns)
         assert self.model.ins_process is not None
@@ -97,7 +97,7 @@ class ShipFilter:
         return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _propagate_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
-        """Propagate the states of the INS error process from the time of a state to a later one, in place."""
+        """Propagate the states of the INS error process from the time of a state to a later time, in place."""
         process, indices, before = self.model.ins_process, self.model.process_indices, state.vertical
         assert process is not None
         assert before is not None
@@ -123,8 +123,8 @@ class ShipFilter:
         """Inflate the covariance for a jump of the INS or a change of its noise.
 
         The clocks of the INS and of a device may differ, so a measurement with a stamp before the jump may match an INS
-        attitude after it. Therefore the inflation takes effect before the jump (:meth:`change_effective_ns`). A later
-        measurement that matches an INS attitude before the jump is rejected.
+        attitude after the jump. Therefore the inflation takes effect before the jump (:meth:`change_effective_ns`). A
+        later measurement that matches an INS attitude before the jump is rejected.
         """
         if isinstance(change, ExtraNoise):
             return self._with_uncertain_clock(state, change)
@@ -137,8 +137,8 @@ class ShipFilter:
         state = self.fault_detector.reset_for_ins_jump(state, effective_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
         ins_attitude, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
-        # A clock step is estimated as a clock offset if it is small. After a larger one the INS and the ship rotate
-        # differently at one stamp, so no offset is estimated.
+        # A small clock step is estimated as a clock offset. After a larger step the INS and the ship rotate differently
+        # at one stamp, so no offset is estimated.
         if abs(change.clock_s) <= _MAX_CLOCK_STEP_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.state_indices("ins.attitude"), self.model.state_indices(clock.name)]
             moved, shared = change.shared_with_clock
@@ -161,7 +161,7 @@ class ShipFilter:
         )
 
     def change_effective_ns(self, change: InsChange) -> int:
-        """Return the stamp from which measurements find the covariance inflated for a change of the INS, ns."""
+        """Return the stamp from which the covariance is inflated for a change of the INS, ns."""
         return change.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
 
     def _with_uncertain_clock(self, state: FilterState, noise: ExtraNoise) -> FilterState:
@@ -185,14 +185,14 @@ class ShipFilter:
         sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
-        """Propagate the state to the measurement, evaluate the measurement, and update the state if it is accepted.
+        """Propagate the state to a measurement, evaluate the measurement, and update the state after acceptance.
 
         A measurement in a gap of the track is rejected. If no filter uses the measurement, the state is returned
         without propagation, bit-identical.
 
-        The optics of a camera may have changed by temperature or shock. If the stars of an exposure are rejected, they
-        are compared again with an inflated covariance of the optics. An exposure that implies a focal length far from
-        the configured one is rejected.
+        The optics of a camera may have changed due to temperature or shock. If the stars of an exposure are rejected,
+        they are compared again with an inflated covariance of the optics. An exposure that implies a focal length far
+        from the configured focal length is rejected.
 
         Args:
             state: state after the previous measurement.
@@ -255,7 +255,7 @@ class ShipFilter:
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
     ) -> Rejection | None:
-        """Return the rejection of an exposure whose estimated focal length differs from the configured one, or None."""
+        """Return the rejection of an exposure whose estimated focal length is far from the configured, or None."""
         if exposure.optics is None:
             return None
         variance = float(state.covariance_by_source[:, optics.start, optics.start].sum())
@@ -289,7 +289,7 @@ class ShipFilter:
             predicted, innovations = self._innovations_after_inflation(predicted, source, linearised.compared, gate)
         except np.linalg.LinAlgError:
             return self._reject(state, measurement, NotEvaluable(singular_covariance(), linearised.ins_time_ns))
-        # Written so that NaN fails.
+        # NaN is not accepted.
         accepted = innovations.nis <= gate
         decision = AttitudeDecision(
             measurement=measurement,
@@ -331,7 +331,7 @@ class ShipFilter:
         return math.isnan(self.vertical.at(time_ns).latitude)
 
     def _is_ins_confirmed(self, state: FilterState, linearised: LinearisedMeasurement) -> bool:
-        """True if the rates of the INS exclude a step: they are available, and the INS reported no recent jump."""
+        """True if the rates of the INS exclude a step, because rates are available and no recent jump was reported."""
         if linearised.ins.sample is None or linearised.ins.sample.rate_d is None:
             return False
         return not self.fault_detector.ins_fault.has_reported_jump(state, linearised.ins_time_ns)
@@ -339,9 +339,9 @@ class ShipFilter:
     def _innovations_after_inflation(
         self, predicted: FilterState, source: str, compared: ComparedMeasurement, gate: float
     ) -> tuple[FilterState, FilterInnovations]:
-        """Return the innovations of all filters, where necessary after an inflation of the INS error.
+        """Return the innovations of all filters, where necessary after an inflation of the INS error covariance.
 
-        A filter that does not use the INS must not reject measurements for a change of the INS error
+        A filter that does not use the INS must not reject measurements because of a change of the INS error
         (:meth:`~ship_attitude_star.ship_attitude.ins_fault_handling.InsFaultHandling.inflate_against`).
 
         Args:
@@ -372,7 +372,7 @@ class ShipFilter:
         )
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
-        """Return the decision with the text of fault detection; it is a rejection if the source is excluded now."""
+        """Return the decision with the text of fault detection; a rejection if the source is excluded now."""
         if not text:
             return decision
         if decision.measurement.source in state.excluded and decision.reason in (Reason.NONE, Reason.EXCLUDED):
@@ -382,7 +382,7 @@ class ShipFilter:
     def _reject(
         self, state: FilterState, measurement: Measurement, not_evaluable: NotEvaluable
     ) -> tuple[FilterState, AttitudeDecision]:
-        """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
+        """Reject a measurement that cannot be evaluated; a contradiction of the state counts as a rejection."""
         rejection, text = not_evaluable.rejection, not_evaluable.rejection.text
         if not_evaluable.is_contradiction:
             state, inflation_text = self._inflate_after_rejections(
@@ -405,7 +405,7 @@ class ShipFilter:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
 
         Returns:
-            The state, and a text about the inflation; empty if there is none.
+            The state, and a text about the inflation, which is empty without an inflation.
         """
         if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""
@@ -415,7 +415,7 @@ class ShipFilter:
         return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
     def _record_accepted(self, state: FilterState, measurement: Measurement) -> FilterState:
-        """Record an accepted measurement: reset its rejection counter and store its stamp."""
+        """Record an accepted measurement, reset the rejection counter of its source and store the stamp."""
         source, unconfirmed = measurement.source, state.unconfirmed_step
         if self.devices[source].is_star:
             if unconfirmed is not None:
@@ -463,10 +463,11 @@ class ShipFilter:
         """Return state and decision for a measurement that failed the innovation gate.
 
         After ``gate.conflict_after`` consecutive rejections the reason is a conflict, and the text names its probable
-        cause. After ``gate.reopen_after`` of them the covariance is inflated.
+        cause. After ``gate.reopen_after`` rejections the covariance is inflated.
         """
         source, ins, compared = decision.measurement.source, linearised.ins, linearised.compared
-        # Measured deck attitude: that of the INS, rotated as the measured device attitude is against the predicted one.
+        # The measured deck attitude is the INS attitude, rotated by the rotation from the predicted to the measured
+        # device attitude.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)

@@ -2,7 +2,7 @@
 
 Offline, the samples of a period are available together and are checked in one call. Then they are committed in order
 with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes of all
-samples are computed, those with the same filter state together.
+samples are computed, together for samples with the same filter state.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ class _BatchSegment(NamedTuple):
         state: the filter state.
         start: index of the first sample.
         stop: index after the last sample.
-        contradiction_texts: for each sample a text if a source contradicted itself, else empty; None if no source did.
+        contradiction_texts: text of each sample, empty unless a source sent conflicting data; None if no source did.
     """
 
     state: FilterState
@@ -54,9 +54,9 @@ class InsBatch:
         arrivals_ns: arrival times, by the timeout clock.
         checked: results of the INS check, including a last sample that needs separate handling.
         previous_rates: rates of the samples before the batch.
-        extra_noise: noise of the samples in excess of the stated noise; None if there is none.
+        extra_noise: noise of the samples in excess of the stated noise; None without excess noise.
         committed_count: number of committed samples.
-        pending_outcomes: index of a sample and its outcome besides an attitude, not yet retrieved.
+        pending_outcomes: outcomes of samples besides attitudes, each with the index of its sample, not yet retrieved.
     """
 
     samples: list[AttitudeSample]
@@ -91,8 +91,8 @@ class InsBatch:
         """Return the attitudes of all committed samples in order, one series per filter state.
 
         Args:
-            corrected_by: returns the corrections by a filter state.
-            propagation_s: returns the time by which a sample is propagated with these corrections, s.
+            corrected_by: function that returns the corrections by a filter state.
+            propagation_s: function that returns the time by which a sample is propagated with these corrections, s.
             config: configuration of the node.
 
         Returns:
@@ -109,7 +109,7 @@ class InsBatch:
                 *corrected_estimates(corrected, counts, self._times_ns, propagated, config)
             ]
         except Exception:
-            # Compute one by one to find the one that fails.
+            # The segments are computed one by one to find the segment that fails.
             pairs = zip(corrected, self._segments, strict=True)
             found = [self._attitudes_of(one, stretch, propagated, config) for one, stretch in pairs]
         for stretch, run in zip(self._segments, found, strict=True):

@@ -1,14 +1,14 @@
-"""Handling of INS faults: in the subfilters that exclude the INS, and in all filters while the INS is excluded.
+"""Handling of INS faults in the subfilters that exclude the INS, and in all filters while the INS is excluded.
 
-There are two kinds of exclusion. After a drift only the correlated error of the INS is unknown: its covariance grows by
-a random walk, and the change of the INS attitude between measurements is still used. The subfilters without the INS
-take its error as unknown in the same way.
+There are two kinds of exclusion. After a drift only the correlated error of the INS is unknown. The covariance of this
+error grows by a random walk, and the change of the INS attitude between measurements is still used. The subfilters
+without the INS treat the INS error as unknown in the same way.
 
 An INS that reported a jump, and that all stars contradict afterwards, is *excluded by the stars*. The change of its
 attitude may then be wrong as well, for example after an error of its clock or axes. Therefore each inconsistent
 measurement inflates the covariance in all filters, the fault counts as unresolved, and only the error of the INS is
-estimated. So the fault does not affect the other states. An INS with a clock step too large to estimate is treated
-equally.
+estimated. The fault therefore does not affect the other states. An INS with a clock step too large to estimate is
+treated in the same way.
 
 The INS is reinstated after ``integrity.return_after_s`` (:meth:`InsFaultHandling.reinstate_ins`).
 """
@@ -42,13 +42,13 @@ estimate. A larger random walk would reduce this lag, and would increase every p
 _IDENTITY = np.eye(3)
 
 _MIN_SOURCES = 2
-"""Minimum number of sources besides the INS to exclude it: a single source cannot be checked without the INS."""
+"""Minimum number of other sources to exclude the INS; a single source cannot be checked without the INS."""
 
 _CONSISTENT_FOR_S = 10.0
 """Time without contradiction after which an INS with a clock step is reinstated, s.
 
 In this time the ship has rolled to both sides, so a wrong clock would have shown. A clock step without contradiction is
-one of all clocks, as at a leap second.
+a step of all clocks, as at a leap second.
 """
 
 
@@ -77,7 +77,7 @@ class InsFaultHandling:
             covariance_by_source: covariance by error source, shape (n_sources, n, n).
 
         Returns:
-            Shapes (h, n) and (n_sources + h - 1, n, n).
+            Means, shape (h, n), and covariances, shape (n_sources + h - 1, n, n).
         """
         count = self._subfilters.count
         stack = np.concatenate([covariance_by_source, np.tile(covariance_by_source.sum(axis=0), (count - 1, 1, 1))])
@@ -98,7 +98,7 @@ class InsFaultHandling:
     def inflate_against(
         self, state: FilterState, source: str, innovations: FilterInnovations, predicted_nv: FloatArray, gate: float
     ) -> tuple[FloatArray, list[int]]:
-        """Inflate the covariance of the INS error by an inconsistent innovation.
+        """Inflate the covariance of the INS error for an inconsistent innovation.
 
         A subfilter without the INS is inflated if one more rejection of the source would count as a fault. If the stars
         have excluded the INS, all filters are inflated at the first rejection.
@@ -114,7 +114,7 @@ class InsFaultHandling:
             The covariances, and the indices of the inflated filters.
         """
         in_all = is_ins_excluded_by_stars(state) and source not in state.excluded
-        # Written so that NaN inflates nothing.
+        # NaN inflates nothing.
         rejecting = [
             subfilter
             for subfilter in ((0,) if in_all else self._subfilters.ins_subfilters)
@@ -131,13 +131,13 @@ class InsFaultHandling:
         return stack, list(range(len(state.means))) if in_all else inflated
 
     def updatable_states(self, state: FilterState, updatable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the mask of states to update, shape (h, n): only the INS attitude if the stars excluded the INS."""
+        """Return the mask of states to update, shape (h, n); only the INS attitude if the stars excluded the INS."""
         return updatable & ~self._all_but_ins_attitude if is_ins_excluded_by_stars(state) else updatable
 
     # -- exclusion by the stars -----------------------------------------------------------------------------
 
     def has_reported_jump(self, state: FilterState, time_ns: int) -> bool:
-        """True for ``return_after_s`` after a jump reported by the INS, a later contradiction or its reinstatement."""
+        """True for ``return_after_s`` after a reported jump, a later contradiction or a reinstatement of the INS."""
         since_ns = state.ins_fault_ns
         return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
 
@@ -155,10 +155,10 @@ class InsFaultHandling:
         return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 
     def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after a contradiction of an excluded INS: its reinstatement timer restarts.
+        """Return the state after a contradiction of an excluded INS, which restarts the reinstatement timer.
 
-        The fault is unresolved. Its covariance is that of the last innovations, because the change of the INS attitude
-        may remain wrong by as much.
+        The fault is unresolved. Its covariance follows from the last innovations, because the change of the INS
+        attitude may remain wrong by as much as these innovations.
         """
         names = state.in_use(self._subfilters.sources, time_ns)
         excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], is_self_reported=False))
@@ -168,7 +168,7 @@ class InsFaultHandling:
     def with_not_evaluable(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a measurement that was not evaluable because it contradicts the state.
 
-        If the stars have excluded the INS, its error is taken as unknown again.
+        If the stars have excluded the INS, the INS error is treated as unknown again.
         """
         if not is_ins_excluded_by_stars(state):
             return state
@@ -188,7 +188,7 @@ class InsFaultHandling:
             time_ns: stamp of the measurement.
         """
         innovation = innovations.whitened_innovation[0]
-        # Written so that NaN is inconsistent.
+        # NaN is inconsistent.
         return (
             state
             if is_consistent and innovation @ innovation <= self._consistent_gate
@@ -198,8 +198,8 @@ class InsFaultHandling:
     def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """Reinstate an excluded INS after its reinstatement time.
 
-        If the stars have excluded the INS, it must have been consistent for that time. An INS excluded for a drift is
-        reinstated without a test, because no measurement shows the end of a drift. It is excluded again if it still
+        If the stars have excluded the INS, the INS must have been consistent for that time. An INS excluded for a drift
+        is reinstated without a test, because no measurement shows the end of a drift. It is excluded again if it still
         drifts, and each exclusion doubles the time.
         """
         exclusion = state.excluded.get(INS)
@@ -229,7 +229,7 @@ class InsFaultHandling:
     # ---------------------------------------------------------------------------------------------------------
 
     def _with_unresolved_fault(self, state: FilterState, time_ns: int, text: str) -> FilterState:
-        """Return the state with an unresolved fault of the excluded INS; its reinstatement timer starts now."""
+        """Return the state with an unresolved fault of the excluded INS; the reinstatement timer starts now."""
         names = state.in_use(self._subfilters.sources, time_ns)
         rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(rotation_n, rotation_n) for rotation_n in rotations), start=np.zeros((3, 3)))

@@ -1,7 +1,8 @@
 """Protection levels of heading, pitch and roll of the ship.
 
-They bound the error in the presence of an undetected fault. They are computed from the solution separations of the
-subfilters (:mod:`ship_attitude_star.ship_attitude.fault_detection`) by :mod:`ship_estimation.protection_levels`.
+Protection levels bound the error in the presence of an undetected fault. The levels are computed from the solution
+separations of the subfilters (:mod:`ship_attitude_star.ship_attitude.fault_detection`) by
+:mod:`ship_estimation.protection_levels`.
 """
 
 import numpy as np
@@ -73,7 +74,7 @@ def relative_to_horizon(
     """Return means and covariances of all filters, with the INS error relative to the published horizon."""
     if config.horizon == GEODETIC or filter_.vertical is None:
         return state.means, state.stack
-    # The gravity horizon differs by the deflection: its two states follow the three of the INS attitude.
+    # The gravity horizon differs by the deflection, whose two states follow the three states of the INS attitude.
     indices, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
     to_own[indices[:3, None], indices] = own_error_matrix(filter_.vertical.at(time_ns))
     return state.means @ to_own.T, to_own @ state.stack @ to_own.T

@@ -1,9 +1,9 @@
 """Linearisation of a measurement for one Kalman update (iterated extended Kalman filter).
 
-The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from it.
-Both depend on the state nonlinearly. One linearisation at the predicted state is enough if the predicted rotation and
-the clock offset have small standard deviations. Otherwise the measurement is linearised again at the new estimate until
-the estimate converges (Gauss–Newton).
+The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from the
+INS attitude. Both steps depend on the state nonlinearly. One linearisation at the predicted state is enough if the
+predicted rotation and the clock offset have small standard deviations. Otherwise the measurement is linearised again at
+the new estimate until the estimate converges (Gauss–Newton).
 """
 
 import math
@@ -39,7 +39,7 @@ from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _CONVERGED_RAD = 2e-4
-"""Convergence limit of the distance between linearisation point and estimate, rad; its second-order term is 0.004″."""
+"""Convergence limit of the distance between linearisation point and estimate, rad; the second-order term is 0.004″."""
 
 _LINEAR_CLOCK_SIGMA_S = 0.01
 """Maximum standard deviation of a clock offset for one linearisation, s.
@@ -64,9 +64,9 @@ class LinearisedMeasurement(NamedTuple):
     Attributes:
         measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
         compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
-            mean: measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state with it gives
-            the estimate. Its NIS is the least sum of squares, over all states, of the deviations from prediction and
-            measurement: chi² distributed with as many degrees of freedom as residuals.
+            mean, measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state with this
+            residual gives the estimate. The NIS is the least sum of squares, over all states, of the deviations from
+            prediction and measurement. The NIS is chi² distributed with as many degrees of freedom as residuals.
         ins: matched attitude of the INS.
         matched_ins_ns: stamp of the matched INS attitude.
         ins_time_ns: latest INS stamp that the comparison depends on.
@@ -172,7 +172,7 @@ class Linearisation:
         self._offset_jacobians = {name: np.zeros(model.size) for name in devices}
         for name, chain in model.rotation_chains.items():
             self._offset_jacobians[name][chain.clock_states] = chain.clock_signs
-        # The nonzero elements of these Jacobians: pairs of a state and its sign.
+        # The nonzero elements of these Jacobians are stored as pairs of a state and its sign.
         self._clocks = {
             name: tuple(zip(chain.clock_states.tolist(), chain.clock_signs.tolist(), strict=True))
             for name, chain in model.rotation_chains.items()
@@ -181,12 +181,12 @@ class Linearisation:
 
     @property
     def longest_shift_s(self) -> float:
-        """Bound of the difference of INS stamp and device stamp at one time, s: configured offset plus 5 sigma."""
+        """Bound of the difference of INS stamp and device stamp at one time, configured offset plus 5 sigma, s."""
         return self._longest_s(5.0)
 
     @property
     def longest_reach_s(self) -> float:
-        """Bound of the time from a measurement to the INS samples that it needs, s: configured offset plus 8 sigma."""
+        """Bound of the time from a measurement to the required INS samples, configured offset plus 8 sigma, s."""
         return self._longest_s(5.0 + _FAR_SIGMAS)
 
     def _longest_s(self, sigmas: float) -> float:
@@ -212,7 +212,7 @@ class Linearisation:
         sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> LinearisedMeasurement | NotEvaluable | None:
-        """Linearise a measurement at the predicted state, or iteratively at the updated one.
+        """Linearise a measurement at the predicted state, or iteratively at the updated state.
 
         Args:
             measurement: measurement of any kind.
@@ -224,12 +224,12 @@ class Linearisation:
             may_wait: True if INS samples may still arrive.
 
         Returns:
-            The linearised measurement, or the reason why it is not evaluable; None if it needs INS samples that may
-            still arrive.
+            The linearised measurement, or the reason why it is not evaluable; None if required INS samples may still
+            arrive.
         """
         source = measurement.source
         device, by_offset = self._devices[source], self._offset_jacobians[source]
-        # An inflation of the covariance must not raise the sigma of a clock offset above the configured one.
+        # An inflation of the covariance must not raise the sigma of a clock offset above the configured sigma.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
         task = _LinearisationTask(
@@ -293,8 +293,8 @@ class Linearisation:
             measurement = reduce_to_mid_exposure(measurement, motion.in_device_frame(task.device.rotation_dv0).turns)
         if shared_count > 1.0:
             # All measurements between two samples share one interpolation error, but the filter treats it as noise. The
-            # variance is therefore multiplied by the number of these measurements: their mean then has the variance of
-            # the shared error.
+            # variance is therefore multiplied by the number of these measurements, so that their mean has the variance
+            # of the shared error.
             ins = replace(ins, error_covariance_d=shared_count * ins.error_covariance_d)
         if around_ns:
             nonlinear_d = _nonlinear_offset_covariance(track, ins_time_ns, around_ns, ins)
@@ -314,7 +314,7 @@ class Linearisation:
         Args:
             task: inputs of the linearisation.
             matched: the measurement matched with the predicted mean.
-            expected: attitude of the device predicted with that mean.
+            expected: attitude of the device predicted with the predicted mean.
         """
         model, until_ns = self._model, matched.ins_time_ns
         correction = self._start_correction(task, matched, expected)
@@ -349,7 +349,7 @@ class Linearisation:
     ) -> FloatArray:
         """Return the first linearisation point, relative to the predicted mean, shape (n,).
 
-        For stars it is the attitude that the stars give by themselves; for other measurements it is zero.
+        For stars this point is the attitude from the stars alone. For other measurements the correction is zero.
         """
         correction, exposure = np.zeros_like(task.mean), matched.measurement
         if not isinstance(exposure, StarExposure):
@@ -376,12 +376,13 @@ def _nonlinear_offset_covariance(
 ) -> FloatArray | None:
     """Return the covariance of the nonlinear effect of an unknown clock offset, deck frame, rad², shape (3, 3).
 
-    It results from the rotations to the attitudes at :data:`_FAR_SIGMAS` standard deviations of the offset before and
-    after. Half of their sum is the quadratic part; half of their difference, less the rate, is the cubic part. Each
-    is taken as :data:`_FAR_SIGMAS` standard deviations of a normal error, which is conservative for most offsets.
+    The covariance results from the rotations to the attitudes at :data:`_FAR_SIGMAS` standard deviations of the offset
+    before and after. Half of their sum is the quadratic part; half of their difference, less the rate, is the cubic
+    part. Each part is taken as :data:`_FAR_SIGMAS` standard deviations of a normal error, which is conservative for
+    most offsets.
 
     If the track does not extend so far, nearer attitudes are used, down to an eighth of the offset. The result is None
-    if these are missing too.
+    if nearer attitudes are missing too.
     """
     for nearer in (1, 2, 4, 8):
         off_ns = around_ns // nearer
@@ -397,7 +398,7 @@ def _nonlinear_offset_covariance(
 
 
 def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray | None:
-    """Return the correction of the mean by a linearised measurement, shape (n,); None if it is not finite."""
+    """Return the correction of the mean by a linearised measurement, shape (n,); None if not finite."""
     cross = linear.jacobian @ covariance
     _, solution, failed = lapack.dposv(cross @ linear.jacobian.T + linear.noise, linear.residual)
     correction: FloatArray = cross.T @ solution

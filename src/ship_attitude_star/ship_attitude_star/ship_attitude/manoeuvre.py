@@ -1,9 +1,9 @@
-"""Recommended turn of the ship: accuracy of the attitude after a turn, compared with that on the present course.
+"""Recommended turn of the ship, from the predicted accuracy of the attitude with and without a turn.
 
-The covariance is predicted for 15 min of measurements as accurate and as frequent as the last ones, with and without a
-turn. A turn rotates the installation errors of the sensors relative to the INS error, and so makes both observable.
-Errors of refraction, UT1 and position, which all stars share, are not observable by a turn; they are omitted in both
-cases. The prediction does not change the filter state.
+The covariance is predicted for 15 min of measurements as accurate and as frequent as the last measurements, with and
+without a turn. A turn rotates the installation errors of the sensors relative to the INS error, and so makes both
+observable. Errors of refraction, UT1 and position, which all stars share, are not observable by a turn. These errors
+are omitted in both cases. The prediction does not change the filter state.
 """
 
 import math
@@ -33,7 +33,7 @@ _MISSED_PERIODS = 3.0
 """Timeout of a source, in its measurement periods."""
 
 _RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
-"""Rate of turn, °/s, and size of the steps in which a turn is predicted, °: the INS error varies during the turn."""
+"""Rate of turn, °/s, and size of the steps in which a turn is predicted, °. The INS error varies during the turn."""
 
 _RECOMMENDED_RATIO = 0.9
 """Maximum ratio of the standard deviations after a turn and on course for a recommendation."""
@@ -44,7 +44,7 @@ class RecentSource(NamedTuple):
 
     Attributes:
         measurement: last accepted measurement.
-        period_s: time between the last two accepted measurements; infinite after the first.
+        period_s: time between the last two accepted measurements; infinite after the first measurement.
     """
 
     measurement: Measurement
@@ -77,7 +77,7 @@ class RecommendedTurn(NamedTuple):
 def recommended_manoeuvre(
     filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, recent_sources: Mapping[str, RecentSource]
 ) -> RecommendedTurn | None:
-    """Return the turn that improves the attitude most; None if none is worthwhile or no source measures.
+    """Return the turn that improves the attitude most; None if no turn is worthwhile or no source measures.
 
     Args:
         filter_: filter and model.
@@ -101,7 +101,7 @@ def recommended_manoeuvre(
         after = prediction.sigmas_after_turn(turn_deg)
         hints += [RecommendedTurn(turn_deg, name, now[name], on_course[name], after[name]) for name in after]
     best = min(hints, key=lambda hint: hint.sigma_after_turn / hint.sigma_on_course)
-    # Written so that NaN is not recommended.
+    # NaN is not recommended.
     return best if best.sigma_after_turn <= _RECOMMENDED_RATIO * best.sigma_on_course else None
 
 
@@ -125,13 +125,13 @@ class _ConstantVertical:
 class _CovarianceTransition(NamedTuple):
     """Transition of a covariance P over a time with measurements.
 
-    It maps P to transition P (1 + information P)^-1 transitionᵀ + noise. Successive transitions combine to one (S.
-    Särkkä and Á. F. García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, lemma 8).
+    The result is transition P (1 + information P)^-1 transitionᵀ + noise. Successive transitions combine to one
+    transition (S. Särkkä and Á. F. García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, lemma 8).
 
     Attributes:
         transition: transition of the states, shape (n, n).
         noise: covariance added to the states, shape (n, n).
-        information: information about the states before, shape (n, n).
+        information: information about the states at the start, shape (n, n).
     """
 
     transition: FloatArray
@@ -139,7 +139,7 @@ class _CovarianceTransition(NamedTuple):
     information: FloatArray
 
     def followed_by(self, later: "_CovarianceTransition") -> "_CovarianceTransition":
-        """Return the transition over this time and a later one."""
+        """Return the transition over this time and a later time."""
         one = np.eye(len(self.transition))
         through = np.linalg.solve((one + self.noise @ later.information).T, later.transition.T).T
         return _CovarianceTransition(
@@ -211,7 +211,7 @@ class _ManoeuvrePrediction:
 
 
 def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the transition matrix of the states over a time, and the covariance added, shape (n, n) each."""
+    """Return the transition matrix of the states over a time, and the added covariance, shape (n, n) each."""
     model = filter_.model
     decay, variance = model.transition(step_s)
     transition, noise = np.diag(decay), np.diag(variance)
@@ -259,7 +259,7 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
 
 
 def _root(information: FloatArray, ins_white: float, count: float) -> FloatArray:
-    """Return a root of the information of ``count`` measurements with INS noise (rad): rootᵀ root, shape (3, 3)."""
+    """Return a root, shape (3, 3); rootᵀ root is the information of ``count`` measurements with INS noise (rad)."""
     if ins_white > 0.0:
         information = information - information @ np.linalg.solve(
             information + np.eye(3) / ins_white**2, information

@@ -1,4 +1,4 @@
-"""Stored states of the ship filter: restart from a stored state, and comparison of measurements and states with it.
+"""Restart of the ship filter from a stored state, and comparison of measurements and states with a stored state.
 
 The recovery rules in :mod:`ship_estimation.recovery` use these functions.
 """
@@ -19,7 +19,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
-"""Endings of the names of the states that are compared with a stored state; all others vary within minutes."""
+"""Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
 
 _OBSERVABLE_RAD = 0.02
 """Maximum standard deviation of a device rotation that a measurement observes, rad."""
@@ -78,10 +78,10 @@ def memory_residual(
 
 
 def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
-    """Return the largest difference of a constant state from the stored one, in standard deviations.
+    """Return the largest difference of a constant state from the stored state, in standard deviations.
 
     The variance of the difference is the sum of both variances if the two states are independent. A later state of the
-    same estimator is not: it contains the information of the stored state, whose variance is then used alone.
+    same estimator contains the information of the stored state, whose variance is then used alone.
 
     Args:
         filter_: filter of the estimator.
@@ -97,13 +97,13 @@ def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: F
     )
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
-    # States that are known exactly are not compared; NaN is.
+    # States that are known exactly are not compared; a state with a variance of NaN is compared.
     varies = variance != 0.0
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
 def is_consistent(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
-    """True if a state is based on stars, all sources are consistent, none is excluded and no jump is unconfirmed."""
+    """True if a state is based on stars, no source is inconsistent or excluded, and no jump is unconfirmed."""
     is_unresolved = (
         state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc_step is not None
     )

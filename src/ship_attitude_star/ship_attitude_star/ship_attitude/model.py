@@ -6,36 +6,35 @@ The model is described in docs/explanation/filter.md.
 state                           frame    meaning
 ==============================  =======  ====================================================================
 ins.attitude (3)                horizon  correlated error a: R_true = exp(a) exp(w) R_ins
-gravity.deflection (2)                   deflection of the vertical, which is then part of a; only if
-                                         gravity.deflection is not none (gauss_markov), or if ins.model is
-                                         schuler
-ins.velocity (2)                horizon  velocity error of the INS (North, East), m/s; this and the next three only
-                                         if ins.model is schuler (schuler)
+gravity.deflection (2)                   deflection of the vertical, which is then part of a; only with
+                                         gravity.deflection or if ins.model is schuler
+ins.velocity (2)                horizon  velocity error of the INS (North, East), m/s; this and the next three states
+                                         only if ins.model is schuler
 ins.latitude (1)                         latitude error of the INS, rad
-ins.gyro_drift (3)              horizon  drift of its gyroscopes, rad/s
-ins.accelerometer_bias (2)      horizon  bias of its accelerometers (North, East), m/s²
+ins.gyro_drift (3)              horizon  drift of the INS gyroscopes, rad/s
+ins.accelerometer_bias (2)      horizon  bias of the INS accelerometers (North, East), m/s²
 ins.noise (3)                   horizon  white error w of the INS at the time of the measurement
 ins.time_offset (1)                      tau: an INS sample is valid at its stamp + tau
 star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0) exp(m)
 star.<id>.common (3)            horizon  error common to successive solutions: R_measured = exp(c) R_true ...
-star.<id>.time_offset (1)                a message is valid at its stamp + this; only if it has a sigma
-star.<id>.flexure (3)           deck     hull flexure between INS and sensor; only if it has a sigma
-star.<id>.optics (4)                     errors of focal length, principal point (u, v) and k1, in their sigmas;
+star.<id>.time_offset (1)                offset: a message is valid at its stamp + offset; only with a sigma
+star.<id>.flexure (3)           deck     hull flexure between INS and sensor; only with a sigma
+star.<id>.optics (4)                     errors of focal length, principal point (u, v) and k1, in their own sigmas;
                                          only of a sensor with single-star messages
 star.<id>.field (18)                     field-spatial error of the sensor, coefficients in their own sigmas; only
                                          of a sensor with single-star messages and such an error
-sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only if the
-                                         messages of a sensor depend on the sky model
+sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two states only if
+                                         the messages of a sensor depend on the sky model
 sky.earth_rotation (1)                   error of UT1, in its own sigmas
 sky.position (2)                         error of the ship's position, in its own sigmas
-sky.utc (1)                              error of UTC, in its own sigmas; only if it has a sigma
-sky.common (3)                           error common to messages of several sensors, in sigmas; only if a sensor
-                                         is configured so
+sky.utc (1)                              error of UTC, in its own sigmas; only with a sigma
+sky.common (3)                           error common to messages of several sensors, in its own sigmas; only if a
+                                         sensor shares its messages' errors
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
-reference.<name>.slow           device   correlated error; only if it has a sigma
-baseline.installation           baseline as for a star sensor, about its two transverse axes; only with a
-                                         ship_baseline
-baseline.common                 horizon  error common to successive solutions; only if it has a sigma
+reference.<name>.slow           device   correlated error; only with a sigma
+baseline.installation           baseline as for a star sensor, about the two transverse axes of the baseline;
+                                         only with a ship_baseline
+baseline.common                 horizon  error common to successive solutions; only with a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
 ==============================  =======  ====================================================================
 
@@ -44,7 +43,7 @@ With R_i the attitude of the INS at the time of a measurement, a device measures
     R_measured = exp(-z) exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
 
 where c is the common error of a star sensor, f its flexure, m the installation error and s the correlated error of a
-reference. All star sensors share z, the rotation of the sky; it is a sum over its causes.
+reference. All star sensors share z, the rotation of the sky, which is a sum over its causes.
 """
 
 import math
@@ -98,10 +97,10 @@ _IDENTITY = np.eye(3)
 
 @dataclass(frozen=True)
 class Device:
-    """A device that measures an attitude: its mounting, clock and error sources.
+    """Mounting, clock and error sources of a device that measures an attitude.
 
     Attributes:
-        name: ``star.<id>``, ``reference.<name>`` or ``baseline``; also the prefix of its states.
+        name: ``star.<id>``, ``reference.<name>`` or ``baseline``; also the prefix of the names of its states.
         rotation_dv0: configured mounting, deck from device, shape (3, 3).
         ins_time_s: configured part of (stamp of the INS - stamp of the device) for the same attitude, s.
         ins_time_states: states that add to ``ins_time_s``, with their signs.
@@ -128,7 +127,7 @@ class RotationChain:
     Attributes:
         links: index of the first state of each rotation, from the device outwards, shape (k,).
         fixed: constant rotation to the left of each link, shape (k, 3, 3).
-        hull_link: index of the last link of the hull; the INS attitude is to its left.
+        hull_link: index of the last link of the hull; the INS attitude is to the left of this link.
         noise_link: index of the link of the white INS noise.
         clock_states: indices of the states that shift the INS time, shape (c,).
         clock_signs: signs of these states, shape (c,).
@@ -152,7 +151,7 @@ class ShipStateModel(StateModel):
         shared_slices: slices of the states that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
         ins_attitude_block: standard deviation and correlation time of the INS attitude error.
         ins_process: error process of the INS; None if each axis is a first-order Gauss-Markov process.
-        process_indices: indices of the states of that process; those of ``ins.attitude`` without one.
+        process_indices: indices of the states of that process, or of ``ins.attitude`` without a process.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
@@ -260,7 +259,7 @@ def _reference_device(name: str, reference: ReferenceConfig) -> Device:
 
 
 def _baseline_device(config: ShipAttitudeConfig) -> Device:
-    """Return the baseline as a device whose forward axis is along it; its stamps are satellite time."""
+    """Return the baseline as a device with a forward axis along the baseline and stamps in satellite time."""
     baseline = config.ship_baseline
     return Device(
         name=BASELINE,
@@ -312,7 +311,7 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     walk_per_sqrt_s = np.array(walk) * ARCSEC / _SQRT_HOUR
     blocks = [
         block(f"{name}.installation", star.installation_sigma_s, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
-        # Its covariance is taken from the messages (ShipFilter), so it starts at zero.
+        # The covariance of this error is taken from the messages (ShipFilter) and therefore starts at zero.
         block(f"{name}.common", [0.0] * 3, SOURCE_STAR_COMMON, time_s=star.common_time_s),
     ]
     if star.time_offset_sigma_s > 0.0:

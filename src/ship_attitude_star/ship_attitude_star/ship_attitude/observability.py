@@ -1,8 +1,8 @@
-"""Observability of the filter states: standard deviations compared with the prior, and unobservable combinations.
+"""Observability of the filter states, by standard deviations compared with the prior and unobservable combinations.
 
 At constant heading only sums of INS error and installation errors are observable. An unobserved state keeps its prior
-standard deviation. An unobserved combination keeps it even if sums of its states are known well. Both are computed from
-the filter covariance.
+standard deviation. An unobserved combination keeps its prior standard deviation even if other combinations of its
+states are known well. Standard deviations and combinations are computed from the filter covariance.
 """
 
 from typing import NamedTuple
@@ -27,9 +27,8 @@ class Observability(NamedTuple):
     """Observability of the states.
 
     Attributes:
-        sigma_ratios: ratio of the current standard deviation to the prior one, by state name; 1 if nothing was
-            observed.
-        unobservable_combinations: unobservable combinations of states, as texts of their names.
+        sigma_ratios: ratio of the current to the prior standard deviation, by state name; 1 if nothing was observed.
+        unobservable_combinations: unobservable combinations of states, as texts with the state names.
     """
 
     sigma_ratios: dict[str, float]

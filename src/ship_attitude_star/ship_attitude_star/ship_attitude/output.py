@@ -1,4 +1,4 @@
-"""Published attitude without INS samples: from the newest star measurement alone, or INVALID."""
+"""Published attitude without INS samples, from the newest star measurement alone or INVALID."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ from ship_geometry.time_scales import SECOND_NS
 def attitude_from_star(
     measurement: Measurement, sky_model: SkyModel | None, unmeasured_acceleration: float
 ) -> AttitudeMeasurement | None:
-    """Return the attitude of a star sensor from one measurement alone; None if it does not determine one.
+    """Return the attitude of a star sensor from one measurement alone; None if it does not determine the attitude.
 
     Args:
         measurement: measurement of the sensor.
@@ -52,7 +52,7 @@ def attitude_from_star(
 def _attitude_from_exposure(
     exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float
 ) -> AttitudeMeasurement | None:
-    """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
+    """Return the sensor attitude from one exposure; None if the stars do not determine a verified attitude."""
     visible = visible_stars(exposure, sky_model, None)
     if isinstance(visible, Rejection):
         return None
@@ -72,7 +72,7 @@ def _attitude_from_exposure(
 def estimate_from_star(
     filter_: ShipFilter, state: FilterState, measurement: AttitudeMeasurement, horizon: str = GEODETIC
 ) -> AttitudeEstimate:
-    """Return the ship attitude from one star sensor alone, from its measurement and its estimated installation."""
+    """Return the ship attitude from the measurement and the estimated installation of one star sensor."""
     model, device = filter_.model, filter_.devices[measurement.source]
     state = filter_.propagate(state, measurement.time_ns)
     installation = state.mean[model.slices[f"{device.name}.installation"]]
@@ -80,7 +80,7 @@ def estimate_from_star(
     rotation_nd = to_horizon @ (device.rotation_dv0 @ exp_rotation(installation)).T
     rows, jacobian = model.state_indices(f"{device.name}.installation"), to_horizon @ left_jacobian(installation).T
     if f"{device.name}.flexure" in model.slices:
-        # The flexure is unknown now and soon independent of its estimate: only its covariance is used.
+        # The flexure is unknown now and soon independent of its estimate, so only its covariance is used.
         rows = np.r_[rows, model.state_indices(f"{device.name}.flexure")]
         jacobian = np.hstack([jacobian, rotation_nd])
     to_gravity = horizon == GRAVITY and filter_.vertical is not None

@@ -42,8 +42,8 @@ else:
     def with_changes(of, **fields):
         """Return a copy of a frozen dataclass with some fields replaced.
 
-        It is ``dataclasses.replace`` in a fifth of the time: ``__init__`` and ``__post_init__`` are not called. A
-        filter step replaces fields several times.
+        The function takes a fifth of the time of ``dataclasses.replace``, because ``__init__`` and ``__post_init__``
+        are not called. A filter step replaces fields several times.
         """
         after = object.__new__(type(of))
         after.__dict__.update(of.__dict__, **fields)
@@ -107,8 +107,8 @@ class UtcStep(NamedTuple):
 
     Attributes:
         step_s: sum of the steps since UTC was last compared with the attitude of the INS, s.
-        log_likelihood_ratio: logarithm of the likelihood of the star measurements since the step if the sky is rotated
-            by the step, minus that if the sky is not rotated.
+        log_likelihood_ratio: log-likelihood of the star measurements since the step if the sky is rotated by the step,
+            minus the log-likelihood if the sky is not rotated.
     """
 
     step_s: float
@@ -121,7 +121,7 @@ class RecentInnovations(NamedTuple):
     Attributes:
         windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.running`),
             shape (w, 5).
-        largest_sigmas: largest deviation of a mean from zero, in its own standard deviations.
+        largest_sigmas: largest deviation of a mean from zero, in standard deviations of the mean.
     """
 
     windowed_means: FloatArray
@@ -134,19 +134,19 @@ NO_PIXEL_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class FilterState:
-    """State of h filters: the main filter first, then the subfilters.
+    """State of h filters, the main filter first, then the subfilters.
 
     Attributes:
         time_ns: time of the state; None before the first measurement.
         means: estimated errors, shape (h, n).
-        stack: covariance of the main filter by error source, then those of the subfilters, as in
+        stack: covariance of the main filter by error source, then covariances of the subfilters, as in
             :mod:`ship_estimation.subfilters`, shape (n_sources + h - 1, n, n).
         innovation_means: windowed innovation means of each source in each filter.
         excluded: excluded sources by name.
         exclusion_counts: number of exclusions of each source.
-        unresolved_fault: fault that is detected and not isolated; None for none.
+        unresolved_fault: fault that is detected and not isolated; None without such a fault.
         separation_covariance_n: covariance that an output adds for large solution separations, rad², horizon frame,
-            shape (3, 3); not part of ``stack``; None for none.
+            shape (3, 3); not part of ``stack``; None without large separations.
         last_innovations: innovation of each source's last measurement against the main filter.
         recent_innovations: windowed innovation means of each source's accepted measurements since the last restart of
             the filters.
@@ -157,14 +157,16 @@ class FilterState:
         last_used_ns: stamp of each source's last accepted measurement, ns.
         pixel_dwells: pixel dwell of the stars in each camera; empty after the covariance was inflated.
         unconfirmed_step: INS jump, possible INS jump or first star measurement that other stars have not confirmed;
-            None for none.
+            None if all are confirmed.
         rejected_residuals: residual of each source's last rejected measurement.
-        ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None for none.
-        ins_fault_ns: time of the last jump that the INS reported, of a later contradiction, or of its reinstatement;
-            None for none.
+        ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None before a
+            jump.
+        ins_fault_ns: time of the last reported jump, a later contradiction, or a reinstatement of the INS; None before
+            these.
         vertical: vertical at the time of the state; None if the deflection is not modelled.
-        utc_step: step of the time base after which UTC is not verified yet; None for none.
-        correction_sums: sums of the recent corrections by the star sensors, which show an error that all of them share.
+        utc_step: step of the time base after which UTC is not verified yet; None otherwise.
+        correction_sums: sums of the recent corrections by the star sensors, which show an error that all star sensors
+            share.
     """
 
     time_ns: int | None

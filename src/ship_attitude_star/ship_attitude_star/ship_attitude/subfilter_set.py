@@ -1,9 +1,9 @@
-"""The filters of a ship: the main filter, and subfilters that each exclude one source or two.
+"""The main filter of a ship, and its subfilters, which each exclude one source or two sources.
 
 The main filter uses all sources that are not excluded. Each subfilter excludes one more source; with
-``integrity.pairs`` some subfilters exclude two. A subfilter without the INS takes the correlated error of the INS as
-unknown, and still uses the change of the INS attitude between measurements. A ship with a single source besides the INS
-has no subfilter without the INS.
+``integrity.pairs`` some subfilters exclude two sources. A subfilter without the INS treats the correlated error of the
+INS as unknown, and still uses the change of the INS attitude between measurements. A ship with a single source besides
+the INS has no subfilter without the INS.
 """
 
 import itertools
@@ -29,8 +29,8 @@ ALL_STARS = "all_stars"
 MIN_SOURCES_FOR_PAIRS = 3
 """Minimum number of sources besides the INS for subfilters without two sources.
 
-A subfilter without two of three sources uses the third and the INS, which check each other. A subfilter without one of
-them and the INS uses the two others.
+A subfilter without two of three sources uses the third source and the INS, which check each other. A subfilter without
+one of three sources and the INS uses the two other sources.
 """
 
 
@@ -44,7 +44,8 @@ class RelevantHypotheses(NamedTuple):
     Attributes:
         indices: indices of the hypotheses, shape (h,); index 0 is the first subfilter.
         names: names of the hypotheses.
-        is_cross_checked: True if at least two of its sources besides the INS are in use, one of them a star sensor.
+        is_cross_checked: True if at least two sources of the attitude besides the INS are in use, one of them a star
+            sensor.
     """
 
     indices: NDArray[np.intp]
@@ -53,7 +54,7 @@ class RelevantHypotheses(NamedTuple):
 
 
 class SubfilterSet:
-    """The filters of a configuration: h filters (the main filter first) and s sources.
+    """The h filters of a configuration (the main filter first), for s sources.
 
     Args:
         config: configuration of the node.
@@ -64,20 +65,20 @@ class SubfilterSet:
         sources: names of the sources, in the order of their index.
         stars: names of the star sensors.
         excluded_sources: names of the sources that each subfilter excludes, the INS as ``ins``.
-        names: name of the hypothesis of each subfilter: "star.bow", "star.bow+star.port".
+        names: name of the hypothesis of each subfilter, for example "star.bow" or "star.bow+star.port".
         count: number of filters, h.
         single_subfilters: indices of the subfilters that exclude one source.
         pair_subfilters: indices of the subfilters that exclude two sources.
         ins_subfilters: indices of the subfilters that exclude the INS.
         uses: True where a filter uses a source, if no source is excluded, shape (h, s).
-        used_by: for each source, True for the filters that use it, if no source is excluded, shape (h,).
-        own_states: for each source, True for the states that belong to it alone, shape (n,).
-        updatable_states: for each source, True for the states that each filter updates with its measurements, if no
-            source is excluded, shape (h, n).
+        used_by: for each source, True for the filters that use the source, if no source is excluded, shape (h,).
+        own_states: for each source, True for the states that belong to the source alone, shape (n,).
+        updatable_states: for each source, True for the states that each filter updates with measurements of the source,
+            if no source is excluded, shape (h, n).
         k: sigma multipliers K of the protection levels.
         common_k_md: K_md of the hypothesis of an error that all star sensors share.
-        common_threshold: threshold of the sum of the star corrections, in standard deviations; above it all stars
-            contradict the INS.
+        common_threshold: threshold of the sum of the star corrections, in standard deviations; above this threshold all
+            stars contradict the INS.
         innovation_mean_limit: chi² limit of a windowed mean of whitened innovations.
 
     Raises:
@@ -117,8 +118,8 @@ class SubfilterSet:
     def relevant_pairs(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
         """Return the subfilters that exclude two sources in use, if the other sources in use can check one another.
 
-        While the INS is excluded there are none: if two pairs of sensors then contradict each other, neither pair is
-        isolated as faulty.
+        The result is empty while the INS is excluded. If two pairs of sensors then contradict each other, neither pair
+        is isolated as faulty.
 
         Args:
             in_use: sources in use, without the INS.
@@ -132,8 +133,8 @@ class SubfilterSet:
     def can_show_ins_fault(self, in_use: Collection[str]) -> bool:
         """True if two or more sources are in use and at least one of them is not a star sensor.
 
-        Star sensors alone cannot show a fault of the INS: an error of position, UTC or refraction rotates all of them
-        equally.
+        Star sensors alone cannot show a fault of the INS, because an error of position, UTC or refraction rotates all
+        star sensors equally.
         """
         return len(in_use) >= _MIN_FOR_CROSS_CHECK and not self.stars.issuperset(in_use)
 

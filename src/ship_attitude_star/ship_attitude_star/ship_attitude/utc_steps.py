@@ -1,8 +1,8 @@
 """Verification of UTC after a step of the time base, by comparing stars with the INS.
 
-If UTC became wrong by the step, or was wrong before it, the stars are rotated about the pole by 15.04″ per second of
-the step. The attitude from before the step, propagated by the INS, is kept until the stars decide. Stars that
-contradict it are not used; they are used again as soon as they are consistent with it.
+If UTC became wrong due to the step, or was wrong before the step, the stars are rotated about the pole by 15.04″ per
+second of the step. The attitude from before the step, propagated by the INS, is kept until UTC is verified. Stars that
+contradict this attitude are not used until they are consistent with it again.
 """
 
 import math
@@ -25,7 +25,7 @@ _DECISIVE_LOG_RATIO = math.log(100.0)
 """Decision threshold of the log-likelihood ratio."""
 
 _MAX_LOG_RATIO_OF_ONE, _MAX_LOG_RATIO = 5.0, 10.0
-"""Maximum log-likelihood ratio of one measurement, and of all."""
+"""Maximum log-likelihood ratio of one measurement, and of all measurements."""
 
 _MAX_CHI2, _RESIDUAL_RATIO = 16.0, 0.02
 """Maximum sum of squares of a consistent rotation, and ratio of the sky rotation that may remain in addition."""
@@ -37,7 +37,7 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
     Args:
         state: state with its stamps in the new time base.
         model: state vector.
-        step_ns: the step.
+        step_ns: step of the time base, ns.
     """
     step_s = step_ns / SECOND_NS + (0.0 if state.utc_step is None else state.utc_step.step_s)
     # An unresolved fault from before belongs to the earlier UTC.
@@ -62,9 +62,9 @@ def with_utc_evaluated(
         decision: decision about the measurement.
 
     Returns:
-        If UTC is right, or the propagated attitude is not accurate enough any more: the state before the measurement,
-        without the step. While undecided, and if UTC differs: the state before the measurement, and a rejection. If the
-        measurement is consistent with neither: ``after`` and ``decision``.
+        The state before the measurement, without the step, if UTC is right or the propagated attitude is not accurate
+        enough any more. The state before the measurement, and a rejection, while undecided and if UTC differs.
+        ``after`` and ``decision`` if the measurement is consistent with neither hypothesis.
     """
     innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc_step
     assert utc is not None
@@ -100,10 +100,10 @@ def _is_observable(state: FilterState, model: ShipStateModel, step_s: float) -> 
 def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[float | None, FloatArray]:
     """Return the log-likelihood ratio of one measurement, and the rotation of the sky by the step.
 
-    The pole is in the meridian; the latitude is estimated from the measurement, which costs one degree of freedom.
+    The pole is in the meridian. The latitude is estimated from the measurement, which costs one degree of freedom.
 
     Returns:
-        The ratio, None if neither hypothesis is consistent; and a rotation vector, horizon frame, rad, shape (3,).
+        The ratio, or None if neither hypothesis is consistent, and a rotation vector, horizon frame, rad, shape (3,).
     """
     whitened_of_n = np.linalg.solve(innovation.root, innovation.predicted_nv.T)
     sign = -math.copysign(1.0, step_s)
@@ -113,7 +113,7 @@ def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[
     by_sky = whitened_of_n @ rotation_n
     squares_unrotated, residual = float(innovation.whitened @ innovation.whitened), innovation.whitened - by_sky
     squares = float(residual @ residual)
-    # Written so that NaN is consistent with neither.
+    # NaN is consistent with neither hypothesis.
     fits_sky = squares <= _MAX_CHI2 + _RESIDUAL_RATIO**2 * float(by_sky @ by_sky)
     if not (fits_sky or squares_unrotated <= _MAX_CHI2):
         return None, rotation_n

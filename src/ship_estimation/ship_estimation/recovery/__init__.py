@@ -1,8 +1,8 @@
-"""Recovery after a fault: a second estimator runs with the first one in trouble, and replaces it if it is confirmed.
+"""Recovery after a fault by a second estimator, which runs while the first is in trouble and may replace the first.
 
 - ``trouble`` detects that the status of an estimator is worse than its inputs allow.
 - ``memory`` keeps the last consistent state.
-- ``displacement`` and ``displacements`` measure whether a source, or all together, have moved, and moved back.
+- ``displacement`` and ``displacements`` show whether a source, or all sources together, have moved and moved back.
 - ``recovery`` starts the second estimator and decides on its adoption.
 
 The rules are on the page explanation/recovery.md.

@@ -1,8 +1,8 @@
-"""Displacement of a source, or of several together: has an inconsistent source moved back?
+"""Displacement of a source, or of several together, to find out whether an inconsistent source has moved back.
 
-Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. It changes
-slowly by the drift of the INS, and in a step if a source or the INS moves. Only steps are displacement: a drift of the
-INS that compensates the inconsistency does not end it.
+Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. The residual
+changes slowly due to the drift of the INS, and in a step if a source or the INS moves. Only steps count as
+displacement, so an inconsistency does not end if only a drift of the INS compensates it.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_geometry.rotations import FloatArray
 
 _FALSE_STEP = 5.733e-7
-"""Probability of a false step in one second of a source at rest: that of 5 sigma of one normal variable."""
+"""Probability of a false step in one second of a source at rest, as for 5 sigma of one normal variable."""
 _BY_NOISE = 0.001
-"""Probability that a source that has moved back still counts as displaced, by its noise."""
+"""Probability that a source that has moved back still counts as displaced, due to its noise."""
 _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
-"""Maximum share of the largest displacement that remains when a source has moved back; and the maximum share if its
+"""Maximum share of the largest displacement that remains when a source has moved back, and the maximum share if the
 measurements do not determine the displacement more precisely."""
 _DECISIVE_SIGMAS = 5.0
 """Size of a displacement, in standard deviations of the stored state, from which that state alone can show a return."""
 _STEP_LASTS = 4
-"""Duration of a step, s: further significant changes in this time belong to it."""
+"""Duration of a step, s; further significant changes in this time belong to the step."""
 _AT_REST, _DISPLACED = 0, 1
-"""Indices of the two vectors of a residual in their covariance."""
+"""Indices of the two vectors of the state, the residual without displacement and the displacement."""
 _UNKNOWN_RAD2 = 1.0
 """Variance of each component of a new displacement, rad²."""
 
@@ -35,10 +35,10 @@ class MemoryResidual(NamedTuple):
     """A measurement of a source against a stored state.
 
     Attributes:
-        turn: measured minus predicted: the observed components of a rotation vector, rad, shape (k,).
+        turn: measured minus predicted attitude, observed components of a rotation vector, rad, shape (k,).
         noise: covariance of the measurement noise, rad², shape (k, k).
-        expected: covariance of ``turn`` by the stored state propagated to the time of the measurement, without that
-            noise, rad², shape (k, k).
+        expected: covariance of ``turn`` due to the stored state, which is propagated to the time of the measurement,
+            rad², shape (k, k).
         drift: growth of ``expected`` in one second, rad²/s, shape (k, k).
     """
 
@@ -49,7 +49,7 @@ class MemoryResidual(NamedTuple):
 
 
 class Displacement:
-    """The displacement of a source, or of several together: the change of their residual by steps.
+    """The displacement of a source, or of several together, which is the change of their residual by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -69,22 +69,23 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[MemoryResidual] = []
-        # The state of a Kalman filter: drift, and displacement; a residual is the sum of the two.
+        # State of a Kalman filter that consists of drift and displacement. A residual is the sum of the two.
         self._mean = np.zeros(0)
         self._covariance = self._start_covariance = np.zeros((0, 0))
         self._since_step, self._is_clear = 0, False
         self._delayed: MemoryResidual | None = None
         self._newest: MemoryResidual | None = None
-        # The displacement before the last step, and the largest one, or change of it, before the last change.
+        # Displacement before the last step, and largest displacement, or change of displacement, before the last
+        # change.
         self._before = self._largest = np.zeros(0)
 
     @property
     def largest_rad(self) -> float:
-        """Length of the largest displacement, or change of it, rad."""
+        """Length of the largest displacement, or of the largest change of displacement, rad."""
         return 0.0 if self._newest is None else float(np.linalg.norm(self._largest_until_now(self._newest)))
 
     def add(self, residual: MemoryResidual) -> None:
-        """Add a measurement; one with NaN is ignored."""
+        """Add a measurement; a measurement with NaN is ignored."""
         if all(np.all(np.isfinite(part)) for part in residual):
             self._pending.append(residual)
 
@@ -92,7 +93,7 @@ class Displacement:
         """Add the covariance of a jump of the INS that its own rates showed in this second, rad², shape (k, k).
 
         The measurements of this second, before and after the jump, are dropped. A displacement that is not larger than
-        the jump may be that of the INS: it is reset.
+        the jump may be a displacement of the INS, so it is reset.
         """
         self._pending.clear()
         if self._newest is None:
@@ -102,11 +103,11 @@ class Displacement:
         if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
             self._start(self._by_both @ self._mean, self._residual_covariance)
             self._start_covariance = self._start_covariance + covariance
-            # Further changes by the jump are not displacement either.
+            # Further changes due to the jump are not displacement either.
             self._is_clear, self._since_step = False, _STEP_LASTS
 
     def end_second(self) -> None:
-        """Compare the measurements of the last second with those before."""
+        """Compare the measurements of the last second with earlier measurements."""
         if self._newest is not None:
             self._add_error(_AT_REST, self._newest.drift)
         if not self._pending:
@@ -120,7 +121,7 @@ class Displacement:
             self._start_covariance = newest.expected
         self._newest = newest
         nis = innovation(self._covariance[None], self._measurement(newest)).nis
-        # Written so that NaN counts as a clear step.
+        # NaN counts as a clear step.
         if not nis <= value_above(_FALSE_STEP, self._size):
             self._largest = self._largest_until_now(newest)
             if self._since_step >= _STEP_LASTS:
@@ -155,7 +156,7 @@ class Displacement:
 
     @property
     def _by_both(self) -> FloatArray:
-        """Derivative of a residual by the state, shape (k, 2k)."""
+        """Jacobian of a residual with respect to the state, shape (k, 2k)."""
         return np.tile(np.eye(self._size), 2)
 
     @property
@@ -165,13 +166,13 @@ class Displacement:
 
     @property
     def _displaced_covariance(self) -> FloatArray:
-        """Its covariance, with that of the state from which it is measured, rad², shape (k, k)."""
+        """Covariance of the displacement, the covariance of the stored state included, rad², shape (k, k)."""
         covariance: FloatArray = self._covariance[self._size :, self._size :] + self._start_covariance
         return covariance
 
     @property
     def _residual_covariance(self) -> FloatArray:
-        """Covariance of a residual now, without its noise, rad², shape (k, k)."""
+        """Covariance of a residual now, without measurement noise, rad², shape (k, k)."""
         covariance: FloatArray = self._by_both @ self._covariance @ self._by_both.T
         return covariance
 
@@ -181,7 +182,7 @@ class Displacement:
         return LinearMeasurement(residual.turn - by_both @ self._mean, by_both, {0: residual.noise})
 
     def _absorb_delayed(self) -> None:
-        """Update with the delayed second: the update must not contain a second in which a step begins."""
+        """Update with the delayed second, because an update must not contain a second in which a step begins."""
         if self._delayed is not None:
             self._update(self._delayed)
             self._delayed = None
@@ -193,7 +194,7 @@ class Displacement:
         self._mean, self._covariance = self._mean + correction, parts[0]
 
     def _largest_until_now(self, newest: MemoryResidual) -> FloatArray:
-        """Return the largest displacement, or change of it by a step, up to now."""
+        """Return the largest displacement, or the largest change of displacement by a step, up to now."""
         moved = self._largest, self._displaced, self._displaced - self._before
         return max(moved, key=lambda one: _square(one, newest.noise))
 
@@ -211,7 +212,7 @@ class Displacement:
         return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
 
     def has_not_moved_as(self, other: "Displacement") -> bool:
-        """True if the displacement of another source would have been a step of this one, and was none."""
+        """True if the displacement of another source would have been a step of this source, which did not occur."""
         if self._newest is None or self.is_displaced:
             return False
         covariance = self._residual_covariance + other._residual_covariance
@@ -237,7 +238,7 @@ class Displacement:
 
 
 def _mean(residuals: Sequence[MemoryResidual]) -> MemoryResidual:
-    """Return the mean of residuals, weighted by their noise; the error of the stored state is common to them."""
+    """Return the mean of residuals, weighted by their noise; the error of the stored state is common to all."""
     weights = [np.linalg.inv(one.noise) for one in residuals]
     noise = np.linalg.inv(sum(weights))
     turn = noise @ sum(weight @ one.turn for weight, one in zip(weights, residuals, strict=True))

@@ -1,4 +1,4 @@
-"""Displacements of all sources of an estimator: has one of them moved, or all of them together?
+"""Displacements of all sources of an estimator, to find out whether one source or all together have moved.
 
 A rotation that all sources have in common is measured by their weighted mean, because one star sensor measures a
 rotation about its line of sight poorly. A source that moves by itself changes that mean, too.
@@ -12,7 +12,7 @@ TOGETHER = "all together"
 
 
 class Displacements:
-    """The displacement of each source, and that of all together."""
+    """The displacement of each source, and the displacement of all sources together."""
 
     def __init__(self) -> None:
         self._by_source: dict[str, Displacement] = {}
@@ -29,15 +29,15 @@ class Displacements:
             displacement.inflate(covariance)
 
     def end_second(self) -> None:
-        """Compare the measurements of the last second with those before."""
+        """Compare the measurements of the last second with earlier measurements."""
         for displacement in (*self._by_source.values(), self._together):
             displacement.end_second()
 
     @property
     def displaced(self) -> dict[str, float]:
-        """Sources that have moved and not moved back, with their displacement, rad; :data:`TOGETHER` for all of them.
+        """Sources that have moved and not moved back, with their displacement, rad; :data:`TOGETHER` for all sources.
 
-        A source has moved by itself only if another one shows that it did not move with it.
+        A source has moved by itself only if another source has not moved with it.
         """
         if not self._together.is_displaced:
             return {}
@@ -48,5 +48,5 @@ class Displacements:
 
     @property
     def is_undecided_by_memory(self) -> bool:
-        """True if all have moved together by an amount that the stored state cannot show."""
+        """True if all sources have moved together by an amount that the stored state cannot show."""
         return TOGETHER in self.displaced and self._together.is_beyond_memory

@@ -10,15 +10,15 @@ from ship_geometry.time_scales import SECOND_NS
 State = TypeVar("State")
 
 LEAST_AGE_NS = 10 * SECOND_NS
-"""Minimum time from the stored state to the first sign of trouble, ns: a fault may act before it is detected."""
+"""Minimum time from the stored state to the first sign of trouble, ns; a fault may act before it is detected."""
 
 BEFORE_STEP_NS = 2 * SECOND_NS
 """Minimum time from the state from which a step is measured to the first sign of trouble, ns.
 
-It is shorter because a step is detected at once, and the INS drifts little in this time."""
+The time is shorter, because a step is detected at once and the INS drifts little in this time."""
 
 MIN_CONSISTENT_NS = ENDS_AFTER_NS
-"""Minimum time of consistency before a state is stored, ns: an earlier state may contain a fault."""
+"""Minimum time of consistency before a state is used, ns; an earlier state may contain a fault."""
 
 
 class StateMemory(Generic[State]):
@@ -40,8 +40,8 @@ class StateMemory(Generic[State]):
         """Store a consistent state.
 
         Args:
-            time_ns: the time now, later than all before.
-            state: immutable.
+            time_ns: present time, later than all times before.
+            state: immutable state.
         """
         if not self._kept:
             self._consistent_since_ns = time_ns
@@ -50,9 +50,9 @@ class StateMemory(Generic[State]):
             self._kept.popleft()
 
     def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
-        """Return the newest state that is old enough at the first sign of trouble; None if there is none.
+        """Return the newest state that is old enough at the first sign of trouble, or None.
 
-        There is none if the estimator has not been consistent for :data:`MIN_CONSISTENT_NS`.
+        The result is None if the estimator has not been consistent for :data:`MIN_CONSISTENT_NS`.
         """
         if first_sign_ns - self._consistent_since_ns < MIN_CONSISTENT_NS:
             return None
@@ -64,5 +64,5 @@ class StateMemory(Generic[State]):
         self._kept = deque((time_ns, by(state)) for time_ns, state in self._kept)
 
     def forget_newer(self, state: State | None) -> None:
-        """Drop all states but a recalled one: later ones may already contain the fault."""
+        """Drop all states but a recalled state, because later states may already contain the fault."""
         self._kept = deque(kept for kept in self._kept if kept[1] is state)

@@ -1,19 +1,19 @@
-"""Start of a second estimator in trouble, and its adoption.
+"""Start and adoption of a second estimator in trouble.
 
 In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the same class receives the same inputs. It
-starts from the stored state, or from the prior, and restarts whenever an inconsistency of the inputs begins or ends. It
-is adopted on three conditions:
+starts from the stored state, or from the prior, and restarts whenever an inconsistency of the inputs begins or ends.
+The second estimator is adopted on three conditions:
 
-1. For ``confirm_s`` it has been VALID with every available source. It may exclude a source if two others are
+1. For ``confirm_s`` it has been VALID with every available source. It may exclude a source if two other sources are
    consistent.
 2. It is consistent with the stored state within :data:`MEMORY_SIGMAS`, which excludes a common rotation of all sources.
-3. If the INS may have drifted so far that the stored state cannot show a common displacement of all sources, they have
-   moved back (:mod:`ship_estimation.recovery.displacement`).
+3. If the INS may have drifted so far that the stored state cannot show a common displacement of all sources, the
+   sources have moved back (:mod:`ship_estimation.recovery.displacement`).
 
-An estimator that was not consistent for half a minute has no stored state: then only condition 1 holds, as after a
+An estimator that was not consistent for half a minute has no stored state. Then only condition 1 applies, as after a
 restart of the node.
 
-All decisions follow from the inputs and their order, once a second by the timeout clock.
+All decisions are made once a second by the timeout clock, from the inputs and their order alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence, Set
@@ -34,7 +34,7 @@ MEMORY_SIGMAS = 3.0
 """Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""
 
 _LEAST_IN_AGREEMENT = 2
-"""Minimum number of consistent sources, the INS included, if the second estimator excludes another one."""
+"""Minimum number of consistent sources, the INS included, if the second estimator excludes another source."""
 
 
 class Jump(Protocol):
@@ -47,7 +47,7 @@ class Jump(Protocol):
 
 
 class RecoverableCore(Protocol):
-    """An estimator that a second one can replace; its states are immutable."""
+    """An estimator with immutable states that a second estimator can replace."""
 
     @property
     def state(self) -> Any:
@@ -61,16 +61,16 @@ class RecoverableCore(Protocol):
 
     @property
     def is_consistent(self) -> bool:
-        """True if its state results from measurements, no source is excluded, and all sources are consistent."""
+        """True if the state results from measurements, no source is excluded, and all sources are consistent."""
         ...
 
     @property
     def has_unresolved_fault(self) -> bool:
-        """True if its sources are inconsistent and no faulty source is isolated."""
+        """True if the sources are inconsistent and no faulty source is isolated."""
         ...
 
     def make_second(self, memory: Any | None) -> Any:
-        """Return another estimator of the same configuration that starts from a state; from the prior without one."""
+        """Return another estimator of the same configuration that starts from a stored state, or from the prior."""
         ...
 
     def take_jumps(self) -> Sequence[Jump]:
@@ -82,18 +82,19 @@ class RecoverableCore(Protocol):
         ...
 
     def memory_residuals(self, decision: Any, memory: Any) -> Mapping[str, MemoryResidual]:
-        """Return the residual of a measurement from a stored state, by source; empty if there is none."""
+        """Return the residual of a measurement from a stored state, by source; empty without a residual."""
         ...
 
     def largest_difference_sigmas(self, state: Any, memory: Any, is_later: bool = False) -> float:
-        """Return the largest difference between a state and a stored one, in standard deviations of both.
+        """Return the largest difference between a state and a stored state, in standard deviations of both.
 
-        A later state of the same estimator contains the stored one: then in standard deviations of the latter.
+        A later state of the same estimator depends on the stored state. The difference is then in standard deviations
+        of the stored state alone.
         """
         ...
 
     def unused_sources(self, sources: Set[str]) -> Set[str]:
-        """Return those of the sources of which no measurement was used recently."""
+        """Return the sources without a recently used measurement."""
         ...
 
     def take_over_outputs(self, live: Any) -> None:
@@ -109,9 +110,10 @@ class SecondEstimator:
         is_from_memory: False if it started from the prior.
 
     Attributes:
-        valid_since_ns: time by the timeout clock since which it has been VALID each second; None if it is not. A single
-            rejected measurement may make it DEGRADED for less than a second.
-        failure: rejection with the exception of the software; None without one. Another one starts then.
+        valid_since_ns: time by the timeout clock since which the estimator has been VALID each second; None if it is
+            not VALID. A single rejected measurement may make it DEGRADED for less than a second.
+        failure: rejection for an exception of the software, after which another estimator starts; None without
+            exception.
     """
 
     def __init__(self, core: Any, is_from_memory: bool) -> None:
@@ -139,13 +141,13 @@ class SecondEstimator:
 
 
 class EstimatorRecovery:
-    """Decides once a second whether a second estimator runs, and whether it is adopted.
+    """Decision, once a second, whether a second estimator runs and whether it is adopted.
 
     Args:
         config: parameters.
 
     Attributes:
-        candidate: the second estimator; None if none runs.
+        candidate: the second estimator; None if no second estimator runs.
         started: number of troubles.
         adopted: number of adoptions of a second estimator.
         recovery_time_s: time from the start of trouble to the last adoption, s.
@@ -168,7 +170,7 @@ class EstimatorRecovery:
 
     @property
     def is_in_trouble(self) -> bool:
-        """True while a second estimator is wanted."""
+        """True while a second estimator is needed."""
         return self._trouble.began_ns is not None
 
     @property
@@ -193,7 +195,7 @@ class EstimatorRecovery:
             available_sources: sources with usable messages that arrived recently.
 
         Returns:
-            True if :attr:`candidate` is to replace it now.
+            True if :attr:`candidate` is to replace ``live`` now.
         """
         jumps = live.take_jumps()
         had_sign = self._trouble.first_sign_ns is not None
@@ -245,7 +247,7 @@ class EstimatorRecovery:
         self._memory.forget_newer(self._reference)
         if self._reference is None:
             return
-        # A slow fault may have affected the newer state. Written so that NaN counts as affected.
+        # A slow fault may have affected the newer state. NaN counts as affected.
         later = live.propagate_memory(newest, ())
         has_drifted = not live.largest_difference_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
         self._before_step = self._reference if has_drifted else newest
@@ -286,7 +288,7 @@ class EstimatorRecovery:
             return False
         if self._displacements.is_undecided_by_memory:
             return False
-        # Written so that NaN is inconsistent.
+        # NaN is inconsistent.
         core = candidate.core
         if self._reference is None or core.largest_difference_sigmas(core.state, self._reference) <= MEMORY_SIGMAS:
             return True

@@ -1,9 +1,9 @@
-"""Detection of trouble: the status of an estimator is worse than its inputs allow, or a source is excluded."""
+"""Detection of trouble, when the status of an estimator is worse than its inputs allow or a source is excluded."""
 
 from ship_geometry.time_scales import SECOND_NS
 
 ENDS_AFTER_NS = 30 * SECOND_NS
-"""Time without a sign of trouble after which it ends, ns."""
+"""Time without a sign of trouble after which trouble ends, ns."""
 
 
 class TroubleDetector:
@@ -13,7 +13,7 @@ class TroubleDetector:
         after_s: duration of signs after which trouble begins, s.
 
     Attributes:
-        first_sign_ns: time of the first sign; None if there was none in the last 30 s.
+        first_sign_ns: time of the first sign; None without a sign in the last 30 s.
         began_ns: time at which trouble began; None without trouble.
 
     Example:
