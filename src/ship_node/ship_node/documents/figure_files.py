@@ -67,7 +67,8 @@ def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[s
         figures: names and figures; the iteration draws the figures in the common style.
         folder: folder for ``NAME.png``.
 
-    Returns: Paths of the files, by name of the figure.
+    Returns:
+        Paths of the files, by name of the figure.
     """
     files = {}
     with plt.rc_context(_STYLE):

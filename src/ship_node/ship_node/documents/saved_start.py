@@ -80,8 +80,8 @@ class SavedStart(Generic[Prior]):
         self.messages: list[str] = []
         self.autosave_problem = self.unreadable_reason = ""
         self._is_file_kept = False
-        # Bytes of the file from which the core's state has developed; None if there is no such file. self._origin:
-        # bytes | None = None
+        # Bytes of the file from which the core's state has developed; None if there is no such file.
+        self._origin: bytes | None = None
         self._saved_ns = 0
         self._last_autosave_ns: int | None = None
         self._read, self._content = self._read_usable(Path(path)) if path else (None, None)
@@ -223,7 +223,7 @@ class SavedStart(Generic[Prior]):
 
 
 def less_certain_quantity(content: SavedContent, other: SavedContent) -> str:
-    """Return a text about the first quantity that ``other`` knows better than ``content``; empty if there is none.
+    """Return a text about the first quantity whose sigma is smaller in ``other``; empty if there is no such quantity.
 
     A quantity that ``content`` lacks counts as less certain.
     """
