@@ -1,1 +1,1 @@
-"""Executables of the package: arguments and exit codes. They may import every folder; no folder imports them."""
+"""Executables of the package: arguments and exit codes. The folder may import all others; no folder imports it."""
