@@ -118,7 +118,7 @@ class BagTypes(NamedTuple):
 
 
 def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
-    """Return the types for reading one bag; an unusable definition affects only its own type.
+    """Return the types for reading one bag; an unusable definition affects only the type that it defines.
 
     Args:
         definitions: type name → text of the definition with dependencies; an empty text stands for the suite's

@@ -1,1 +1,1 @@
-"""Executables of the package: arguments and exit codes. The folder may import all others; no folder imports it."""
+"""Executables of the package: arguments and exit codes. It may import all other folders; no folder imports it."""

@@ -79,7 +79,7 @@ class _Topic:
 
 
 def export(order: ExportRequest) -> ExportResult:
-    """Write the topics of a bag as tables, all of them or none.
+    """Write the topics of a bag as tables; if this fails, no table is written.
 
     Raises:
         BadInput: bag, topics or names of files cannot be used; the text gives the reason.

@@ -1,7 +1,7 @@
 """Network information for a recorder: topics, subscriptions, and the nodes' parameters.
 
-Some topics show activity; others report a node's own state also without input. The parameters are requested through the
-nodes' services and become a suite file in the recording.
+Some topics show activity; other topics report a node's own state, even without input. The parameters are requested
+through the nodes' services and become a suite file in the recording.
 """
 
 import time

@@ -206,7 +206,7 @@ def needs_rosbags(path: Path) -> bool:
 
 
 def file_names(information_path: Path) -> list[str]:
-    """Return the files listed in an information file, all of them in its own folder.
+    """Return the files listed in an information file, which must be in the same folder.
 
     Raises:
         BadInput: the file cannot be read, is not an information file of a known storage, or lists another folder.

@@ -136,7 +136,7 @@ class BlackBox:
         self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
 
     def add_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
-        """Record an event; the times are those of :meth:`add`."""
+        """Record an event; the times are as in :meth:`add`."""
         self.add(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
 
     def add_file(self, use: FileUse, time_ns: int) -> None:

@@ -39,7 +39,7 @@ OWN_OUTPUTS = (
     OutputTopic(INPUT_HEALTH_TOPIC, "ship_msgs/msg/InputHealth"),
     OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
 )
-"""Output topics that every node has for its own state."""
+"""Output topics with which every node reports its state."""
 
 _SOURCE_OFF = Rejection(Reason.OFF, "switched off by sources_off")
 _SLOW_TOPICS = "slow topics"
@@ -190,7 +190,7 @@ class ReportingAdapter(ABC):
 
     @abstractmethod
     def own_statuses(self, waiting_ns: int) -> Iterable[DiagnosticStatus]:
-        """Return the node's diagnostic statuses other than those of the inputs."""
+        """Return the node's diagnostic statuses, without the statuses of the inputs."""
 
     def no_output(self, now_ns: int, text: str) -> Any | None:
         """Return the INVALID output of a node that is behind; None if its outputs have no such status.

@@ -92,7 +92,7 @@ class NodeEvents:
         self._has_event = True
 
     def process_events(self, timeout_s: float) -> bool:
-        """Process the waiting events; wait for the first one no longer than ``timeout_s``.
+        """Process the waiting events; wait for the first event no longer than ``timeout_s``.
 
         If the call had to wait for the first event, no other event was queued. The call then ends without a search for
         another event, which would take at least 20 us.
@@ -245,7 +245,7 @@ class Inbox:
         return next(iter(self._waiting.values())).queued_ns if self._waiting else 0
 
     def cut_all(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
-        """Drop waiting messages, except those of ``valid_until_next``, because the node is behind; set the cut time.
+        """Drop waiting messages, except of the topics in ``valid_until_next``, and set the cut time.
 
         Args:
             now_ns: the node's current time; the remaining messages get these three times.
