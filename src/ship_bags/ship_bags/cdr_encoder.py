@@ -20,7 +20,7 @@ _NS_PER_S = 1_000_000_000
 
 @functools.lru_cache(maxsize=4096)
 def cdr_text(text: str) -> bytes:
-    r"""Return a text as encoded from an offset divisible by four, padded to the next such offset.
+    r"""Return the encoding of a text at an offset divisible by four, padded to the next such offset.
 
     Example:
         >>> cdr_text("deck")
@@ -31,7 +31,7 @@ def cdr_text(text: str) -> bytes:
 
 
 class CdrEncoder:
-    """Encodes messages of any types; each layout is computed once.
+    """Encoder of messages of any types; each layout is computed once.
 
     Args:
         definitions: returns the definition of a type.
@@ -60,7 +60,7 @@ class CdrEncoder:
     def _flatten(
         self, type_name: str, fields: Mapping[str, Any], numbers: list[Any], many: bool
     ) -> CdrTemplate:
-        """Append the numbers of a message, or of many, and return their layout."""
+        """Append the numbers of one or many messages, and return the layout."""
         flattener = self._flatteners.get((type_name, many))
         if flattener is None:
             flattener = self._flatteners[type_name, many] = _Flattener(type_name, self._definitions, many)
@@ -78,12 +78,12 @@ class CdrEncoder:
 
 
 class _Flattener:
-    """Splits the fields of a type into numbers and the parts that determine the layout.
+    """Function that splits the fields of a type into numbers and the parts that determine the layout.
 
     Args:
         type_name: the type.
-        definitions: returns its definition, also of all types that it refers to.
-        many: True if the numbers are columns, of many messages with the same texts.
+        definitions: returns the definition of this type, or of a type that it refers to.
+        many: True if the numbers are columns for many messages with the same texts.
     """
 
     def __init__(self, type_name: str, definitions: Definitions, many: bool) -> None:

@@ -8,11 +8,11 @@ class CdrReader:
 
     Args:
         type_name: the type.
-        definitions: returns the definition of a type, also of all types that it refers to.
+        definitions: returns the definition of this type, or of a type that it refers to.
     """
 
     _MAX_TEMPLATES = 16
-    """Maximum number of lengths with a template, so that changing texts do not fill the memory."""
+    """Maximum number of message lengths with a template, so that changing texts do not fill the memory."""
 
     def __init__(self, type_name: str, definitions: Definitions) -> None:
         self._type_name = type_name
@@ -21,15 +21,15 @@ class CdrReader:
         self._templates: dict[int, CdrTemplate] = {}
 
     def message(self, data: bytes) -> CdrMessage | None:
-        """Return the message; None if a message object must read it: other encapsulation, other texts, damaged.
+        """Return the message; None if no template fits (other encapsulation, other texts, damaged).
 
-        Types with sequences are always read by message objects, because their layout changes from message to message.
+        No template is used for types with sequences, because their layout changes from message to message.
         """
         template = self._templates.get(len(data)) or self._add_template(data)
         return template.message(data) if template is not None and template.matches(data) else None
 
     def _add_template(self, data: bytes) -> CdrTemplate | None:
-        """Return a template for all messages of a length, from the first one."""
+        """Return a template for all messages of a length, made from the first such message."""
         if not self._is_fixed or len(self._templates) >= self._MAX_TEMPLATES:
             return None
         try:

@@ -36,10 +36,10 @@ class FieldType(NamedTuple):
 
 
 Definition = Mapping[str, FieldType]
-"""Field name → its type, in order."""
+"""Field name → type of the field, in order."""
 
 Definitions = Callable[[str], Definition]
-"""Returns the definition of a message type by its name."""
+"""Function that returns the definition of a message type by its name."""
 
 Variable = str | int
 """Text of a message, or length of one of its sequences."""
@@ -49,7 +49,7 @@ class CdrMessage:
     """Message as its bytes, whose fields are decoded on access, as attributes.
 
     Texts are str, arrays of numbers are read-only numpy arrays, other sequences and arrays are lists; a nested message
-    is decoded as a whole. All other names begin with an underscore, as no field does.
+    is decoded as a whole. All other attributes begin with an underscore, which no field does.
 
     Attributes:
         __msgtype__: name of the type, as in the message objects of rosbags.
@@ -72,7 +72,7 @@ class CdrMessage:
 
 _Reader = Callable[[bytes], Any]
 _VariablePart = Callable[[FieldType, int], Variable]
-"""Returns the text or the sequence length at an offset."""
+"""Function that returns the text or the sequence length at an offset."""
 
 
 class CdrTemplate:
@@ -81,12 +81,13 @@ class CdrTemplate:
     Attributes:
         type_name: the type.
         size: bytes of a message, including the encapsulation header.
-        dtype: the numbers of a message by dotted names, as ``orientation.x`` or ``transforms.0.header.stamp.sec``.
+        dtype: numpy type for the numbers of a message by dotted names, as ``orientation.x`` or
+            ``transforms.0.header.stamp.sec``.
 
     Args:
         type_name: the type.
-        definitions: returns its definition, also of all types that it refers to.
-        variables: its texts and sequence lengths in order of the definition.
+        definitions: returns the definition of this type, or of a type that it refers to.
+        variables: texts and sequence lengths of the messages, in order of the definition.
 
     Raises:
         ValueError: the number of variables does not match the definition.
@@ -106,7 +107,7 @@ class CdrTemplate:
         """Return the template of a given message.
 
         Raises:
-            ValueError: the bytes are not such a message, or have another encapsulation.
+            ValueError: the bytes are not a message of this type, or have another encapsulation.
         """
         template = cls.__new__(cls)
         try:
@@ -139,8 +140,8 @@ class CdrTemplate:
         """Return the bytes of many messages, shape (count, size), uint8.
 
         Args:
-            columns: for each name in :attr:`dtype` the values of all messages, counted by the first axis; or one value
-                for all.
+            columns: for each name in :attr:`dtype` the values of all messages along the first axis, or one value for
+                all messages.
             count: number of messages.
 
         Raises:
@@ -158,7 +159,7 @@ class CdrTemplate:
         """Return the numbers of many messages, shape (count,), of :attr:`dtype`, as a view of contiguous bytes.
 
         Raises:
-            ValueError: the bytes are not a whole number of messages, or one has another layout.
+            ValueError: the bytes are not a whole number of messages, or a message has another layout.
         """
         rows = np.frombuffer(data, dtype=np.uint8).reshape(-1, self.size)
         others = np.flatnonzero(~self.matching_rows(rows))
@@ -167,7 +168,7 @@ class CdrTemplate:
         return rows.view(self.dtype)[:, 0]
 
     def matching_rows(self, rows: np.ndarray) -> np.ndarray:
-        """Return for rows of the right length, shape (count, size), whether they have this layout, shape (count,)."""
+        """Return True for each row, shape (count, size), that has this layout; the result has shape (count,)."""
         fitting = np.ones(len(rows), dtype=bool)
         for start, constant in self._constants:
             fitting &= (rows[:, start : start + len(constant)] == np.frombuffer(constant, dtype=np.uint8)).all(axis=1)
@@ -188,8 +189,8 @@ class CdrRows(NamedTuple):
     """Messages of one layout.
 
     Attributes:
-        template: their layout.
-        rows: their bytes, shape (count, size), uint8.
+        template: layout of the messages.
+        rows: bytes of the messages, shape (count, size), uint8.
     """
 
     template: CdrTemplate
@@ -220,14 +221,14 @@ class CdrRows(NamedTuple):
 
 
 class _LayoutBuilder:
-    """Computes the layout of a message, field by field.
+    """Builder of the layout of a message, field by field.
 
     Attributes:
         end: offset of the end of the fields so far, bytes.
         names, formats, offsets: names, formats and offsets of the numbers, for numpy.
         codes: codes of all parts, for struct.
         constants: offset and bytes of texts and lengths.
-        arguments: bytes of texts and lengths, by their index among the arguments of struct.
+        arguments: index among the arguments of struct, and bytes, of texts and lengths.
     """
 
     def __init__(self, definitions: Definitions, variable: "_VariablePart") -> None:
@@ -270,7 +271,7 @@ class _LayoutBuilder:
             self._add_constant(struct.pack("<I", len(content)) + content, _LENGTH_BYTES)
             return lambda _data: text
         readers = list(self.message(element, name + ".").items())
-        # A reader of one component of a vector usually reads all of them.
+        # Code that reads one component of a vector usually reads all components.
         return lambda data: SimpleNamespace(**{field: read(data) for field, read in readers})
 
     def _number(self, code: str, name: str) -> _Reader:

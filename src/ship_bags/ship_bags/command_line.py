@@ -1,7 +1,7 @@
 """Common parts of all commands of the suite: arguments, exit codes, interruption.
 
-Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. If the reader of its output is gone,
-as with ``head``, it ends silently. Progress is shown by :mod:`ship_bags.progress`.
+Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. If the reader of a command's output
+is gone, as with ``head``, the command ends silently. Progress is shown by :mod:`ship_bags.progress`.
 """
 
 import argparse
@@ -33,7 +33,7 @@ EXIT_NO_READER = 141
 """Exit code that a shell gives for a program ended by SIGPIPE, such as cat or grep before ``head``."""
 
 _MARGIN = 2
-"""Columns at the right that argparse leaves free."""
+"""Number of columns at the right that argparse leaves free."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -45,8 +45,8 @@ class CommandParser(argparse.ArgumentParser):
     Args:
         prog: name of the command, before its error texts.
         package: package of the executable; empty for a tool that is not an executable of the suite.
-        example: arguments of an example; of a tool a whole command line.
-        options: as of argparse.
+        example: arguments of an example; for a tool the whole command line.
+        options: options of argparse.ArgumentParser.
     """
 
     def __init__(self, *, prog: str, package: str = "", example: str = "", **options: Any) -> None:
@@ -80,7 +80,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def launcher() -> str:
-    """Return the command that starts executables: ``./ros2run`` if that script started this one, else ``ros2 run``."""
+    """Return the command that starts executables: ``./ros2run`` if that script was the starter, else ``ros2 run``."""
     return os.environ.get(LAUNCHER_VARIABLE, "ros2 run")
 
 
@@ -103,7 +103,7 @@ def run_command(
     Args:
         parser: parser of the command's arguments.
         command: does the work with the parsed arguments and returns the exit code.
-        arguments: the command line without the program's name; None takes the process's own.
+        arguments: the command line without the program's name; None for the command line of the process.
     """
     parsed = parser.parse_args(arguments)
     code = EXIT_BAD_INPUT
@@ -146,7 +146,7 @@ def _is_reader_gone() -> bool:
     watch.register(stdout, 0)
     if not any(event & select.POLLERR for _, event in watch.poll(0)):
         return False
-    # Python flushes it once more at the exit, which would raise.
+    # Python flushes stdout once more at the exit, which would raise an exception.
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stdout)
     os.close(nowhere)

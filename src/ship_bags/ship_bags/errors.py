@@ -6,7 +6,7 @@ _LONGEST_LINE = 2000
 
 
 class BadInput(InputError):
-    """A file or an argument cannot be used; the text is one line that names it and gives the reason."""
+    """A file or an argument cannot be used; the text is one line with the name and the reason."""
 
 
 def one_line(text: str) -> str:

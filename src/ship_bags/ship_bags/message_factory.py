@@ -1,4 +1,4 @@
-"""Messages made by the name of their type, so that an adapter depends on no middleware."""
+"""Factories of messages by the name of their type, so that an adapter does not depend on a middleware."""
 
 import abc
 import array
@@ -37,20 +37,20 @@ _SCALARS |= {name: float if name in ("double", "float") else int for name in _TY
 
 
 _ELEMENTS = _TYPE_CODES | {"boolean": "?", "string": "string"}
-"""Codes of the elements in templates. A byte is bytes in rclpy and a number in rosbags."""
+"""Codes of the elements in templates; a byte has no code, because it is bytes in rclpy and a number in rosbags."""
 
 
 class MessageFactory(Protocol):
-    """Interface: makes messages from field values."""
+    """Interface of a factory that makes messages from field values."""
 
     def make(self, type_name: str, **fields: Any) -> Any:
         """Return a message; every field must be given by keyword.
 
         Args:
-            type_name: as ``"ship_msgs/msg/ShipAttitude"``.
+            type_name: name of the type, as ``"ship_msgs/msg/ShipAttitude"``.
             fields: numbers, texts, 1-D numpy arrays for arrays of numbers, lists of texts. A field that is a message is
-                given as a dict of its fields, or as a message made before; a list of messages likewise. A stamp is
-                given as integer ns of POSIX UTC, a field of type ``byte`` as an int.
+                given as a dict of its fields, or as a message made before. A list of messages is given as a list of
+                such values. A stamp is given as integer ns of POSIX UTC, a field of type ``byte`` as an int.
 
         Raises:
             TypeError: a field is missing or unknown.
@@ -58,10 +58,9 @@ class MessageFactory(Protocol):
         ...
 
     def encode(self, type_name: str, **fields: Any) -> CdrMessage:
-        """Return a message as its bytes, from the same fields; a nested message is given as a dict.
+        """Return an encoded message from the fields of :meth:`make`; a nested message is given as a dict.
 
-        It is made without message objects, which takes a fraction of the time: for messages published a hundred times a
-        second.
+        No message object is made, which takes a fraction of the time for messages published a hundred times a second.
 
         Raises:
             TypeError: a field is missing or unknown.
@@ -69,7 +68,7 @@ class MessageFactory(Protocol):
         ...
 
     def encode_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
-        """Return ``count`` messages as their bytes, from the same fields.
+        """Return ``count`` encoded messages from the fields of :meth:`encode`.
 
         Texts and lengths of sequences are the same in all messages. A number or a stamp is given as an array with one
         value per message. An array of n numbers is given with shape (n, count). A value that is the same in all
@@ -82,11 +81,11 @@ class MessageFactory(Protocol):
 
 
 Converters = dict[str, Callable[[Any], Any] | None]
-"""Field name → converter of a plain value to what a message class accepts; None if no conversion is needed."""
+"""Field name → converter of a plain value to a value that the message class accepts; None if none is needed."""
 
 
 class PlannedFactory(abc.ABC):
-    """Factory that analyses each type once: its class, and the converters of its fields.
+    """Factory that determines the class and the field converters of each type once.
 
     See :class:`MessageFactory`.
     """
@@ -149,7 +148,7 @@ class PlannedFactory(abc.ABC):
 
 
 class RosidlFactory(PlannedFactory):
-    """Makes the messages that rclpy publishes."""
+    """Factory of the messages that rclpy publishes."""
 
     def plan(self, type_name: str) -> tuple[Any, Converters]:
         """See :meth:`PlannedFactory.plan`."""
@@ -180,7 +179,7 @@ class RosidlFactory(PlannedFactory):
 
 
 def _field_type(text: str) -> FieldType:
-    """Return the field type of rosidl's text."""
+    """Return the field type that a text of rosidl describes."""
     match = _ARRAY_TYPE.fullmatch(text)
     fixed, count, dynamic = match.groups() if match else (text, None, None)
     name = str(fixed or dynamic)
@@ -194,7 +193,7 @@ def message_class(type_name: str) -> Any:
     """Return the rosidl class of a message or service.
 
     Raises:
-        ImportError: its package is not installed or has no such type.
+        ImportError: the package is not installed or has no such type.
     """
     package, kind, name = type_name.split("/")
     try:

@@ -1,4 +1,4 @@
-"""Message types without a ROS installation: `rosbags` types of ROS 2 Jazzy and those of ship_msgs.
+"""Message types without a ROS installation: the types of ROS 2 Jazzy from `rosbags`, and the types of ship_msgs.
 
 :func:`message_store` has the types as this version of the suite defines them. :func:`store_with_definitions` adds the
 definitions embedded in a bag, which take precedence for that bag.
@@ -22,8 +22,8 @@ from ship_bags.message_factory import Converters, PlannedFactory
 SHIP_MESSAGES = "ship_msgs"
 
 MAX_DEFINITION_CHARACTERS = 100_000
-"""Maximum length of a message definition with all types that it refers to, without comments: ten times that of a large
-one."""
+"""Maximum length of a message definition with all types that it refers to, without comments; ten times the length of a
+large definition."""
 
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
 _ELEMENTS = {
@@ -58,7 +58,7 @@ def ship_message_folder() -> Path:
     """Return the folder of ship_msgs' message definitions: of the installed package, else of the source tree.
 
     Raises:
-        BadInput: there is neither.
+        BadInput: neither folder exists.
     """
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     installed = [prefix / "share" / SHIP_MESSAGES / "msg" for prefix in prefixes]
@@ -87,7 +87,7 @@ def serialize(message: Any) -> bytes:
 
 
 def use_installed_definition(type_name: str) -> None:
-    """Add a type that only this ROS installation has to the store, with all types that it refers to.
+    """Add a type from this ROS installation to the store, with all types that it refers to.
 
     The definitions are the .msg files that the type's package installed.
 
@@ -108,7 +108,7 @@ class BagTypes(NamedTuple):
 
     Attributes:
         store: the types, with precedence of the bag's definitions.
-        differences: type of the bag that differs from the suite's, in itself or in a part → one line per field.
+        differences: type of the bag that differs from the suite's type, also in a nested type → one line per field.
         unreadable: type of the bag whose definition cannot be used → reason.
     """
 
@@ -118,10 +118,11 @@ class BagTypes(NamedTuple):
 
 
 def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
-    """Return the types for reading one bag; an unusable definition affects only its own type.
+    """Return the types for reading one bag; an unusable definition affects only the type that it defines.
 
     Args:
-        definitions: type name → text of its definition with dependencies; empty: not embedded, the suite's is used.
+        definitions: type name → text of the definition with dependencies; an empty text stands for the suite's
+            definition.
     """
     ours = message_store()
     parsed: dict[str, Any] = {}
@@ -147,10 +148,10 @@ def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
 
 
 def _complete_definition(parts: Any, ours: Typestore) -> Any:
-    """Return a parsed definition with all types that it refers to; missing ones are taken from the suite.
+    """Return a parsed definition with all types that it refers to; missing types are taken from the suite.
 
     Raises:
-        BadInput: it refers to an unknown type.
+        BadInput: the definition refers to an unknown type.
     """
     complete = dict(parts)
     pending = {name for _, fields in parts.values() for name in _referenced_types(fields)} - complete.keys()
@@ -188,7 +189,7 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
 
 
 class RosbagsFactory(PlannedFactory):
-    """Makes messages by the name of their type, for writing to bags (see ship_bags.message_factory).
+    """Factory of messages by the name of their type, for writing to bags (see :mod:`ship_bags.message_factory`).
 
     Arrays of numbers may be any sequence; they become numpy arrays of the field's type. A field of type byte
     (DiagnosticStatus.level) takes an integer or, as in rclpy, one byte. An unknown type raises KeyError.
@@ -262,7 +263,7 @@ def _definition_text(type_name: str) -> str:
 
 
 def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
-    # Comments take the parser as long as fields; lines may end as on Windows.
+    # Without comments, which take the parser as long as fields; lines may end as on Windows.
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     text = "".join(f"{line}\n" for line in lines)
     if len(text) > MAX_DEFINITION_CHARACTERS:

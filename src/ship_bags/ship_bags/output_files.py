@@ -4,8 +4,8 @@ A command overwrites no existing file without ``--force``, and never replaces a 
 before the work begins, so that a long run is not lost because of a name.
 
 A file is written next to its final name, as ``NAME.part``, until it is complete. A part is opened exclusively and
-follows no link, so that no file of another program is written. A part left by a killed program is removed; one that
-another program is writing is not.
+follows no link, so that no file of another program is written. A part left by a killed program is removed; a part that
+another program is writing is kept.
 """
 
 import errno
@@ -55,10 +55,10 @@ def check_file(path: Path, force: bool) -> None:
 
     Args:
         path: path of the file.
-        force: True if it may exist.
+        force: True if the file may exist.
 
     Raises:
-        BadInput: it exists, is not a regular file, or its folder is missing or not writable.
+        BadInput: the file exists, is not a regular file, or its folder is missing or not writable.
     """
     if not path.parent.is_dir():
         raise BadInput(f"cannot be written: there is no folder {path.parent}", file=path)
@@ -67,7 +67,7 @@ def check_file(path: Path, force: bool) -> None:
 
 
 def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
-    """Check that files can be written into a folder, which is made later if it is missing.
+    """Check that files can be written into a folder, which is created later if it is missing.
 
     Args:
         folder: the folder.
@@ -75,7 +75,7 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
         force: True if files of these names may exist.
 
     Raises:
-        BadInput: a file exists or is not a regular file, or the folder cannot be made or written to.
+        BadInput: a file exists or is not a regular file, or the folder cannot be created or written to.
     """
     there = folder
     while not there.exists() and not there.is_symlink() and there != there.parent:
@@ -97,7 +97,7 @@ def open_new(path: Path) -> BinaryIO:
     """Open a new file for writing and lock it until it is closed.
 
     Raises:
-        OSError: it cannot be made, is not a regular file, or another program is writing it.
+        OSError: the file cannot be created, is not a regular file, or another program is writing it.
     """
     try:
         number = _create(path)
@@ -116,10 +116,10 @@ def open_new(path: Path) -> BinaryIO:
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write a file atomically: it is either the old or the new one, even if this program is killed.
+    """Write a file atomically, so that either the old or the new file exists even if this program is killed.
 
     Raises:
-        OSError: it cannot be written; the error names the file, and no part of it is left.
+        OSError: the file cannot be written; the error names the file, and no part of it is left.
     """
     part = part_path(path)
     try:
@@ -142,7 +142,7 @@ def error_with_path(problem: OSError, path: Path) -> OSError:
 
 
 def csv_text(text: str) -> str:
-    """Return a text as a CSV cell that a spreadsheet takes for no formula: with ' in front if needed.
+    """Return a text as a CSV cell, with ' in front if a spreadsheet would take the text for a formula.
 
     A text that is a number, as -1.5, is not changed.
     """
@@ -168,9 +168,9 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
 
 
 class DiskSync:
-    """Syncs a file to the disk in a thread of its own, one request at a time.
+    """Synchronisation of a file to the disk in a separate thread, one request at a time.
 
-    Data passed to the operating system survive the end of the process; only a power failure requires the disk. On a
+    Data passed to the operating system survive the end of the process; a sync is needed only for a power failure. On a
     busy disk a sync takes hundreds of milliseconds, during which the writer must go on.
 
     Args:
@@ -183,10 +183,10 @@ class DiskSync:
         self._running: Future[None] | None = None
 
     def request(self) -> None:
-        """Start a sync; do nothing while the last one runs: the next request includes its data.
+        """Start a sync; do nothing while the last sync runs, because the next request includes the data.
 
         Raises:
-            OSError: the last one failed.
+            OSError: the last sync failed.
         """
         if self._running is not None:
             if not self._running.done():
@@ -195,7 +195,7 @@ class DiskSync:
         self._running = self._thread.submit(os.fsync, self._number)
 
     def finish(self) -> None:
-        """Wait for the last sync, also a failed one; no request may follow."""
+        """Wait for the last sync, even if it fails; no request may follow."""
         self._thread.shutdown(wait=True)
 
 
@@ -230,7 +230,7 @@ def _remove_leftover(path: Path) -> None:
     """Remove a file left by a killed program.
 
     Raises:
-        OSError: it is not a regular file, or another program is writing it.
+        OSError: the path is not a regular file, or another program is writing the file.
     """
     mode = os.lstat(path).st_mode
     if not stat.S_ISREG(mode):
@@ -256,7 +256,7 @@ def _lock(number: int) -> None:
     except BlockingIOError:
         raise
     except OSError:
-        # Some file systems have no locks: the exclusive opening must suffice.
+        # Some file systems have no locks, so the exclusive opening must suffice.
         return
 
 
@@ -265,7 +265,7 @@ def _os_error(number: int, path: Path) -> OSError:
 
 
 def _text(value: Any) -> Any:
-    """Return a number with five decimals, the same on every computer, for a table; a text as text."""
+    """Return a value for a table: a number with five decimals, the same on every computer, or a text."""
     if not isinstance(value, (float, np.floating)):
         return csv_text(value) if isinstance(value, str) else value
     # Adding zero removes the sign of a negative number rounded to zero.

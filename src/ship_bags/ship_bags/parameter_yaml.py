@@ -1,4 +1,4 @@
-"""ROS 2 parameter files without ROS: read with the line of each value, and written.
+"""Reader and writer of ROS 2 parameter files without ROS; each value is read with its line.
 
 A file has sections ``node: {ros__parameters: {...}}``; a plain file has nested parameters only and no sections. Numbers
 are read as by rcl: ``1e-3`` is a number and ``1:30`` a text, unlike in plain YAML 1.1.
@@ -21,13 +21,13 @@ from ship_geometry.input_error import InputError
 PARAMETERS_KEY = "ros__parameters"
 
 BLACK_BOX_PARAMETER = "black_box"
-"""Parameter of every node: path of its black box, empty if there is none."""
+"""Parameter of every node: path of its black box, empty for no black box."""
 
 BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
 """Parameter of every estimator node: size at which its black box continues in a new file."""
 
 RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
-"""Parameter of every node: send messages lost on the way to its inputs again."""
+"""Parameter of every node: True if messages lost on the way to the node are sent again."""
 
 RUNTIME_PARAMETERS = (
     "use_sim_time",
@@ -41,7 +41,7 @@ RUNTIME_PARAMETERS = (
 """First parts of the names of parameters that belong to rclpy or the node runtime, not to a configuration."""
 
 ANY_NAMESPACE = "/**/"
-"""Prefix of a node name: in any namespace."""
+"""Prefix of a node name for the node in any namespace."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NULL = re.compile(r"~|null|Null|NULL|$")
@@ -53,7 +53,7 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML dumper with quotes around all texts: a text for YAML may be a number for ROS."""
+    """YAML dumper with quotes around all texts, because a text for YAML may be a number for ROS."""
 
 
 _Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"'))
@@ -64,9 +64,9 @@ class Section:
     """Section of a file for one node.
 
     Attributes:
-        node: ``/NAMESPACE/NAME``, wildcards as written.
+        node: full name of the node, ``/NAMESPACE/NAME``, with wildcards as written.
         parameters: value and line (from 1) by dotted name.
-        line: line of its name.
+        line: line of the section's name.
     """
 
     node: str
@@ -79,7 +79,7 @@ class ParameterFile:
     """Parameters of one node in one file.
 
     Attributes:
-        name: the file, for texts.
+        name: name of the file, for texts.
         values: nested mapping without the parameters of rclpy and the node runtime.
         lines: line (from 1) of every parameter and group by dotted name.
     """
@@ -112,13 +112,13 @@ def full_name(node_name: str, namespace: str = "") -> str:
 
     Args:
         node_name: name without namespace.
-        namespace: with or without its slashes; empty if there is none.
+        namespace: namespace with or without slashes; empty if the node has no namespace.
     """
     return "/".join(["", *filter(None, namespace.split("/")), node_name])
 
 
 def in_any_namespace(node_name: str) -> str:
-    """Return a pattern, instead of a full name, for the node of that name in any namespace."""
+    """Return the pattern that stands, instead of a full name, for a node in any namespace."""
     return ANY_NAMESPACE + node_name
 
 
@@ -126,10 +126,10 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
     """Return the name of the source for texts, and its sections in order with nested namespaces resolved.
 
     Args:
-        source: a path; a ``str`` is the text itself.
+        source: path of the file; a ``str`` is the content of the file.
 
     Raises:
-        BadInput: the file cannot be read or is not a parameter file; names file, line and key.
+        BadInput: the file cannot be read or is not a parameter file; the error names file, line and key.
     """
     name, text = _text(source)
     root = compose(name, text)
@@ -153,7 +153,7 @@ def read_nested_parameters(source: Path | str) -> ParameterFile:
 
 
 def merge_sections(name: str, sections: Sequence[Section]) -> ParameterFile:
-    """Merge the sections of a file into one; of several values of a parameter the last one applies."""
+    """Merge the sections of a file into one; if a parameter has several values, the last value applies."""
     file = ParameterFile(name, {}, {})
     for section in sections:
         for parameter, (value, line) in section.parameters.items():
@@ -174,7 +174,7 @@ def sections_text(nodes: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _text(source: Path | str) -> tuple[str, str]:
-    # A text, as an attachment of a bag, is never used as a file name: it could name any file.
+    # A text, as an attachment of a bag, is never used as a file name, because it could name any file.
     if isinstance(source, str):
         return "configuration", source
     try:
@@ -213,13 +213,13 @@ def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iter
                 raise BadInput(f"'{PARAMETERS_KEY}' must be below the name of a node", file=name, line=line)
             yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
         else:
-            # Names are joined as rcl does: by a slash unless the first one ends with it.
+            # Names are joined as in rcl: by a slash unless the first name ends with a slash.
             joined = f"{path}{'' if not path or path.endswith('/') else '/'}{key}"
             yield from _sections(name, value, joined, line)
 
 
 def _node_name(name: str, line: int, path: str) -> str:
-    """Return the full name of a section; refuse one that rcl would not accept."""
+    """Return the full name of a section; refuse a name that rcl would not accept."""
     full = path if path.startswith("/") else f"/{path}"
     for part in full[1:].split("/"):
         if part not in ("*", "**") and not _NAME.fullmatch(part):
@@ -235,7 +235,7 @@ def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, 
     for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
         if isinstance(value, yaml.MappingNode):
             if prefix and not value.value:
-                # rcl drops it silently: a device with only defaults would be missing.
+                # rcl drops an empty group silently, so that a device with only defaults would be missing.
                 reason = f"group '{prefix}{key}' is empty: give it a parameter, or remove it"
                 raise BadInput(reason, file=name, line=line)
             yield from _parameters(name, value, f"{prefix}{key}.")

@@ -30,7 +30,7 @@ Item = TypeVar("Item")
 
 
 class Progress:
-    """Progress of one task; a context that erases the line at its end.
+    """Progress of one task; as a context manager it erases the line at the end.
 
     Args:
         label: the task, e.g. the name of a bag.

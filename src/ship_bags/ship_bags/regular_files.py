@@ -1,6 +1,6 @@
 """Check that an input file of a node or a suite is a regular file.
 
-Opening a pipe waits for its other end, and a device may have no end: neither may block the start of a node.
+Opening a pipe waits for its other end, and reading a device may never end. Neither must block the start of a node.
 """
 
 import errno
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def check_regular(path: Path) -> None:
-    """Raise unless a path is a regular file; a missing file is left to the opening.
+    """Raise an error unless a path is a regular file; a missing file is reported later, when it is opened.
 
     Raises:
         OSError: EISDIR for a folder, ESPIPE for a pipe, a device or a socket.

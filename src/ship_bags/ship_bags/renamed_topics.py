@@ -1,8 +1,8 @@
-"""Topics of bags under the suite's names: by ``--remap OLD:=NEW`` and by the map ``topics`` of a suite file.
+"""The suite's names for topics of bags, from ``--remap OLD:=NEW`` and from the map ``topics`` of a suite file.
 
-The map gives the ship's name of a topic for the suite's, as ``topics: {ins/imu: /imu/data}``. The names of a command
-apply to all bags that its process reads (:func:`ship_bags.command_line.run_command`). The bag reader applies them, so
-that no other code depends on them.
+The map gives the ship's name for the suite's name of a topic, as ``topics: {ins/imu: /imu/data}``. The names apply to
+all bags that the process of a command reads (:func:`ship_bags.command_line.run_command`). Only the bag reader applies
+the names, so that no other code depends on them.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from ship_bags.topic_names import TRUTH_PREFIX, relative_topic, resolve_topic
 from ship_geometry.input_error import InputError
 
 TOPICS_PARAMETER = "topics"
-"""Group of parameters, the same in each node: the suite's name of an input → the ship's."""
+"""Group of parameters, the same in each node: the suite's name of an input → the ship's name."""
 
 BLACK_BOX_METADATA = "black_box"
 """Name of the metadata record of a node's black box, in which topics have the suite's names."""
@@ -38,7 +38,7 @@ class TopicNames:
         remaps: pairs of the name in the bag and the new name.
         namespace: namespace of the ship in the bag, for names without leading slash.
         is_by_suite: True if the map ``topics`` of a suite file applies, too.
-        suite_file: file with the map; None takes the suite file attached to the bag.
+        suite_file: file with the map; None for the suite file attached to the bag.
     """
 
     remaps: tuple[tuple[str, str], ...] = ()
@@ -48,11 +48,11 @@ class TopicNames:
     _matched: set[str] = field(default_factory=set, compare=False, repr=False)
 
     def new_names(self, topics: Collection[str], attached_suite: str) -> dict[str, str]:
-        """Return topic in a bag → its new name, for the topics that get one.
+        """Return topic in a bag → its new name, for the topics that get a new name.
 
         Args:
             topics: topics of the bag.
-            attached_suite: text of the suite file attached to it; empty if there is none.
+            attached_suite: text of the suite file attached to the bag; empty if there is no such file.
 
         Raises:
             BadInput: the suite file cannot be read, or its map is wrong.
@@ -64,7 +64,7 @@ class TopicNames:
         return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
 
     def unmatched_remaps(self, topics: Collection[str]) -> list[str]:
-        """Return the old names of remaps that no bag so far contains, neither as old nor as new name."""
+        """Return the old names of remaps whose old and new names no bag so far contains."""
         there = {f"/{relative_topic(topic)}" for topic in topics}
         self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
         return [old for old, _ in self.remaps if old not in self._matched]
@@ -151,9 +151,9 @@ def remap_advice(
 
     Args:
         wanted: the suite's name of the input.
-        type_name: its type.
+        type_name: type of the input.
         topics: topic of the bag → type.
-        known: the suite's names of all its topics, which are not candidates.
+        known: the suite's names of all topics of the suite; these topics are not candidates.
         namespace: namespace of the ship in the bag.
     """
     of_type = {topic: relative_topic(topic, namespace) or "" for topic, kind in topics.items() if kind == type_name}
@@ -164,10 +164,10 @@ def remap_advice(
 
 
 def topic_map(parameters: Mapping[str, Any]) -> dict[str, str]:
-    """Return the suite's name of an input → the ship's, from a node's parameters by dotted names.
+    """Return the suite's name of an input → the ship's name, from a node's parameters by dotted names.
 
     Raises:
-        InputError: names the parameter and what was expected.
+        InputError: a parameter is wrong; the text names the parameter and what is expected.
     """
     entries = {name: value for name, value in parameters.items() if is_topic_parameter(name)}
     for name, value in entries.items():
@@ -184,7 +184,7 @@ def topic_map(parameters: Mapping[str, Any]) -> dict[str, str]:
 
 
 def is_topic_parameter(name: str) -> bool:
-    """True if a dotted name is an entry of the map."""
+    """True if a dotted name is an entry of the map ``topics``."""
     return name.startswith(_PREFIX)
 
 
@@ -194,7 +194,7 @@ def ship_names(source: Path | str) -> dict[str, str]:
 
 
 def names_on_ship(source: Path | str) -> dict[str, str]:
-    """Return the ship's name of a topic → the suite's, of all sections of a suite file (a path, or the text itself).
+    """Return the ship's name of a topic → the suite's name, from all sections of a suite file (its path or its text).
 
     Raises:
         BadInput: the file cannot be read; an entry is wrong; or two entries contradict each other, although all nodes
@@ -223,7 +223,7 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
 
 
 def _attached_names(text: str) -> dict[str, str]:
-    """Return the map of an attached file; empty if the file is unusable, which the command that needs it reports."""
+    """Return the map of an attached file; empty if the file is unusable, as reported by a command that needs it."""
     if TOPICS_PARAMETER not in text:
         return {}
     try:

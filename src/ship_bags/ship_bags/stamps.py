@@ -14,7 +14,7 @@ from ship_bags.message_factory import MessageFactory
 NS_PER_S = 1_000_000_000
 
 END_OF_TIME_NS = 2**31 * NS_PER_S
-"""End of the range of a stamp, in 2038: its seconds are a signed 32-bit number."""
+"""End of the range of a stamp, in 2038, because the seconds of a stamp are a signed 32-bit number."""
 
 _ENCAPSULATION = 4
 _STAMP_END = _ENCAPSULATION + 8
@@ -27,7 +27,7 @@ _UNITS = (
     ("days", 86_400.0, 94_672_800.0),
     ("years", 31_557_600.0, math.inf),
 )
-"""Unit, its length, s, and the duration up to which it is used, s."""
+"""Name of each unit, length of the unit, s, and duration up to which the unit is used, s."""
 
 
 def ns_from_stamp(stamp: Any) -> int:
@@ -36,7 +36,7 @@ def ns_from_stamp(stamp: Any) -> int:
 
 
 def stamp_of_bytes(data: bytes) -> int | None:
-    """Return the stamp of a message that begins with a header, from its CDR bytes, ns; None if they are too few.
+    """Return the stamp of a message that begins with a header, from its CDR bytes, ns; None if there are too few bytes.
 
     Example:
         >>> stamp_of_bytes(bytes.fromhex("00010000 05000000 e8030000"))
@@ -74,7 +74,7 @@ def ns_from_utc_text(text: str) -> int:
     """Return the POSIX time of a UTC text, e.g. ``2014-08-01T00:00:00.17Z``, ns.
 
     Raises:
-        ValueError: it is not such a text.
+        ValueError: the text is not a UTC time.
     """
     parts = _UTC_TEXT.fullmatch(text)
     try:

@@ -5,14 +5,14 @@ import subprocess
 from pathlib import Path
 
 COMMIT_RECORD = "suite"
-"""Name of the bag's metadata record with the commit of the suite that wrote it."""
+"""Name of the bag's metadata record with the commit of the suite that wrote the bag."""
 
 
 @functools.cache
 def suite_commit() -> str:
     """Return the git commit of this code, with "+changes" where files differ from it; empty outside a checkout.
 
-    A suite installed inside the checkout of another project has no commit: this file is not tracked there.
+    A suite installed inside the checkout of another project has no commit, because this file is not tracked there.
     """
     source = Path(__file__).resolve()
     if _git(source, "ls-files", "--error-unmatch", source.name) is None:
@@ -27,7 +27,7 @@ def commit_record() -> dict[str, str]:
 
 
 def _git(source: Path, *arguments: str) -> str | None:
-    """Return what git prints in the folder of a file; None where it fails, or is not installed."""
+    """Return the output of git in the folder of a file; None if git fails or is not installed."""
     try:
         command = ["git", "-C", str(source.parent), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10.0)

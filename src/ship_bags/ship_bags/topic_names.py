@@ -10,8 +10,8 @@ def relative_topic(name: str, namespace: str = "") -> str | None:
     """Return the suite's relative name of a bag's topic; None if it is outside the namespace.
 
     Args:
-        name: as in the bag, e.g. ``/ship/ins/imu``, ``/ins/imu`` or ``ins/imu``.
-        namespace: namespace of the ship in the bag, with or without its slashes; empty if there is none.
+        name: name of the topic in the bag, e.g. ``/ship/ins/imu``, ``/ins/imu`` or ``ins/imu``.
+        namespace: namespace of the ship in the bag, with or without slashes; empty if the bag has no namespace.
     """
     bare, prefix = name.lstrip("/"), namespace.strip("/")
     if not prefix:
@@ -25,25 +25,25 @@ def resolve_topic(name: str, namespace: str) -> str:
 
 
 def relative_topics(names: Iterable[str], namespace: str = "") -> dict[str, str]:
-    """Return relative name → name in the bag, of all topics inside the namespace."""
+    """Return relative name → name in the bag, for all topics inside the namespace."""
     pairs = ((relative_topic(name, namespace), name) for name in names)
     return {relative: name for relative, name in pairs if relative is not None}
 
 
 def namespace_of_outputs(names: Iterable[str], namespace: str, outputs: Iterable[str]) -> str:
-    """Return the namespace of the outputs in a bag: the ship's, or none, as when a replay wrote them.
+    """Return the namespace of the outputs in a bag: the ship's, or an empty one as in a bag written by a replay.
 
     Args:
         names: names of the bag's topics.
         namespace: namespace of the ship.
-        outputs: relative names; any of them in the namespace decides for it.
+        outputs: relative names of outputs; if the ship's namespace has one of these outputs, it is returned.
     """
     found = relative_topics(names, namespace)
     return namespace if any(topic in found for topic in outputs) else ""
 
 
 def likely_namespace(names: Iterable[str], wanted: Iterable[str]) -> str | None:
-    """Return the only namespace with all wanted relative names in the bag; None if there is none or several."""
+    """Return the namespace with all wanted relative names in the bag; None unless there is exactly one."""
     bare, needed = {name.lstrip("/") for name in names}, set(wanted)
     if not needed:
         return None

@@ -1,4 +1,4 @@
-"""YAML from untrusted files: a text that is too long, too deep or expands without end is refused."""
+"""Reader of YAML from untrusted files; a text that is too long, too deep or expands without end is refused."""
 
 import functools
 from typing import Any
@@ -8,7 +8,7 @@ import yaml
 from ship_bags.errors import BadInput
 
 MAX_TEXT_LENGTH = 4_000_000
-"""Maximum length of a text, characters: the parser takes minutes for more."""
+"""Maximum length of a text, characters; the parser takes minutes for a longer text."""
 
 MAX_NESTING = 50
 MAX_NODES = 1_000_000
@@ -20,7 +20,7 @@ _TOO_DEEP = "nested too deeply, or a group that contains itself by an alias"
 
 
 class _DataLoader(yaml.SafeLoader):
-    """YAML loader that accepts only integers of 64 bits: a larger one would fail later, where it is used or shown."""
+    """YAML loader that accepts only integers of 64 bits; a larger integer would fail later, when used or shown."""
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         if len(node.value) <= _LONGEST_INTEGER:
@@ -36,14 +36,14 @@ _DataLoader.add_constructor("tag:yaml.org,2002:int", _DataLoader.construct_yaml_
 # A node parses the same file twice at its start: to check it before ROS reads it, and for the warnings about it.
 @functools.lru_cache(maxsize=1)
 def compose(name: str, text: str) -> yaml.Node | None:
-    """Return the document of a text as YAML nodes with their lines; None if it is empty.
+    """Return the document of a text as YAML nodes with their lines; None if the text is empty.
 
     Args:
         name: name of the file, for texts.
-        text: all of it.
+        text: content of the file.
 
     Raises:
-        BadInput: it is not YAML or exceeds a bound; names the file and, if known, the line.
+        BadInput: the text is not YAML or exceeds a bound; the error names the file and, if known, the line.
     """
     if len(text) > MAX_TEXT_LENGTH:
         raise BadInput(f"{len(text)} characters: expected a text of at most {MAX_TEXT_LENGTH}", file=name)
@@ -72,7 +72,7 @@ def data_of(name: str, node: yaml.Node) -> Any:
     """Return a node of :func:`compose` as mappings, lists and scalars.
 
     Raises:
-        BadInput: names the file and the line of the invalid value.
+        BadInput: a value is invalid; the error names the file and the line.
     """
     try:
         return _DataLoader("").construct_object(node, deep=True)
@@ -84,8 +84,8 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
     """Return the number of values of a node with its aliases expanded.
 
     Raises:
-        RecursionError: it is too deep.
-        ValueError: a text in it is invalid.
+        RecursionError: the nesting is too deep.
+        ValueError: a text in the node is invalid.
     """
     if id(node) in known:
         return known[id(node)]

@@ -47,7 +47,7 @@ def _prior(document: dict[str, Any]) -> AlignmentPrior:
     """Return the alignment of a document.
 
     Raises:
-        ValueError: a section cannot be used; the text names it.
+        ValueError: a section cannot be used; the text names the section.
     """
     rotations_dv = section(document, "installation", _rotations)
     time_offsets_s = section(document, "time_offset_s", finite_numbers)

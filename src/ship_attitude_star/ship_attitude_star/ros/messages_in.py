@@ -1,6 +1,6 @@
 """Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
 
-They read attributes only, so any message class can be used. A message that cannot be used raises
+The readers use only attributes of messages, so any message class can be used. A message that cannot be used raises
 :class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
@@ -47,7 +47,7 @@ Measured = TypeVar("Measured", bound=Measurement)
 
 STAR_INVALID = 3
 MAX_ELEVATION, MAX_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
-"""Maximum elevation of a star sensor, and maximum of its azimuth and roll, rad; these are used modulo 2π."""
+"""Maximum elevation of a star sensor, and maximum azimuth and roll, rad; azimuth and roll are used modulo 2π."""
 _COVARIANCE_TOLERANCE = 1e-6
 
 _MAX_DEFLECTION = 300.0 * ARCSEC
@@ -104,8 +104,8 @@ def attitude_from_numbers(
 
     Args:
         source: name of the source.
-        time_ns: stamp.
-        rotation_ns: horizon from sensor, shape (3, 3).
+        time_ns: stamp of the message.
+        rotation_ns: rotation horizon from sensor, shape (3, 3).
         total_n: covariance of the total error, rotation vector in the horizon frame, rad², shape (3, 3).
         noise_n: covariance of the error that is independent between epochs, in the same frame.
         sharing: configured shared error of the sensor.
@@ -124,7 +124,8 @@ def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_co
     if sharing == SHARED_BY_SKY:
         return SolvedAttitude(**vars(attitude) | {"has_noise_covariance": has_noise_covariance})
     if sharing == SHARED_BY_MESSAGES and attitude.common_n.any():
-        # Maximum correlation of errors with different covariances: the same vector through each symmetric root.
+        # For maximum correlation of errors with different covariances, one vector is multiplied by the symmetric root
+        # of each covariance.
         values, vectors = np.linalg.eigh(attitude.common_n)
         root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         return replace(attitude, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
@@ -158,7 +159,7 @@ def inertial_attitude(
 def reference_measurement(
     message: Any, name: str, config: ReferenceConfig, receive_ns: int
 ) -> ReadMessage[AttitudeMeasurement]:
-    """Read ``reference/<name>/imu``: attitude of another system; its covariance is that of white noise.
+    """Read ``reference/<name>/imu``: attitude of another system; its covariance describes white noise.
 
     Raises:
         MessageRejected: the message cannot be used; contains the reason.
@@ -193,7 +194,7 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     covariance = np.asarray(message.covariance, dtype=float).reshape(2, 2)
     if not covariance.any():
         return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta])), False)
-    # Written so that NaN fails.
+    # NaN fails these comparisons.
     is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
     if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
         raise MessageRejected(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric, positive and finite")
@@ -225,14 +226,14 @@ def _read_message(measurement: Measured) -> ReadMessage[Measured]:
 
 
 def _configured_noise(config: StarSensorConfig) -> FloatArray:
-    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), for messages without one."""
+    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), if a message has none."""
     sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
     noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
     return noise_s
 
 
 def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
-    """Return the covariance of the error common to successive solutions: total minus noise, not negative.
+    """Return the covariance of the error common to successive solutions: total minus noise, negative eigenvalues as 0.
 
     Raises:
         MessageRejected: the noise covariance is larger than the total covariance.

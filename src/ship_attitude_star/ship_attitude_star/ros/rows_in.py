@@ -1,7 +1,7 @@
 """Readers of blocks of messages: conversion of all regular messages of a block at once.
 
-The results are bit-identical to those of :mod:`ship_attitude_star.ros.messages_in`. None stands for a message that must
-be read there separately.
+The results are bit-identical to the results of :mod:`ship_attitude_star.ros.messages_in`. None stands for a message
+that the readers of that module must read separately.
 """
 
 from collections.abc import Iterator

@@ -167,7 +167,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment of the present estimator."""
+        """Return the alignment to save, of the current estimator."""
         core: ShipAttitudeCore = self.core
         return core.alignment_to_save()
 
@@ -253,7 +253,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def _star_readers(
         self, id_: str, star: StarSensorConfig
     ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
-        """Return the reader of a star sensor's messages, and that of blocks of them, None for single stars."""
+        """Return the reader of a star sensor's messages, and the reader of blocks of messages or None."""
         if star.input == "observations":
             assert self._sky_model is not None
             exposure = functools.partial(
@@ -347,7 +347,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [self._last_observability[1]]
 
     def _noise_status(self) -> DiagnosticStatus:
-        """Return a diagnostic of INS noise in excess of the configured noise, and of errors stated in its messages."""
+        """Return a diagnostic of INS noise above the configured noise, and of larger sigmas stated in INS messages."""
         if self._stated_covariance is not None:
             covariance = np.reshape(self._stated_covariance, (3, 3))
             if contradicted := sigma_mismatch_text(covariance, self.config.ins):
@@ -379,7 +379,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
 
 def manoeuvre_text(turn: RecommendedTurn | None) -> str:
-    """Return a text about a recommended turn; empty if there is none."""
+    """Return a text about a recommended turn; empty if no turn is recommended."""
     if turn is None:
         return ""
     now, on_course, after = (
@@ -408,7 +408,7 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading, horizo
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """Return a diagnostic of the vertical at the last attitude; none if the filter does not need the vertical."""
+    """Return a diagnostic of the vertical at the last attitude; an empty list if the filter does not need it."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
@@ -470,8 +470,8 @@ def installed_frames(
 
     Args:
         factory: creates messages.
-        rotations_dv: rotation deck from device by frame, shape (3, 3).
-        now_ns: stamp.
+        rotations_dv: frame of a device → rotation deck from device, shape (3, 3).
+        now_ns: stamp of the message.
         deck: name of the deck frame.
     """
     transforms = []

@@ -57,7 +57,7 @@ SOLUTION_TIMEOUT_NS = 10_000_000_000
 
 @dataclass(frozen=True)
 class ReadExposure:
-    """A read observation message.
+    """Result of reading an observation message.
 
     Attributes:
         time_ns: stamp of the exposure.
@@ -269,7 +269,7 @@ def rejected_star_message(factory: MessageFactory, star: RejectedStar) -> Any:
 def solution_statuses(
     config: StarAttitudeConfig, latest: Mapping[str, tuple[AttitudeSolution, int]], joined_by_ins: bool, waiting_ns: int
 ) -> list[DiagnosticStatus]:
-    """Return diagnostics of the last solution of each sensor, and of the joint one.
+    """Return diagnostics of the last solution of each sensor, and of the last joint solution.
 
     Args:
         config: parameters of the node.

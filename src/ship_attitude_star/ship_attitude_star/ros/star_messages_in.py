@@ -28,7 +28,7 @@ MAX_STARS = 100
 """Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""
 
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
-"""Standard deviation of a direction given in a message, rad per axis: as for a catalogue star with known motion."""
+"""Standard deviation of a direction given in a message, rad per axis, as for a catalogue star with known motion."""
 
 _MIN_FORWARD = math.cos(math.radians(60.0))
 """Cosine of the largest angle between a star and the boresight."""
@@ -74,8 +74,8 @@ def star_exposure(
 ) -> ReadMessage[StarExposure]:
     """Read ``star/<sensor>/observations``: directions in the sensor frame, and identities of the stars.
 
-    The position of a star with a catalogue number is from the catalogue, that of a star without a number from the
-    message. A star with neither is identified later.
+    The position of a star with a catalogue number is taken from the catalogue, otherwise from the message. A star
+    without number and position is identified later.
 
     Args:
         message: StarObservationArray.
@@ -85,9 +85,9 @@ def star_exposure(
         camera_config: parameters of the camera, with centroid errors and the width of a star image.
         catalogue: star catalogue for the numbers.
         receive_ns: arrival time.
-        named_by_number: True if rejected stars are named by their catalogue number, if they have one; else they are
+        named_by_number: True to name a rejected star by its catalogue number if it has one; other rejected stars are
             named by their index in the message.
-        masks: obstructions of the field of view on deck; None if there is none.
+        masks: obstructions of the field of view on deck; None without obstructions.
 
     Returns:
         The exposure with the usable stars; the other stars of the message are rejected.
@@ -146,7 +146,7 @@ def _star_columns(stars: Sequence[Any], centroid_sigma_px: float) -> _StarColumn
 def _rejections(
     star_columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
 ) -> list[Rejection | None]:
-    """Return the rejection of each star, None for a usable one."""
+    """Return the rejection of each star; None for a usable star."""
     first_pixels: dict[Hashable, list[float]] = {}
     columns = (
         star_columns.pixels,
@@ -218,7 +218,7 @@ def _direction_rejection(hip: int, right_ascension: float, declination: float) -
 
 
 def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
-    """Return the identity of a star, equal for the same star; None if it is not identified yet."""
+    """Return the identity of a star, equal for the same star; None if the star is not identified yet."""
     if hip != 0:
         return hip
     return None if math.isnan(right_ascension) else (right_ascension, declination)
@@ -227,7 +227,7 @@ def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
 def _duplicate_rejection(
     identity: Hashable, pixel: list[float], first_pixels: dict[Hashable, list[float]]
 ) -> Rejection | None:
-    """Return the rejection of a star with the identity of an earlier one of the message, or None."""
+    """Return the rejection of a star with the identity of an earlier star of the message, or None."""
     first = pixel if identity is None else first_pixels.setdefault(identity, pixel)
     if first is pixel:
         return None
@@ -238,7 +238,7 @@ def _duplicate_rejection(
 def _positions(
     listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
 ) -> StarPositions:
-    """Return the positions of the usable stars, from the catalogue if listed, else as given in the message."""
+    """Return the positions of the usable stars, from the catalogue if listed there, else from the message."""
     if listed.all():
         return of_catalogue[kept]
     columns = [

@@ -1,6 +1,6 @@
 """Readers of position and air messages for the sky model of all nodes: checks and conversion.
 
-They read attributes only, so any message class can be used. A message that cannot be used raises
+The readers use only attributes of messages, so any message class can be used. A message that cannot be used raises
 :class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
@@ -39,7 +39,7 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
     if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
         text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
         raise MessageRejected(Reason.UNITS, text)
-    # A receiver without height sends NaN; at sea it is near zero, with little effect on stars.
+    # A receiver without height sends NaN. At sea the height is near zero and has little effect on stars.
     height_m = 0.0 if np.isnan(message.altitude) else message.altitude
     if not abs(height_m) < _MAX_HEIGHT_M:
         raise MessageRejected(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
@@ -140,7 +140,7 @@ def surroundings_feeds(
 
     Args:
         config: parameters of the sky model.
-        process: method of the core that takes them.
+        process: method of the core that processes these data.
         position_required: True if the node needs a position.
     """
     for topic in SURROUNDINGS:

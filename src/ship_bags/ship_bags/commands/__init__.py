@@ -1,1 +1,1 @@
-"""Executables of the package: arguments and exit codes. They may import every folder; no folder imports them."""
+"""Executables of the package: arguments and exit codes. It may import all other folders; no folder imports it."""

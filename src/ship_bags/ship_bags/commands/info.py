@@ -23,7 +23,7 @@ seconds from the start to their first and last message; attachments; problems. T
 _EPILOG = "exit code: 0 printed or written, also for a damaged bag; 2 bad input or usage, with one line of reason"
 _STDOUT = "-"
 _LONGEST_ENTRY = 200
-"""Maximum length of a metadata entry that is shown: rosbag2 puts a description of its file into one entry."""
+"""Maximum length of a metadata entry that is shown; rosbag2 puts a description of its file into one entry."""
 
 _ROLES = {SUITE_ATTACHMENT: "the suite's configuration", SCENARIO_ATTACHMENT: "the scenario of a simulated bag"}
 

@@ -93,7 +93,7 @@ def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[
 
 
 def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
-    """Recover each bag; one that fails does not stop the others."""
+    """Recover each bag; a failure does not stop the others."""
     exit_code = EXIT_DONE
     for source in sources:
         try:

@@ -1,4 +1,4 @@
-"""Export of topics of a bag, read once in order of log time, with all tables written in parallel."""
+"""Export of topics of a bag, which is read once in order of log time; all tables are written in parallel."""
 
 import difflib
 import errno
@@ -27,7 +27,7 @@ _BATCH_CELLS = 30_000
 _LONGEST_STEM = 180
 _MAX_NAMED = 20
 _MIN_SIMILARITY, _MIN_TYPO_SIMILARITY = 0.6, 0.85
-"""Similarities of names by difflib: similar, and equal except for a typing error."""
+"""Minimum similarity by difflib of two similar names, and of two names that differ by a typing error."""
 
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
 
@@ -39,10 +39,10 @@ class ExportRequest:
     Attributes:
         bag: a .mcap file or a rosbag2 folder.
         out: a folder, or for a single topic the file of its messages.
-        topics: names, with or without leading slash; empty for all readable ones.
-        format: a key of FORMATS; None: by the suffix of ``out``, else csv.
+        topics: names, with or without leading slash; empty for all readable topics.
+        format: a key of FORMATS; None for the format of the suffix of ``out``, else csv.
         since_ns: earliest log time, ns.
-        until_ns: log time before which all messages lie, ns.
+        until_ns: log time from which on messages are left out, ns.
         force: True to overwrite existing files.
     """
 
@@ -57,7 +57,7 @@ class ExportRequest:
 
 @dataclass
 class ExportResult:
-    """Result: the files with their numbers of rows, and one line for each thing that is missing in them."""
+    """Result of an export: number of rows of each file, and one line for each omission."""
 
     row_counts: dict[Path, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -71,7 +71,7 @@ class _Topic:
     files: list[tuple[MessageTable, TableFile]] = field(default_factory=list)
 
     def write(self, everything: bool = False) -> None:
-        """Write the tables that have a batch of rows, or all."""
+        """Write the tables that have a batch of rows, or with ``everything`` all tables."""
         for table, file in self.files:
             count = table.row_count
             if count >= _BATCH_ROWS or count * len(table.columns) >= _BATCH_CELLS or (everything and count):
@@ -79,10 +79,10 @@ class _Topic:
 
 
 def export(order: ExportRequest) -> ExportResult:
-    """Write the topics of a bag as tables, all of them or none.
+    """Write the topics of a bag as tables; if this fails, no table is written.
 
     Raises:
-        BadInput: bag, topics or names of files cannot be used; the line names which, and the reason.
+        BadInput: bag, topics or names of files cannot be used; the text gives the reason.
         OSError: a file cannot be written.
     """
     if order.since_ns >= order.until_ns:
@@ -215,8 +215,8 @@ def _selected_topics(bag: Bag, names: tuple[str, ...]) -> list[str]:
 def _hint(name: str, known: Collection[str]) -> str:
     """Return a text with the topic that the user may have meant, without leading slash.
 
-    Truth topics of a simulation come last, and are suggested only if nothing else is possible: for a missing
-    ship/attitude, truth/attitude would mislead.
+    A truth topic of a simulation is suggested only if no other topic is similar, because truth/attitude would mislead
+    for a missing ship/attitude.
     """
     truth = sorted(topic for topic in known if f"/{TRUTH_PREFIX}" in f"/{topic}")
     others = sorted(set(known).difference(truth))
@@ -244,7 +244,7 @@ def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _
 
 
 def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
-    """Return the tables of a topic, or why there are none."""
+    """Return the tables of a topic, or the reason why it cannot become a table."""
     try:
         return TopicRows(bag.topics[name], bag.store), ""
     except BadInput as problem:
@@ -287,7 +287,7 @@ def _stem(topic: str) -> str:
 
 
 def _prepare_folder(order: ExportRequest, paths: dict[tuple[str, str], Path]) -> Path | None:
-    """Check that all files can be written; return the folder if it was made for them."""
+    """Check that all files can be written; return the folder if it was created for them."""
     if any(path.exists() and path.resolve() == order.bag.resolve() for path in paths.values()):
         raise BadInput("the output would overwrite the bag", file=order.bag)
     if next(iter(paths.values())).parent != order.out:
@@ -302,7 +302,7 @@ def _prepare_folder(order: ExportRequest, paths: dict[tuple[str, str], Path]) ->
 
 
 def _remove_if_empty(folder: Path | None) -> None:
-    """Remove a folder that was made for files that were not written."""
+    """Remove a folder that was created for files that were not written."""
     if folder is not None:
         with suppress(OSError):
             folder.rmdir()

@@ -1,6 +1,6 @@
-"""Fields of a message down to numbers, texts, times and arrays, by its definition, and their getters.
+"""Fields of a message down to numbers, texts, times and arrays, by the definition, and getters of their values.
 
-Nested messages are expanded, and so are short arrays of messages of fixed length.
+Nested messages and short fixed-length arrays of messages are expanded.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -15,13 +15,13 @@ from ship_bags.errors import BadInput
 from ship_bags.export.units import Unit, standard_name, unit_of, value_names
 
 _MAX_NUMBERED = 64
-"""Maximum length of a fixed array that becomes numbered columns; a longer one becomes a table of its own."""
+"""Maximum length of a fixed array that becomes numbered columns; a longer array becomes a table of its own."""
 
 _MAX_DEPTH = 16
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 BYTES = ("uint8", "byte", "octet")
 NO_FIELD = "structure_needs_at_least_one_member"
-"""Name in the definition of a message without fields."""
+"""Name of the only entry in the definition of a message without fields."""
 
 _PARALLEL_ARRAYS: dict[str, tuple[dict[str, int], ...]] = {
     "ship_msgs/msg/AlignmentState": ({"names": 1, "values": 1, "units": 1},),
@@ -36,7 +36,7 @@ _PARALLEL_ARRAYS: dict[str, tuple[dict[str, int], ...]] = {
     ),
     "sensor_msgs/msg/JointState": ({"name": 1, "position": 1, "velocity": 1, "effort": 1},),
 }
-"""Type → arrays that are in the same order, by its definition, and their numbers of elements that belong together."""
+"""Type → arrays whose elements belong together by the definition → number of elements of an array in a row."""
 
 Path = tuple[str | int, ...]
 Get = Callable[[Any], Any]
@@ -45,7 +45,7 @@ Get = Callable[[Any], Any]
 class MessageField(NamedTuple):
     """Number, text or array in a message: path and type, meaning of its numbers, and the array or type around it.
 
-    ``value_names`` are the names of its values, if it is one of the constants of its type.
+    ``value_names`` are the names of the field's values, if these are constants of the message type.
     """
 
     path: Path
@@ -59,7 +59,7 @@ class MessageField(NamedTuple):
 
     @property
     def base(self) -> str:
-        """Path as the beginning of a column's name; stamp and frame of the header are named without it."""
+        """Path as the beginning of a column's name; stamp and frame of the header are named without "header"."""
         if self.array:
             return self.array
         inner = self.path[1:] if self.path in (("header", "stamp"), ("header", "frame_id")) else self.path
@@ -111,7 +111,7 @@ def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
 
 
 def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]]:
-    """Return the getter of a table's elements from a message; of several arrays, one or more of each."""
+    """Return the getter of a table's elements from a message; several arrays give one or more elements each."""
     gets = [(getter(field.path), width) for field, width in group.items()]
     if len(gets) == 1:
         get, _ = gets[0]
@@ -120,12 +120,12 @@ def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]
 
 
 def _grouped_elements(elements: list[Any], width: int) -> list[Any]:
-    """Return the elements, or lists of them if several belong together."""
+    """Return the elements, or lists of ``width`` elements that belong together."""
     return elements if width == 1 else [elements[place : place + width] for place in range(0, len(elements), width)]
 
 
 def is_numbered(field: MessageField) -> bool:
-    """Return True for a short array of fixed length of numbers or texts."""
+    """Return True for a short fixed-length array of numbers or texts."""
     return field.node == Nodetype.ARRAY and field.content[1] <= _MAX_NUMBERED and field.content[0][0] == Nodetype.BASE
 
 
@@ -156,5 +156,5 @@ def as_list(array: Any) -> list[Any]:
 
 
 def type_in_row(array: MessageField, width: int) -> tuple[Nodetype, Any]:
-    """Return the type of a row's value: an element, or an array of some."""
+    """Return the type of a row's value: an element, or an array of ``width`` elements."""
     return array.content[0] if width == 1 else (Nodetype.ARRAY, (array.content[0], width))

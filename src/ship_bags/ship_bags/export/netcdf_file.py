@@ -23,7 +23,7 @@ from ship_bags.export.units import cf_units, standard_name_on
 from ship_bags.stamps import NS_PER_S
 
 MAX_TEXT_BYTES = 32_768
-"""Maximum length of a text, bytes: every row takes the size of the longest one of its column."""
+"""Maximum length of a text, bytes; every row takes the size of the longest text of its column."""
 
 ROW, TIME = "row", "time"
 
@@ -38,7 +38,7 @@ _CODES = {
     "float64": "d", "float32": "f", "int32": "i", "int16": "h", "int8": "b",
     # NetCDF-3 has no unsigned integers: the next wider type is used.
     "bool": "b", "uint8": "h", "uint16": "i", "uint32": "d",
-    # Nor integers of 64 bits: the nearest double, and the remainder in a second variable.
+    # It has no integers of 64 bits either: the nearest double is used, and a second variable with the remainder.
     "int64": "d", "uint64": "d",
 }
 _SPLIT = ("int64", "uint64")
@@ -60,7 +60,7 @@ class _Variable(NamedTuple):
 
 
 class NetcdfFile(TableFile):
-    """See the module."""
+    """NetCDF-3 file with the CF conventions; see the module."""
 
     suffix = ".nc"
 
@@ -145,7 +145,7 @@ class NetcdfFile(TableFile):
         return variables
 
     def _free_name(self, name: str) -> str:
-        """Return the name, with underscores added if a column has it."""
+        """Return the name, with underscores added if a column has this name."""
         while name in self._names:
             name += "_"
         return name
@@ -191,7 +191,7 @@ class NetcdfFile(TableFile):
 
 
 def midnight_before(start_ns: int) -> int:
-    """Return the midnight before a time: seconds since then, as doubles, have a resolution of 0.01 ns."""
+    """Return the midnight before a time; seconds since midnight, as doubles, have a resolution of 0.01 ns."""
     day_ns = 86_400 * NS_PER_S
     return start_ns // day_ns * day_ns
 
@@ -220,7 +220,7 @@ def _attributes(column: Column, topic: str) -> dict[str, Any]:
 
 
 def _flags(column: Column) -> dict[str, Any]:
-    """Return the attributes with the meanings of an enumeration's values, by the conventions."""
+    """Return the attributes with the meanings of an enumeration's values, by the CF conventions."""
     if not column.kind.startswith(("int", "uint")) or column.kind in _SPLIT:
         return {}
     bounds = np.iinfo(column.kind)

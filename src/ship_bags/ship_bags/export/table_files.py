@@ -15,11 +15,11 @@ from ship_bags.export.table_rows import TEXT, Column
 from ship_bags.output_files import csv_text, error_with_path, open_new, part_path
 
 _ROW_GROUP_BYTES = 8_000_000
-"""Size of a row group of a Parquet table, bytes: readers are slow with many small groups."""
+"""Size of a row group of a Parquet table, bytes; readers are slow with many small groups."""
 
 
 class TableHead(NamedTuple):
-    """Description of a table: bag without its folder, topic, type of the messages, array or empty."""
+    """Description of a table: file name of the bag, topic, type of the messages, array (empty for the messages)."""
 
     bag: str
     topic: str
@@ -39,11 +39,11 @@ class TableFile:
 
     Args:
         path: file to write.
-        head: its description.
+        head: description of the table.
         columns: columns of the table.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: the file cannot be created.
     """
 
     suffix = ""
@@ -61,7 +61,7 @@ class TableFile:
         """Add rows, given column by column.
 
         Raises:
-            BadInput: the format cannot represent them.
+            BadInput: the format cannot represent the rows.
             OSError: the disk is full, or the like.
         """
         with self._name_file_in_errors():
@@ -114,7 +114,7 @@ class TableFile:
 
 
 class CsvFile(TableFile):
-    """CSV by RFC 4180 in UTF-8: the shortest digits that give the same number, ``nan``, ``inf``, 0 and 1.
+    """CSV by RFC 4180 in UTF-8; numbers have the fewest digits that give the same number, truth values are 0 and 1.
 
     A text that a spreadsheet would take for a formula has ``'`` in front.
     """
@@ -215,7 +215,7 @@ def _arrow_metadata(column: Column) -> dict[str, str]:
 
 
 def _csv_values(column: Column, values: list[Any]) -> Iterable[Any]:
-    """Return values for csv: Python's numbers are written with the digits needed, those of single precision are not."""
+    """Return the values of a column for csv; single-precision numbers become texts with the fewest digits needed."""
     if column.kind == "float32":
         return ["" if value is None else str(np.float32(value)) for value in values]
     if column.kind == "bool":

@@ -2,8 +2,8 @@
 
 A nested message becomes columns with its name as prefix; an array of fixed length becomes numbered columns. An array of
 variable length becomes a table of its own with a row per element: index of the message, index of the element, values.
-The table of the messages has the lengths. Arrays in the same order share a table; beyond the end of a shorter one the
-values are None.
+The table of the messages has the lengths of the arrays. Arrays whose elements belong together share a table; beyond the
+end of a shorter array the values are None.
 """
 
 from collections.abc import Callable, Iterable
@@ -39,7 +39,7 @@ STAMP = "stamp_ns"
 TEXT = "text"
 
 MAX_COLUMNS = 2000
-"""Maximum number of columns; a definition with more is a mistake or malicious."""
+"""Maximum number of columns; a definition with more columns is a mistake or malicious."""
 
 MAX_TABLES = 100
 """Maximum number of tables of one topic; more nested arrays are a mistake or malicious, too."""
@@ -58,9 +58,9 @@ Put = Callable[[list[Any], Any], None]
 
 @dataclass(frozen=True)
 class Column:
-    """Column: name, numpy name of its numbers or TEXT, unit, and origin of its values in a message.
+    """Column of a table: name, numpy type of its numbers or TEXT, unit, and origin of its values in a message.
 
-    ``value_names`` as of :class:`MessageField`.
+    ``value_names`` are as in :class:`MessageField`.
     """
 
     name: str
@@ -75,19 +75,20 @@ class MessageTable:
     """Table being filled: rows are added message by message, and taken out column by column.
 
     Args:
-        name: empty for the messages themselves, else the names of the arrays down to this one, joined by "-".
+        name: empty for the table of the messages, else the names of the arrays down to this table's array, joined by
+            "-".
         keys: columns whose values are given to :meth:`add`.
         fields: fields of a message or an element.
         store: the definitions.
-        made: the tables of the topic so far; this one and those of its arrays are added.
+        made: the tables of the topic so far; this table and the tables of its arrays are added.
 
     Attributes:
-        columns: in their order.
-        arrays: getter of an array's elements from a message, and their table.
+        columns: columns in order.
+        arrays: for each array, the getter of its elements from a message and the table of these elements.
 
     Raises:
-        BadInput: there would be more columns than MOST_COLUMNS or more tables than MOST_TABLES, a field is of an
-            unknown kind, or nested messages have no end.
+        BadInput: there would be more columns than MAX_COLUMNS or more tables than MAX_TABLES, a field is of an unknown
+            kind, or messages are nested too deeply.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ class MessageTable:
             if field.path[-1:] != (NO_FIELD,) and not self._add_field(field):
                 varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
-        # Columns that identify the rows of its arrays.
+        # Columns that identify the rows in the tables of the arrays.
         self._identity = sorted({*range(len(keys)), *stamps})
         own_keys = [self.columns[place] for place in self._identity]
         self.arrays = [
@@ -125,7 +126,7 @@ class MessageTable:
         return len(self._rows)
 
     def add(self, keys: list[Any], message: Any) -> None:
-        """Add the row of a message or an element, and those of its arrays."""
+        """Add the row of a message or an element, and the rows of its arrays."""
         row = list(keys)
         for get, put in self._puts:
             put(row, get(message))
@@ -142,7 +143,7 @@ class MessageTable:
         return taken or [[] for _ in self.columns]
 
     def _add_field(self, field: MessageField) -> bool:
-        """Add the columns of a field; for an array of variable length add only that of its length, and return False."""
+        """Add the columns of a field; for an array of variable length only add its length, and return False."""
         get = getter(field.path)
         if field.node == Nodetype.NAME:
             self._add_column(field.base, Column("", "int64", NANOSECONDS, field.origin))
@@ -172,14 +173,14 @@ class MessageTable:
 
 
 class TopicRows:
-    """Converts the messages of a topic to rows.
+    """Conversion of the messages of a topic to rows.
 
     Args:
         type_name: type of the messages.
         store: the definitions.
 
     Attributes:
-        tables: that of the messages first.
+        tables: tables of the topic; the table of the messages comes first.
 
     Raises:
         BadInput: see :class:`MessageTable`.
@@ -227,12 +228,12 @@ def _array_table(
 
 
 def _free_name(wanted: str, columns: list[Column]) -> str:
-    """Return the name, or one with a number if a column has it."""
+    """Return the name, with a number added if a column has this name."""
     return _unique_name(wanted, {known.name for known in columns} | _RESERVED)
 
 
 def _unique_name(wanted: str, taken: set[str]) -> str:
-    """Return the name, or one with a number; names that differ only in capital letters count as equal."""
+    """Return the name, with a number added if it is taken; names that differ only in capital letters count as equal."""
     names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
     return next(name for name in names if name not in taken and name.lower() not in taken)
 
@@ -260,7 +261,7 @@ def _put_time(row: list[Any], value: Any) -> None:
 
 
 def _put_array(length: int, row: list[Any], value: Any) -> None:
-    # None if an array is shorter than another one of the same order.
+    # The value is None beyond the end of an array that shares a table with a longer array.
     values = [] if value is None else as_list(value)
     row.extend(values)
     row.extend([None] * (length - len(values)))

@@ -1,6 +1,6 @@
 """Units of message fields and names of their values, from ship_msgs' definitions or tables of ROS messages.
 
-A field with an uncertain unit has none, because a wrong unit is worse than no unit. The same holds for the names of
+A field with an uncertain unit gets no unit, because a wrong unit is worse than no unit. The same holds for the names of
 values.
 """
 
@@ -13,7 +13,7 @@ from ship_bags.message_store import SHIP_MESSAGES, ship_message_folder
 
 
 class Unit(NamedTuple):
-    """Unit: as UDUNITS reads it, and as the suffix of a column's name (empty: the name needs none)."""
+    """Unit: symbol for UDUNITS, and suffix of a column's name (empty if the name needs no suffix)."""
 
     symbol: str
     suffix: str
@@ -58,7 +58,7 @@ _UNITS = {
 NANOSECONDS = _UNITS["ns"]
 
 _TABLE = {
-    # Comments of ship_msgs without a unit in brackets.
+    # Fields of ship_msgs whose comments have no unit in brackets.
     "ship_msgs/msg/StarObservation": {"declination": "rad"},
     "ship_msgs/msg/Integrity": {"statistic": "sigma"},
     "sensor_msgs/msg/Imu": {
@@ -99,7 +99,7 @@ _TABLE = {
         "m": "kg", "com": "m", **dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "kg m^2"),
     },
 }
-"""Type → field → unit, by REP-103 and the comments of the definitions; a covariance of lengths and angles has none."""
+"""Type → field → unit, by REP-103 and the comments of the definitions; mixed covariances (m, rad) have no unit."""
 
 _STANDARD_NAMES = {
     ("ship_msgs/msg/ShipAttitude", "heading"): "platform_orientation",
@@ -115,7 +115,7 @@ _STANDARD_NAMES_IN_THE_AIR = {
     ("met/pressure", "fluid_pressure"): "air_pressure",
     ("met/temperature", "temperature"): "air_temperature",
 }
-"""CF standard names by topic and field; on other topics these messages may be of any pressure and temperature."""
+"""CF standard names by topic and field; on other topics these fields may be any pressure or temperature."""
 
 _CF_UNITS = {"latitude": "degrees_north", "longitude": "degrees_east"}
 """Unit that CF requires instead of "degree"."""
@@ -129,7 +129,7 @@ _CONSTANTS = {
         name: f"{name.upper()}_" for name in ("power_supply_status", "power_supply_health", "power_supply_technology")
     },
 }
-"""Type → field whose value is one of the type's constants → prefix of their names."""
+"""Type → field whose value is one of the type's constants → prefix of the names of these constants."""
 
 _ONE_OF = re.compile(
     r"\bOne of (?:the constants above|(?P<first>\w+) to (?P<last>\w+)|(?P<listed>\w+(?:, \w+)*))\."
@@ -147,12 +147,12 @@ def unit_of(type_name: str, field: str) -> Unit | None:
 
 
 def standard_name(type_name: str, field: str) -> str | None:
-    """Return the CF standard name of a field of a type; None if there is none."""
+    """Return the CF standard name of a field of a type; None if it has none."""
     return _STANDARD_NAMES.get((type_name, field))
 
 
 def standard_name_on(topic: str, field: str) -> str | None:
-    """Return the CF standard name that a field has because of its topic; None if there is none."""
+    """Return the CF standard name that a field has because of its topic; None if it has none."""
     return _STANDARD_NAMES_IN_THE_AIR.get(("/".join(topic.split("/")[-2:]), field))
 
 
@@ -162,12 +162,12 @@ def cf_units(unit: Unit, name: str | None) -> str:
 
 
 def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, Any]]) -> dict[str, int]:
-    """Return name → value of a field whose value is one of the constants of its type; else an empty mapping.
+    """Return name → value of the constants of a type that a field may have; empty for any other field.
 
     Args:
         type_name: type of the message.
         field: field of that type.
-        constants: name, type and value of each, in the order of the definition in use.
+        constants: name, type and value of each constant, in the order of the definition in use.
     """
     values = {name: value for name, _, value in constants if isinstance(value, int)}
     prefix = _CONSTANTS.get(type_name, {}).get(field)
@@ -191,7 +191,7 @@ def _selection(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
 
 @functools.cache
 def _commented_units(message: str) -> dict[str, str]:
-    """Return field → unit in brackets, from its comment."""
+    """Return field → unit in brackets, from the field's comment."""
     units = {}
     for field, comment in _comments(message).items():
         known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
@@ -202,7 +202,7 @@ def _commented_units(message: str) -> dict[str, str]:
 
 @functools.cache
 def _comments(message: str) -> dict[str, str]:
-    """Return field (other than text) → the comment above it, which applies to all fields up to the next comment."""
+    """Return field (other than text) → its comment; a comment applies to all fields up to the next comment."""
     path = ship_message_folder() / f"{message}.msg"
     comments: dict[str, str] = {}
     comment, ended = "", True

@@ -1,5 +1,5 @@
-"""Bags and the live network: topics recorded into a bag, a bag played onto topics with /clock.
+"""Bags and the live network: recording of topics into a bag, and playing of a bag with /clock.
 
-Besides this folder only the commands that use it import rclpy. It imports the common modules of the package and
+Only this folder and the commands that use it import rclpy. The folder imports the common modules of the package and
 :mod:`ship_bags.mcap`.
 """

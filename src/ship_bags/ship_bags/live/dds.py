@@ -1,8 +1,8 @@
 """DDS set-up of a process before ROS starts: the suite's profile, and security if it is requested.
 
-DDS security fails closed: a process that is requested to use it must not run without it. ROS accepts
-``ROS_SECURITY_ENABLE`` only if it is exactly ``true``; with ``TRUE`` or ``1`` it runs unprotected without a warning.
-The same happens with the strategy ``Permissive`` if DDS was built without security.
+A process that is requested to use DDS security must not run without it. ROS uses security only if
+``ROS_SECURITY_ENABLE`` is exactly ``true``; with ``TRUE`` or ``1`` ROS runs unprotected without a warning. The same
+happens with the strategy ``Permissive`` if DDS was built without security.
 """
 
 import mmap
@@ -25,7 +25,7 @@ DDS_PROFILE = Path(__file__).with_name("dds_profile.xml")
 """Fast DDS profile of every program of the suite, for discovery and retransmission; the file gives the reasons."""
 
 PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"
-"""Environment variables that name a profile, and that apply it to writers and readers, too."""
+"""Environment variable that names a profile, and variable that applies it to writers and readers, too."""
 
 
 def prepare_dds() -> None:
@@ -47,7 +47,7 @@ def use_dds_profile() -> None:
 def require_security() -> None:
     """Refuse to start if the environment requests DDS security and this installation does not have it.
 
-    If it has it, the process's environment gets the request in the spelling that ROS accepts.
+    If the installation has security, the environment of the process gets the request in the spelling that ROS accepts.
 
     Raises:
         BadInput: see :func:`security_environment`.
@@ -57,7 +57,7 @@ def require_security() -> None:
 
 
 def is_security_requested(environment: Mapping[str, str]) -> bool:
-    """Return True if an environment requests DDS security: by any text that is not clearly a no."""
+    """Return True if an environment requests DDS security: by any text that does not mean "no"."""
     return environment.get(ENABLE, "").strip().lower() not in _FALSE_VALUES
 
 
@@ -69,7 +69,7 @@ def security_environment(environment: Mapping[str, str], has_security: bool | No
         has_security: True if DDS was built with security; None if unknown.
 
     Raises:
-        BadInput: it was not; or it is unknown, and the middleware would not refuse to start.
+        BadInput: DDS was built without security; or this is unknown, and the middleware would not refuse to start.
     """
     demand, enforced = environment[ENABLE], environment.get(STRATEGY, "").strip().lower() == "enforce"
     if has_security is False:
@@ -100,6 +100,6 @@ def dds_has_security(libraries: Iterable[Path]) -> bool | None:
 
 def loaded_libraries() -> list[Path]:
     """Return the files from which this process has loaded Fast DDS; empty with another middleware."""
-    get_rmw_implementation_identifier()  # which loads it
+    get_rmw_implementation_identifier()  # loads the middleware
     lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     return sorted({Path(line[line.index("/") :]) for line in lines if f"/{_LIBRARY}" in line})

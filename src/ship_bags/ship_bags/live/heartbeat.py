@@ -1,8 +1,8 @@
 """Heartbeat of a program that a suite supervises.
 
 The supervisor of a suite gives its programs one end of a datagram socket. Each program sends its process id there once
-a second, from its main loop. A stopped program, or one whose callback does not return, sends nothing. ROS and DDS are
-not involved.
+a second, from its main loop. A stopped program, or a program whose callback does not return, sends nothing. ROS and DDS
+are not involved.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ class Heartbeat:
     """Heartbeat of this process; outside a suite nothing is sent.
 
     Args:
-        descriptor: file descriptor of the socket, as text; empty if there is none.
+        descriptor: file descriptor of the socket, as text; empty outside a suite.
     """
 
     def __init__(self, descriptor: str) -> None:
@@ -33,7 +33,7 @@ class Heartbeat:
                 self._socket.set_inheritable(False)
 
     def beat(self, steady_ns: int) -> None:
-        """Send a heartbeat if the last one is a period old.
+        """Send a heartbeat if the last heartbeat is a period old.
 
         Args:
             steady_ns: steady time, ns.

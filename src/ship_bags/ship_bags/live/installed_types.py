@@ -19,7 +19,7 @@ def installed_class(type_name: str) -> Any:
     """Return the class of a message type such as ``sensor_msgs/msg/Imu``.
 
     Raises:
-        BadInput: the name is not that of a message type, or the type is not installed.
+        BadInput: the name is not the name of a message type, or the type is not installed.
     """
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] != "msg":
@@ -35,7 +35,7 @@ def installed_definition(type_name: str) -> TypeDefinition:
 
     Raises:
         LookupError: the type's package is not installed.
-        OSError: its files are not installed.
+        OSError: the files of the type are not installed.
     """
     own, *others = _nested_types(type_name)
     parts = [_text(own)]

@@ -18,15 +18,15 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progres
 from ship_bags.stamps import NS_PER_S
 
 CLOCK_PERIOD_NS = 10_000_000
-"""Period of /clock in bag time, ns: /clock is never further than this behind the last message."""
+"""Period of /clock in bag time, ns; /clock is behind the last message by at most this time."""
 
 # Steady time for which /clock runs before the first message, so that every subscriber's clock is set (or has jumped
 # back, in a loop) when the first message arrives.
 _CLOCK_LEAD_S = 0.1
-# Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. One minute
-# of them takes about as long as the lead.
+# Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. Sending
+# one minute of /clock takes about as long as the lead.
 _LONGEST_LEAD_S = 60.0
-# A higher rate would need more than a hundred thousand ticks per second of steady time.
+# Maximum rate with all ticks; a higher rate would need more than a hundred thousand ticks per second of steady time.
 _FASTEST_WITH_ALL_TICKS = 1000.0
 # Time after the last match after which no more subscribers are expected if some topics have none. Discovery on one
 # computer takes 0.06 s to 1.6 s.
@@ -37,7 +37,7 @@ _ACKNOWLEDGE_S = 10.0
 # heartbeat of Fast DDS (3 s).
 _DEPTH = 5000
 
-# The playing node itself publishes these: recorded ones would contradict them.
+# Topics that the playing node itself publishes; recorded messages would contradict them.
 _OWN_TOPICS = ("/clock", "/rosout", "/parameter_events")
 
 
@@ -62,7 +62,7 @@ class PlaySummary:
 
 
 class Player:
-    """Publishes one bag, in the order and at the times of its log.
+    """Player of one bag, in the order and at the times of its log.
 
     Args:
         node: publishing node; the caller spins it.
@@ -113,7 +113,7 @@ class Player:
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
                 problems = bag.problems
-            # Also before the next loop, so that no message of this one arrives after the clock has jumped back.
+            # This wait also ensures that no message arrives after the clock has jumped back for the next loop.
             if not self._clock.is_stopped:
                 unacknowledged = self._wait_for_acknowledgements()
         for problem in problems:
@@ -166,7 +166,7 @@ class Player:
         self._publishers[record.topic].publish(bytes(record.data))
 
     def _wait_for_acknowledgements(self) -> tuple[str, ...]:
-        """Wait until every reliable subscriber has acknowledged; return the topics where one has not."""
+        """Wait until every reliable subscriber has acknowledged; return the topics without all acknowledgements."""
         deadline_s = time.monotonic() + _ACKNOWLEDGE_S
         late = []
         for topic, publisher in {"/clock": self._clock_publisher, **self._publishers}.items():
@@ -207,8 +207,9 @@ class Player:
         """Return when every topic has its subscribers, or no more are expected.
 
         A topic has its subscribers when it has the requested number (by default one; none for truth topics) and every
-        subscriber in the graph is matched. No more are expected after the timeout. Unless topics were requested by
-        name, no more are expected either some time after the last match, if at least one topic has subscribers.
+        subscriber in the graph is matched. No more subscribers are expected after the timeout. Unless topics were
+        requested by name, the end of the wait is also some time after the last match, if at least one topic has
+        subscribers.
 
         Raises:
             BadInput: a topic requested by name has too few subscribers.
@@ -255,12 +256,12 @@ def add_ticks(
 ) -> Iterator[tuple[int, BagRecord | None]]:
     """Yield records with their log times, and ticks (None) of /clock on its grid, in order.
 
-    The tick before a record is less than a period older; one more follows the last record.
+    The tick before a record is less than a period older; one more tick follows the last record.
 
     Args:
         records: records of the bag.
         first_tick_ns: start of the grid.
-        stride: returns n: between two records every n-th tick is published, and the last.
+        stride: returns n: between two records every n-th tick and the last tick are published.
     """
     tick_ns = first_tick_ns
     for record in records:

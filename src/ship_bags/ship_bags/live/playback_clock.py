@@ -20,9 +20,9 @@ from std_srvs.srv import Trigger
 
 from ship_bags.stamps import NS_PER_S
 
-# Maximum duration of one wait: a lock cannot wait for years, as at a tiny rate or over a long gap.
+# Maximum duration of one wait, because a lock cannot wait for years, as at a tiny rate or over a long gap.
 _MAX_WAIT_S = 3600.0
-# Maximum rate: a higher one plays no faster, and its product with a time may overflow.
+# Maximum rate; a higher rate plays no faster, and its product with a time may overflow.
 _MAX_RATE = 1e9
 # Period of /clock while paused, for subscribers that start then.
 _PAUSED_CLOCK_PERIOD_S = 0.1
@@ -30,7 +30,7 @@ _KEY_POLL_S = 0.2
 
 
 class PlaybackClock:
-    """Bag time running at a rate; other threads and signal handlers may pause, step, speed up and stop it.
+    """Bag time running at a rate; other threads and signal handlers may pause, step, speed up and stop the clock.
 
     Args:
         rate: initial rate, seconds of bag time per second of steady time, positive.
@@ -111,7 +111,7 @@ class PlaybackClock:
             return self._is_paused
 
     def stop(self) -> None:
-        """End every wait, now and later."""
+        """End the current wait and all later waits."""
         with self._changed:
             self._is_stopped = True
             self._changed.notify_all()
@@ -138,7 +138,7 @@ class PlaybackClock:
         return False
 
     def behind_s(self, bag_ns: int) -> float:
-        """Return the steady time by which bag time `bag_ns` is past, s; 0 while paused, and before it is due."""
+        """Return the steady time since bag time `bag_ns` was reached, s; 0 while paused, and before that time."""
         with self._changed:
             return 0.0 if self._is_paused else max(0.0, (self._bag_time_ns() - bag_ns) / self._rate / NS_PER_S)
 
@@ -228,9 +228,9 @@ def keyboard_control(clock: PlaybackClock) -> Iterator[None]:
 
 
 def _is_foreground(terminal: int) -> bool:
-    """Return True if the terminal may be changed: a background job of a shell would be stopped for it."""
+    """Return True if the process may change the terminal; a shell would stop a background job that does so."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:
-        # It does not control this process, so changing it stops no job.
+        # The terminal does not control this process, so a change of the terminal stops no job.
         return True

@@ -26,12 +26,12 @@ from ship_bags.message_store import use_installed_definition
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
-# Maximum times for the messages that had arrived before the end, and for answers.
+# Maximum times at the end for messages that had arrived before, and for answers about parameters.
 _DRAIN_S = 1.0
 _PARAMETER_WAIT_S = 1.0
 # A flush begins after this ratio of its period, so that it is finished within the period.
 _FLUSH_SHARE = 0.7
-# Maximum number of messages kept before the first /clock; of more the newest.
+# Maximum number of messages kept before the first /clock; above it the oldest are lost.
 _MAX_BEFORE_CLOCK = 50_000
 # A slewed clock (500 ppm at most) changes by less between two readings; a smaller step disturbs no filter.
 MIN_STEP_NS = 50_000_000
@@ -41,7 +41,7 @@ _MAX_READING_NS = 5_000_000
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """Content and end of a recording; see ``record --help``. Times are steady; None is without end.
+    """Content and end of a recording; see ``record --help``. Times are steady; None means without end.
 
     The idle time runs since the last message that shows activity (:func:`is_activity`), or since the last message of
     any kind if only status reports are recorded.
@@ -54,9 +54,9 @@ class RecordOptions:
 
 
 class Recorder:
-    """Records the topics of a node's graph.
+    """Recorder of the topics in a node's graph.
 
-    Log time is the node's clock at reception (bag time with ``use_sim_time``), publish time the publisher's.
+    The log time is the node's time at reception (bag time with ``use_sim_time``); the publish time is the publisher's.
 
     Args:
         node: subscribing node; :meth:`run` spins it.
@@ -123,7 +123,7 @@ class Recorder:
             if now_s >= next_flush_s:
                 self._check_clock()
                 self._bag.flush()
-                # If a flush takes longer than its period, the same time must be left to receive.
+                # If a flush takes longer than its period, as much time must be left for reception.
                 spent_s = time.monotonic() - now_s
                 next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
@@ -180,7 +180,7 @@ class Recorder:
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
         if self._has_only_status and type_name not in STATUS_TYPES:
-            # From now on status reports do not count as activity, and those received before did not either.
+            # Status reports do not count as activity from now on, and earlier status reports do not count either.
             self._has_only_status, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
@@ -248,21 +248,22 @@ class Recorder:
 
 
 class ClockStepDetector:
-    """Detects steps of the system clock against the steady clock.
+    """Detector of steps of the system clock against the steady clock.
 
-    A clock steps when it is set by hand, by NTP after a long outage, or back with a bag.
+    A clock steps when it is set by hand, by NTP after a long outage, or to the time of a bag.
     """
 
     def __init__(self) -> None:
         self._offset_ns: int | None = None
 
     def detect_step(self, steady_before_ns: int, clock_ns: int, steady_after_ns: int) -> int | None:
-        """Return the step of the clock since the last call, ns; None if there was none.
+        """Return the step of the clock since the last call, ns; None if there was no step.
 
         Args:
             steady_before_ns: steady clock read before the system clock.
             clock_ns: system clock.
-            steady_after_ns: steady clock read after it; after a long pause in between the readings are not comparable.
+            steady_after_ns: steady clock read after the system clock; readings with a long pause in between are not
+                used.
         """
         if steady_after_ns - steady_before_ns > _MAX_READING_NS:
             return None

@@ -1,7 +1,7 @@
 """Network information for a recorder: topics, subscriptions, and the nodes' parameters.
 
-Some topics show activity; others report a node's own state also without input. The parameters are requested by the
-nodes' own services and become a suite file in the recording.
+Some topics show activity; other topics report a node's own state, even without input. The parameters are requested
+through the nodes' services and become a suite file in the recording.
 """
 
 import time
@@ -23,10 +23,10 @@ from ship_bags.parameter_yaml import full_name, is_runtime_parameter, sections_t
 from ship_bags.renamed_topics import is_topic_parameter
 
 DEPTH = 1000
-"""Queue depth per topic while the disk delays the recorder: ten seconds at 100 Hz, one at 1 kHz."""
+"""Queue depth per topic for delays by the disk: ten seconds at 100 Hz, one second at 1 kHz."""
 
 _EXCLUDED_TOPICS = ("/clock",)
-"""Topics that are recorded only if named: /clock is the time of the log, which a player publishes."""
+"""Topics that are recorded only if named; a player publishes /clock itself, from the times of the log."""
 
 STATUS_TYPES = frozenset(
     {
@@ -37,7 +37,7 @@ STATUS_TYPES = frozenset(
         "tf2_msgs/msg/TFMessage",
     }
 )
-"""Types by which a node reports its own state as long as it runs, on its own clock, also without input."""
+"""Types of messages with which a running node reports its own state periodically, even without input."""
 
 _RESULTS = ("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/AttitudeDeg", "ship_msgs/msg/OpticalAxisPointing")
 """Types of results: a node without input continues to publish them, as INVALID."""
@@ -47,7 +47,7 @@ ANSWER_TIMEOUT_S = 5.0
 
 MAX_NODES = 200
 MAX_PARAMETERS = 5000
-"""Maximum number of nodes that are queried, and of parameters that are taken from each."""
+"""Maximum number of nodes that are queried, and of parameters that are taken from each node."""
 
 
 def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
@@ -55,8 +55,8 @@ def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
 
     Args:
         type_name: type of the message.
-        kind: its class.
-        data: its CDR bytes.
+        kind: class of the message.
+        data: CDR bytes of the message.
     """
     if type_name not in _RESULTS:
         return type_name not in STATUS_TYPES
@@ -64,11 +64,11 @@ def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
 
 
 def offered_topics(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInfo]]:
-    """Return the topics to record that have publishers now, with the endpoints of these.
+    """Return the topics to record that have publishers now, with the endpoints of the publishers.
 
     Args:
         node: the recording node.
-        wanted: names of topics; empty for all but hidden ones and /clock.
+        wanted: names of topics; empty for all but hidden topics and /clock.
     """
     names = {node.resolve_topic_name(name) for name in wanted}
     found = {}
@@ -95,7 +95,7 @@ def adapted_qos(endpoints: Sequence[TopicEndpointInfo]) -> QoSProfile:
 def qos_texts(endpoints: Sequence[TopicEndpointInfo]) -> str:
     """Return the QoS that the publishers of a topic offer, one entry each, as rosbag2 stores it.
 
-    DDS does not transmit the history of a remote publisher: it is unknown and of depth 0, as in rosbag2.
+    DDS does not transmit the history of a remote publisher, so it is stored as unknown with depth 0, as in rosbag2.
     """
     profiles = (endpoint.qos_profile for endpoint in endpoints)
     return "".join(
@@ -120,7 +120,7 @@ class _ParameterRequest:
 
 
 class ParameterCollector:
-    """Queries each node once, when it is discovered; the owner of the spinning node calls :meth:`update` periodically.
+    """Collector of the nodes' parameters; each node is queried once. :meth:`update` must be called periodically.
 
     Attributes:
         unanswered: full names of nodes that did not answer.
@@ -161,7 +161,7 @@ class ParameterCollector:
             self._attach(sections_text(self._received))
 
     def close(self) -> None:
-        """End the queries: pending nodes count as unanswered."""
+        """End the queries; pending nodes count as unanswered."""
         for full in list(self._requests):
             self.unanswered.append(full)
             self._finish_request(full)
@@ -174,7 +174,7 @@ class ParameterCollector:
         return _ParameterRequest(time.monotonic() + ANSWER_TIMEOUT_S, clients)
 
     def _continue_request(self, full: str, request: _ParameterRequest) -> bool:
-        """Send a node the next request after its answer; return True after the last one."""
+        """Send a node the next request after its answer; return True after the last answer."""
         by_name, by_value = request.clients
         if request.answer is None:
             if by_name.service_is_ready() and by_value.service_is_ready():

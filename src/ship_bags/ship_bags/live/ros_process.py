@@ -31,8 +31,8 @@ def run_ros_command(
 
     Args:
         parser: parser of the command's own arguments.
-        command: does the work with those, parsed, and with the arguments for ROS.
-        arguments: the command line without the program's name; None takes the process's own.
+        command: does the work with the parsed arguments and the arguments for ROS.
+        arguments: the command line without the program's name; None for the command line of the process.
     """
     own, ros = split_ros_arguments(sys.argv[1:] if arguments is None else arguments)
     return run_command(parser, lambda parsed: command(parsed, ros), own)
@@ -41,7 +41,7 @@ def run_ros_command(
 def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the command's own arguments, and those between ``--ros-args`` and ``--`` (or the end) for rclpy.init.
 
-    rclpy's own function would also remove arguments that look like a remap rule, as ``--remap OLD:=NEW`` of `play`.
+    rclpy's function would also remove arguments that look like a remap rule, as ``--remap OLD:=NEW`` of `play`.
     """
     own: list[str] = []
     ros: list[str] = []
@@ -94,7 +94,7 @@ def executable(package: str, name: str) -> list[str]:
     """Return the command of a package's executable, found as by ``ros2 run``.
 
     Raises:
-        BadInput: it is not installed.
+        BadInput: the executable is not installed.
     """
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix) / "lib" / package / name

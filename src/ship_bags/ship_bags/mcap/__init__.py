@@ -1,5 +1,5 @@
-"""MCAP files and rosbag2 folders of them: read with checks of all sizes, written with flushes, recovered.
+"""MCAP files and rosbag2 folders: reading with checks of all sizes, writing with flushes, recovery.
 
-Contains the handling of bytes, records, message types and the ``metadata.yaml`` of a rosbag2 folder. It imports the
-common modules of the package and no other folder, and no rclpy.
+The folder handles bytes, records, message types and the ``metadata.yaml`` of a rosbag2 folder. It imports the common
+modules of the package, but neither other folders nor rclpy.
 """

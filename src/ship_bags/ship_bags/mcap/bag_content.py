@@ -1,4 +1,4 @@
-"""Content of a bag, counted message by message, so that it is right for a damaged bag, too."""
+"""Content of a bag, counted message by message, so that the counts are right for a damaged bag, too."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from ship_bags.stamps import NS_PER_S
 
 @dataclass
 class TopicContent:
-    """Topic: its type, and number and log times of its messages; times are None without messages."""
+    """Topic: type, number of messages, and log times of the first and the last message (None without messages)."""
 
     type_name: str
     message_count: int = 0
@@ -43,7 +43,7 @@ class BagContent:
 
     Attributes:
         files: name → size, bytes.
-        topics: name → content, by name.
+        topics: name → content, sorted by name.
         attachments: name → content.
         metadata: name → entries.
         problems: one line per problem; empty if footer, index and checksums are valid.
@@ -75,7 +75,7 @@ def bag_content(path: Path) -> BagContent:
     """Read a whole bag and count its messages.
 
     Raises:
-        BadInput: it cannot be opened; see :func:`ship_bags.mcap.bag_reader.open_files`.
+        BadInput: the bag cannot be opened; see :func:`ship_bags.mcap.bag_reader.open_files`.
     """
     files = open_files(path)
     try:
@@ -93,10 +93,10 @@ def bag_content(path: Path) -> BagContent:
 
 
 def attached_suite(path: Path) -> bytes:
-    """Return the suite file attached to a bag; of several in a folder the last.
+    """Return the suite file attached to a bag; if a folder has several, the last one.
 
     Raises:
-        BadInput: there is none, or the bag cannot be opened.
+        BadInput: no suite file is attached, or the bag cannot be opened.
     """
     files = open_files(path)
     for file in files:

@@ -1,7 +1,7 @@
 """MCAP file as a list of chunks that can be read one by one, even if the file is damaged.
 
-A complete file ends in a summary with the location of each chunk. A file without one (the recorder was killed, the disk
-was full) is scanned record by record up to its end, skipping damaged records.
+A complete file ends in a summary with the location of each chunk. A file without a summary (the recorder was killed,
+the disk was full) is scanned record by record up to its end; damaged records are skipped.
 """
 
 import io
@@ -43,7 +43,7 @@ _CHUNK_TIMES = struct.Struct("<QQ")
 
 _LOG_TIME = struct.Struct("<Q")
 _LOG_TIME_OFFSET = 2 + 4
-"""Offset in the body of a message: after channel id and sequence number."""
+"""Offset of the log time in the body of a message, after channel id and sequence number."""
 
 _CHECKSUM = struct.Struct("<I")
 """Checksum at the end of the summary and of an attachment's body."""
@@ -54,7 +54,7 @@ _BLOCK_BYTES = 1 << 20
 
 @dataclass
 class McapFile(BagFile):
-    """MCAP file, by its records."""
+    """MCAP file, read by its records."""
 
     data: RecordFile = field(kw_only=True)
 
@@ -122,13 +122,13 @@ def _not_mcap_error(path: Path, size: int, begin: bytes) -> BadInput:
 
 @dataclass
 class _Summary:
-    """Summary of a file; of each chunk only its place, because long bags have many.
+    """Summary of a file; only the place of each chunk is kept, because long bags have many chunks.
 
     Attributes:
         places: places of the chunks, in the order of the summary.
         compressions: compressions of the chunks.
-        attachments: their offsets, bytes.
-        metadata: their offsets, bytes.
+        attachments: offsets of the attachments, bytes.
+        metadata: offsets of the metadata records, bytes.
     """
 
     statistics: Statistics | None = None
@@ -172,7 +172,7 @@ class _Summary:
 
     @property
     def is_complete(self) -> bool:
-        """True if it lists all channels, their schemas and all places of messages."""
+        """True if the summary lists all channels, their schemas and all places of messages."""
         statistics = self.statistics
         if statistics is None or statistics.channel_count != len(self.channels):
             return False
@@ -202,9 +202,9 @@ def _summary(file: McapFile) -> _Summary | None:
 
 
 def _summary_start(file: McapFile) -> int | None:
-    """Return the offset of the summary; None unless the file ended in a footer with its right checksum when opened.
+    """Return the offset of the summary; None unless the opened file ended in a footer with the right checksum.
 
-    In a file being written all places are counted from its start, because its end moves.
+    Offsets are counted from the start of the file, because its end moves while the file is being written.
     """
     if file.data.size < len(MAGIC) + _FOOTER.size:
         return None
@@ -289,10 +289,10 @@ def _take_chunk(file: McapFile, chunk: ScannedRecord) -> int:
         return 0  # messages() reports it with the time range
     times = [record.log_time for record in records if isinstance(record, Message)]
     if times:
-        # The times of the messages, because no checksum protects those in the chunk's header.
+        # The times are those of the messages, because no checksum protects the times in the chunk's header.
         file.chunks.append(ChunkPlace(chunk.offset, chunk.length, min(times), max(times)))
     for record in records:
-        # These are protected by the chunk's checksum: they take precedence over records outside a chunk.
+        # Records in a chunk are protected by its checksum, so they take precedence over records outside a chunk.
         if isinstance(record, Schema):
             file.schemas[record.id] = record
         elif isinstance(record, Channel):

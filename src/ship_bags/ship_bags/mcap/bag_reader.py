@@ -30,23 +30,23 @@ from ship_bags.renamed_topics import BLACK_BOX_METADATA, current_names
 from ship_bags.stamps import utc_text
 from ship_bags.topic_names import relative_topic
 
-# A name since rosbag2's metadata version 9, a number before.
+# The durability is a name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
 
 MAX_MEMORY_MB = 512
-"""Maximum part of a bag in memory, MB. Of an ordinary bag that is a chunk or two: the next one begins in time when
-these have ended."""
+"""Maximum part of a bag in memory, MB. For an ordinary bag a chunk or two are in memory, because later chunks do not
+overlap these in time."""
 
 _PLACE_BITS = 32
 """Number of lower bits for the order of a message in its place; the upper bits are the order of the place."""
 
 _RECORD_BYTES = 250
-"""Memory of a message besides its own bytes."""
+"""Memory of a message in addition to its data, bytes."""
 
 
 _XCDR2_HEADS = b"\x00\x06", b"\x00\x07"
-"""Encapsulations of plain XCDR2, big and little endian. It is read as XCDR1, which is right if the padding is the same;
-if XCDR2 pads less, the message is too short to be decoded."""
+"""Encapsulations of plain XCDR2, big and little endian. XCDR2 is read as XCDR1, which is right if the padding is the
+same; if XCDR2 pads less, the message is too short to be decoded."""
 
 _PADDING_BYTES = 4
 """Maximum padding in front of an 8-byte element, bytes."""
@@ -54,7 +54,7 @@ _PADDING_BYTES = 4
 
 @dataclass(slots=True)
 class BagRecord:
-    """Message of a bag; sequence number and publish time are those of its writer."""
+    """Message of a bag; sequence number and publish time are as stored by its writer."""
 
     topic: str
     type_name: str
@@ -68,7 +68,7 @@ class BagRecord:
         """Return the message with its fields as attributes, by the bag's definition.
 
         Raises:
-            BadInput: the bytes are not such a message.
+            BadInput: the bytes are not a message of this type.
         """
         try:
             try:
@@ -95,14 +95,14 @@ class Bag:
     """Open bag; use it in a ``with`` statement.
 
     Attributes:
-        topics: topic → type name, of the readable topics.
-        recorded_names: topic → its name in the bag, of renamed topics (:mod:`ship_bags.renamed_topics`).
+        topics: topic → type name, for the readable topics.
+        recorded_names: topic → its name in the bag, for renamed topics (:mod:`ship_bags.renamed_topics`).
         skipped_topics: topic → why it cannot be read.
         differences: type name → one line per field that the bag defines differently from this version of the suite.
         attachments: name → content.
         metadata: name → entries.
         message_count: messages yielded so far.
-        last_time_ns: log time of the last one; None if there was none yet.
+        last_time_ns: log time of the last yielded message; None before the first.
     """
 
     def __init__(self, path: Path, files: list[BagFile]) -> None:
@@ -115,7 +115,7 @@ class Bag:
         self.message_count = 0
         self.last_time_ns: int | None = None
         self._files = files
-        # Messages that a file repeats from earlier ones are needed only if that file is read alone.
+        # Messages that a file repeats from earlier files are needed only if the file is read alone.
         self._repeated = [
             set[tuple[str, int]]() if n == 0 else repeated_message_times(f.metadata) for n, f in enumerate(files)
         ]
@@ -126,7 +126,7 @@ class Bag:
 
     @property
     def store(self) -> Typestore:
-        """Types of the bag's messages; its own definitions take precedence."""
+        """Types of the bag's messages; the definitions in the bag take precedence."""
         return self._store
 
     @property
@@ -159,13 +159,13 @@ class Bag:
         return [one_line(line) for line in lines]
 
     def records(self, topics: Collection[str] | None = None, since_ns: int = 0) -> Iterator[BagRecord]:
-        """Yield messages in order of log time, those of equal time in the order of the files.
+        """Yield messages in order of log time; messages of equal time are in the order of the files.
 
         Chunks without messages of the topics, by the bag's index, are not read.
 
         Args:
-            topics: names of the topics wanted; None for all readable ones.
-            since_ns: log time before which none is wanted; chunks that end before it are not read.
+            topics: names of the topics wanted; None for all readable topics.
+            since_ns: earliest log time of the messages; chunks that end before it are not read.
         """
         channels = self._channels_with(topics)
         places = self._places(None if topics is None else channels)
@@ -192,7 +192,7 @@ class Bag:
             del waiting[:ready]
 
     def last_before(self, topic: str, before_ns: int) -> BagRecord | None:
-        """Return the last message of a topic before a log time; None if there is none. Few other chunks are read."""
+        """Return the last message of a topic before a log time, or None; few chunks are read."""
         channels = self._channels_with({topic})
         found: tuple[int, int, BagRecord] | None = None
         for entry in sorted(self._places(channels), key=lambda entry: -entry.place.end_ns):
@@ -229,7 +229,7 @@ class Bag:
         self.close()
 
     def _channels_with(self, topics: Collection[str] | None) -> list[dict[int, str]]:
-        """Return for each file channel → topic of the topics wanted; None for all."""
+        """Return, for each file, channel → topic for the topics wanted (None for all topics)."""
         return [
             {number: name for number, name in usable.items() if topics is None or name in topics}
             for usable in self._usable_channels
@@ -252,7 +252,7 @@ class Bag:
                 yield message.log_time, order, self._record(message, channels)
 
     def _is_repeated(self, file_number: int, message: Message) -> bool:
-        """True if a message is a copy of one in an earlier file."""
+        """True if a message is a copy of a message in an earlier file."""
         repeated = self._repeated[file_number]
         if not repeated:
             return False
@@ -274,7 +274,7 @@ class Bag:
         )
 
     def _channels_of(self, file: BagFile) -> dict[int, str]:
-        """Return channel → topic of the readable ones; record topics, types and skipped topics."""
+        """Return channel → topic for the readable channels; record topics, types and skipped topics."""
         usable: dict[int, str] = {}
         for channel in file.channels.values():
             schema = file.schemas.get(channel.schema_id)
@@ -318,8 +318,8 @@ def read_bag(path: Path | str) -> Bag:
     """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml, also of sqlite3 or compressed files.
 
     Raises:
-        BadInput: names the file and the problem: missing, unreadable, empty, not MCAP, of an unknown compression, a
-            folder without metadata.yaml, without messages or without readable ones.
+        BadInput: the bag is missing, unreadable, empty, not MCAP, of an unknown compression, a folder without
+            metadata.yaml, or without readable messages.
     """
     path = Path(path)
     files = open_files(path)
@@ -336,11 +336,11 @@ def read_bag(path: Path | str) -> Bag:
 
 
 def open_files(path: Path) -> list[BagFile]:
-    """Open the files of a bag, in order, whatever their content; topics get the names that the command wants.
+    """Open the files of a bag, in order; topics get the names of :mod:`ship_bags.renamed_topics`.
 
     Raises:
-        BadInput: one is missing, unreadable, empty, of unknown storage or compression, a folder has no metadata.yaml,
-            or the names cannot be applied.
+        BadInput: a file is missing, unreadable, empty or of unknown storage or compression, a folder has no
+            metadata.yaml, or the names cannot be applied.
     """
     files: list[BagFile] = []
     try:
@@ -395,8 +395,8 @@ def with_bag_progress(records: Iterator[BagRecord], bag: Bag, doing: str = "") -
 
     Args:
         records: records of the bag, in order of log time.
-        bag: its name is shown.
-        doing: the task, for the line: "evaluating".
+        bag: bag whose name is shown.
+        doing: task in the shown line, as "evaluating".
     """
     if bag.start_ns is None or bag.end_ns is None:
         return records

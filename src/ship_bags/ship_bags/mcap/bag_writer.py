@@ -1,6 +1,6 @@
 """Writer of MCAP bags as rosbag2 makes them: CDR messages, embedded definitions, QoS per topic.
 
-The same calls give the same bytes: the file does not depend on the time or the place of writing.
+The same calls give the same bytes, whatever the time and the place of writing.
 
 A flushed bag survives a crash: the flushed part consists of complete chunks. Definitions are stored twice, inside a
 chunk and after it, so that no single damage makes the messages of other chunks unreadable.
@@ -68,7 +68,7 @@ def suite_definition(type_name: str) -> TypeDefinition:
     """Return the definition of a type of ROS 2 Jazzy or of ship_msgs.
 
     Raises:
-        KeyError: the type is neither.
+        KeyError: the type is unknown.
     """
     from ship_bags.message_store import definition, type_hash
 
@@ -78,12 +78,12 @@ def suite_definition(type_name: str) -> TypeDefinition:
 class BagWriter:
     """MCAP file being written; use it in a ``with`` statement.
 
-    The types of :mod:`ship_bags.message_store` are loaded only if needed: a live node gives its own definitions and
-    bytes, and starts sooner without them.
+    The types of :mod:`ship_bags.message_store` are loaded only if needed. A live node gives definitions and bytes
+    itself, and starts sooner without these types.
 
     Attributes:
-        path: the file.
-        message_count: messages written.
+        path: path of the file.
+        message_count: number of messages written.
         flushed_bytes: length of the file at the last :meth:`flush`, up to which it stays readable.
 
     Args:
@@ -96,7 +96,7 @@ class BagWriter:
         exclusive: True to refuse overwriting a file.
 
     Raises:
-        BadInput: the file cannot be made.
+        BadInput: the file cannot be created.
     """
 
     def __init__(
@@ -130,10 +130,11 @@ class BagWriter:
         """Add a topic before its first message; needed only if it is latched or may stay empty.
 
         Args:
-            topic: its name.
-            type_name: its type, e.g. ``sensor_msgs/msg/Imu``.
-            latched: True if its last message is kept for late subscribers.
-            qos_profiles: QoS that its publishers offer, by :func:`qos_text`; None for that of the suite's publishers.
+            topic: name of the topic.
+            type_name: type of the messages, e.g. ``sensor_msgs/msg/Imu``.
+            latched: True if the last message is kept for late subscribers.
+            qos_profiles: QoS that the topic's publishers offer, by :func:`qos_text`; None for the QoS of the suite's
+                publishers.
         """
         self._channel_id(topic, type_name, latched, qos_profiles)
 
@@ -181,10 +182,10 @@ class BagWriter:
         """Add messages one after another, as by :meth:`write_raw`.
 
         Args:
-            topics: names and types.
+            topics: name and type of each topic.
             of_topic: index of the topic of each message, shape (N,).
             data: bytes of each message.
-            log_times_ns: shape (N,).
+            log_times_ns: log times, ns, shape (N,).
 
         Raises:
             BadInput: a topic already has another type, or the type is unknown.
@@ -217,7 +218,7 @@ class BagWriter:
         """Pass all messages so far to the operating system, so that they survive this process, and start a sync.
 
         Raises:
-            OSError: it cannot be written, or the sync of an earlier flush failed.
+            OSError: the file cannot be written, or the sync of an earlier flush failed.
         """
         with self._name_file_in_errors():
             self._writer.flush()
@@ -227,10 +228,10 @@ class BagWriter:
             self.flushed_bytes = self._file.tell()
 
     def close(self) -> None:
-        """Finish the file. With ``atomic`` it is renamed now; if that fails no file is left.
+        """Finish the file; an atomic writer renames the file, or leaves no file if this fails.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         if self._file.closed:
             return
@@ -250,13 +251,13 @@ class BagWriter:
             raise
 
     def discard(self) -> None:
-        """Give up: an atomic writer leaves no file, another one leaves what it has written."""
+        """Give up; an atomic writer leaves no file, any other writer leaves the part that is written."""
         if self._written_path != self.path:
             self._written_path.unlink(missing_ok=True)
         self._release()
 
     def truncate(self) -> None:
-        """Give up after a failed write: truncate the file to the last :meth:`flush`."""
+        """Give up after a failed write, and truncate the file to the last :meth:`flush`."""
         self._release()
         with contextlib.suppress(OSError):
             os.truncate(self._written_path, self.flushed_bytes)
@@ -335,6 +336,6 @@ class BagWriter:
 def _open(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
     if atomic:
         return open_new(path)
-    # Without a mode, files of Python's os.open can be executed.
+    # Without a mode, os.open would create an executable file.
     number = os.open(path, _EXCLUSIVE if exclusive else _REPLACING, 0o666)
     return os.fdopen(number, "wb")

@@ -1,4 +1,4 @@
-"""Further files of a black box, which lie next to its first one and are read with it."""
+"""Further files of a black box, which are next to the first file and are read with it."""
 
 import re
 
@@ -11,9 +11,9 @@ _FIRST = "1"
 
 
 def further_black_box_files(first: BagFile) -> list[BagFile]:
-    """Return the files that continue the first one of a black box, in order; none for any other file.
+    """Return the files that continue the first file of a black box, in order; an empty list for any other file.
 
-    A missing or unreadable file becomes a line in the problems of the first one.
+    A missing or unreadable file becomes a line in the problems of the first file.
     """
     entries = first.metadata.get(BLACK_BOX_METADATA, {})
     if entries.get("part") != _FIRST:
@@ -26,7 +26,7 @@ def further_black_box_files(first: BagFile) -> list[BagFile]:
         except BadInput as problem:
             first.add_problem(str(problem))
             continue
-        # The header of the black box is that of the first file.
+        # Only the black-box header of the first file is kept.
         of_part = file.metadata.pop(BLACK_BOX_METADATA, {})
         number = of_part.get("part", "")
         if of_part.get("box") == entries.get("box") and number.isascii() and number.isdecimal():

@@ -1,4 +1,4 @@
-"""Content of a chunk of an MCAP file, decompressed with checks of its stated sizes, checksums and records."""
+"""Reader of the content of an MCAP chunk, with checks of the stated sizes, the checksum and the records."""
 
 import io
 import struct
@@ -22,7 +22,7 @@ MAX_CHUNK_MB = 256
 """Maximum size of a chunk before compression, MB. Writers make chunks of a few megabytes."""
 
 MAX_CHUNK_RECORDS = 1_000_000
-"""Maximum number of records in a chunk: an empty record takes twenty times its bytes in memory."""
+"""Maximum number of records in a chunk; an empty record takes twenty times its length in memory."""
 
 _BYTES_PER_MB = 1_000_000
 MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
@@ -42,7 +42,7 @@ def records_of_chunk(chunk: Chunk) -> list[McapRecord]:
     """Return the messages, channels and schemas of a chunk, in their order.
 
     Raises:
-        DamagedChunk: it cannot be decompressed or parsed, exceeds a limit, or its checksum is wrong.
+        DamagedChunk: the chunk cannot be decompressed or parsed, exceeds a limit, or its checksum is wrong.
     """
     if chunk.compression not in COMPRESSIONS:
         raise DamagedChunk(f"compression {chunk.compression!r} is unknown")
@@ -54,7 +54,7 @@ def _decompressed_content(chunk: Chunk) -> bytes:
     """Return the decompressed content of a chunk. The sizes stated in its header are checked against its bytes.
 
     Raises:
-        DamagedChunk: it cannot be decompressed, or exceeds a limit.
+        DamagedChunk: the chunk cannot be decompressed, or exceeds a limit.
     """
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         size_mb = chunk.uncompressed_size / _BYTES_PER_MB
@@ -63,7 +63,7 @@ def _decompressed_content(chunk: Chunk) -> bytes:
     if len(content) > MAX_CHUNK_BYTES:
         raise DamagedChunk(f"it decompresses to more than {MAX_CHUNK_MB} MB")
     if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
-        # Truncated compressed bytes end without an error; here is no checksum to detect that.
+        # Truncated compressed bytes end without an error, which only a checksum or the length can reveal.
         raise DamagedChunk(f"it decompresses to {len(content)} bytes instead of {chunk.uncompressed_size}")
     if _record_count(content) > MAX_CHUNK_RECORDS:
         raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
@@ -82,7 +82,7 @@ def decompress(compression: str, data: bytes) -> bytes:
 
 
 def _record_count(content: bytes) -> int:
-    """Return the number of records by their lengths, up to one above the limit; 0 if it cannot be exceeded."""
+    """Return the number of records by their lengths, at most one above the limit; 0 for a short content."""
     count = offset = 0
     if len(content) <= MAX_CHUNK_RECORDS * HEADER.size:
         return 0
@@ -93,7 +93,7 @@ def _record_count(content: bytes) -> int:
 
 
 def _split(chunk: Chunk, content: bytes) -> list[McapRecord]:
-    """Return the messages, channels and schemas of a chunk's content, in their order; others are skipped.
+    """Return the messages, channels and schemas of a chunk's content, in order; other records are skipped.
 
     The result equals that of mcap's ``breakup_chunk``, in less time.
     """

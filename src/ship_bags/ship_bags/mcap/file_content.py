@@ -14,9 +14,9 @@ class BagFile(ABC):
     """Content of a file of a bag besides its messages, and the places of the messages.
 
     Attributes:
-        path: the file, or the folder if its files are read as one.
+        path: path of the file, or of the folder if its files are read as one file.
         chunks: places of the messages, in file order.
-        recorded_names: topic → its name in the file, of renamed topics.
+        recorded_names: topic → its name in the file, for renamed topics.
         side_records: attachments and metadata, in file order.
         problems: one line per problem known so far.
     """
@@ -38,13 +38,13 @@ class BagFile(ABC):
 
     @abstractmethod
     def messages(self, place: ChunkPlace) -> list[Message]:
-        """Return the messages of one place, in file order; if it is damaged none, with a line in ``problems``."""
+        """Return the messages of one place, in file order; a damaged place gives none, and adds a problem."""
 
     @abstractmethod
     def close(self) -> None:
         """Close the file."""
 
     def add_problem(self, problem: str) -> None:
-        """Add a line to ``problems``, once: a place may be read repeatedly."""
+        """Add a line to ``problems`` only once, because a place may be read repeatedly."""
         if problem not in self.problems:
             self.problems.append(problem)

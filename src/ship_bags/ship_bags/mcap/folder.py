@@ -66,15 +66,15 @@ class SplitLimits(NamedTuple):
 class FolderWriter:
     """rosbag2 folder being written, with the methods of :class:`ship_bags.mcap.bag_writer.BagWriter`.
 
-    The information file names the current file before its first message, so that every file is found after a crash; its
-    counts are those of its last writing until :meth:`close`.
+    The information file names the current file before its first message, so that every file is found after a crash;
+    until :meth:`close`, its counts are from its last update.
 
     Args:
-        folder: folder to make; its files are named after it.
+        folder: folder to create; its files are named after it.
         limits: limits of a file, checked by each :meth:`flush`.
 
     Raises:
-        BadInput: the folder exists or cannot be made.
+        BadInput: the folder exists or cannot be created.
     """
 
     def __init__(self, folder: Path, limits: SplitLimits) -> None:
@@ -125,7 +125,7 @@ class FolderWriter:
             self._latched.add(LatchedMessage(topic, type_name, bytes(data), sent_ns))
 
     def _repeat_latched(self, log_time_ns: int) -> None:
-        """Write the latched messages of earlier files before the first message of this one, and note that."""
+        """Write the latched messages of earlier files before the first message of this file, and list them."""
         if not self._unrepeated:
             return
         before_ns = log_time_ns - 1
@@ -145,7 +145,7 @@ class FolderWriter:
         self._bag.add_metadata(name, entries)
 
     def add_attachment(self, name: str, content: str | bytes) -> None:
-        """Attach a file to the current file; a later one of the same name replaces it."""
+        """Attach a file to the current file; a later file of the same name replaces it."""
         self._bag.add_attachment(name, content)
 
     def flush(self) -> None:
@@ -163,7 +163,7 @@ class FolderWriter:
         self._write_information()
 
     def truncate(self) -> None:
-        """Give up after a failed write: truncate the file to the last :meth:`flush`."""
+        """Give up after a failed write, and truncate the file to the last :meth:`flush`."""
         self._bag.truncate()
 
     def _open_file(self) -> None:
@@ -194,7 +194,7 @@ def needs_rosbags(path: Path) -> bool:
     """True if a bag needs the library `rosbags`: sqlite3 or compressed files instead of plain MCAP.
 
     Raises:
-        BadInput: it is a folder with a wrong information file, or of an unknown storage.
+        BadInput: the bag is a folder with a wrong information file, or of an unknown storage.
     """
     if path.is_file():
         return path.suffix == _SQLITE_SUFFIX
@@ -206,10 +206,10 @@ def needs_rosbags(path: Path) -> bool:
 
 
 def file_names(information_path: Path) -> list[str]:
-    """Return the files listed in an information file, all of them in its own folder.
+    """Return the files listed in an information file, which must be in the same folder.
 
     Raises:
-        BadInput: it cannot be read, is not an information file of a known storage, or lists another folder.
+        BadInput: the file cannot be read, is not an information file of a known storage, or lists another folder.
     """
     return _listed_files(_read_information(information_path), information_path)
 
@@ -246,10 +246,10 @@ def _listed_files(information: dict[str, Any], path: Path) -> list[str]:
 
 
 def write_information(folder: Path, files: Sequence[FileInformation], topics: Sequence[TopicInformation]) -> None:
-    """Write metadata.yaml atomically: a power failure leaves the former or the new one.
+    """Write metadata.yaml atomically, so that a power failure leaves either the former or the new file.
 
     Raises:
-        OSError: it cannot be written; the former one stays.
+        OSError: the file cannot be written; the former file stays.
     """
     write_atomically(folder / INFORMATION_FILE, yaml.safe_dump(_information(files, topics), sort_keys=False))
     _sync_folder(folder)
@@ -299,7 +299,7 @@ def _information(files: Sequence[FileInformation], topics: Sequence[TopicInforma
 
 
 def _offers(text: str) -> list[Any]:
-    """Return the QoS stored in a channel; empty if a damaged bag has something else."""
+    """Return the QoS stored in a channel; empty if the text of a damaged bag is something else."""
     try:
         offers = plain_data("offered_qos_profiles", text)
     except BadInput:

@@ -1,4 +1,4 @@
-"""Last messages of latched topics, repeated in every file of a split recording, so that each is usable alone.
+"""Last messages of latched topics, repeated in every file of a split recording, so that each file is usable alone.
 
 A file lists its repeated messages in a metadata record, so that a reader of the whole folder leaves the copies out.
 """
@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 REPEATED_METADATA = "repeated"
-"""Metadata record of a file: topic → log time of the copies, ns."""
+"""Name of a file's metadata record with topic → log time of the copies, ns."""
 
 _MAX_MESSAGES = 16
-"""Maximum number per topic: several nodes may have published one each, as on /tf_static."""
+"""Maximum number of messages per topic; several nodes may have published a message each, as on /tf_static."""
 _MAX_BYTES = 16 * 2**20
 
 
@@ -53,6 +53,6 @@ class LatchedMessages:
 
 
 def repeated_message_times(metadata: Mapping[str, Mapping[str, str]]) -> set[tuple[str, int]]:
-    """Return topic and log time of the copies in a file, by its metadata; nothing from a damaged record."""
+    """Return topic and log time of the copies in a file, by its metadata; a damaged entry is left out."""
     entries = metadata.get(REPEATED_METADATA, {})
     return {(topic, int(time)) for topic, time in entries.items() if time.isascii() and time.isdecimal()}

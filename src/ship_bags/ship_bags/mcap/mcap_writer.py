@@ -1,7 +1,8 @@
-"""Writer of MCAP records, byte for byte like the mcap project's own writer with the same chunk ends.
+"""Writer of MCAP records, with the same bytes as the writer of the mcap project if the chunks end at the same records.
 
-That writer keeps an object for every chunk until the end, and takes several times as long per message. A black box or a
-recorder writes fifteen chunks a second, for weeks, on the computer of an estimator that needs the processor.
+The writer of the mcap project keeps an object for every chunk until the end, and takes several times as long per
+message. A black box or a recorder writes fifteen chunks a second, for weeks, on the computer of an estimator that needs
+the processor.
 """
 
 import struct
@@ -37,7 +38,7 @@ CHUNK_BYTES = 1024 * 1024
 """Size at which a chunk ends, before compression, bytes."""
 
 CHUNK_NS = 1_000_000_000
-"""Maximum range of log times in a chunk, ns: one wrong bit costs no more than that."""
+"""Maximum range of log times in a chunk, ns; one wrong bit costs no more than one chunk."""
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of every MCAP file."""
@@ -60,7 +61,7 @@ _INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
-# The index takes a hundred bytes per chunk: this part stays in memory, the rest is on the disk.
+# The index takes a hundred bytes per chunk. This part of the index stays in memory, the rest is on the disk.
 _INDEX_IN_MEMORY_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20
 
@@ -69,7 +70,7 @@ class McapWriter:
     """MCAP file being written: chunks with zstd and checksums, indexes and statistics at the end.
 
     Args:
-        stream: gets the file from its first byte; stays open.
+        stream: stream for the whole file; it stays open.
         folder: folder for a nameless file with the index while the file is written.
         profile: profile of the header, e.g. ``ros2``.
         library: library of the header.
@@ -108,7 +109,7 @@ class McapWriter:
     def add_message(
         self, channel_id: int, log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
-        """Add a message to the chunk, or to a new one if its time is too far from the others."""
+        """Add a message to the chunk, or to a new chunk if its time is too far from the other messages."""
         if self._start_ns is not None and (
             log_time_ns - self._start_ns > CHUNK_NS or self._end_ns - log_time_ns > CHUNK_NS
         ):
@@ -135,10 +136,10 @@ class McapWriter:
         """Add messages one after another, as by :meth:`add_message`, with their log times as publish times.
 
         Args:
-            channel_ids: shape (N,).
-            log_times_ns: shape (N,).
+            channel_ids: channel of each message, shape (N,).
+            log_times_ns: log time of each message, ns, shape (N,).
             data: data of each message.
-            sequences: shape (N,).
+            sequences: sequence number of each message, shape (N,).
         """
         lengths = np.fromiter(map(len, data), np.int64, len(data)) + _MESSAGE_HEAD_BYTES
         heads = np.empty(len(data), dtype=_MESSAGE_HEADS)
@@ -159,7 +160,7 @@ class McapWriter:
             start = stop
 
     def _end_of_chunk(self, log_times_ns: NDArray[np.int64], ends: NDArray[np.int64], start: int) -> int:
-        """Return the index of the first message after those of the chunk to which message ``start`` belongs."""
+        """Return the index of the first message after the chunk to which message ``start`` belongs."""
         if self._start_ns is not None and (
             log_times_ns[start] - self._start_ns > CHUNK_NS or self._end_ns - log_times_ns[start] > CHUNK_NS
         ):
@@ -168,7 +169,7 @@ class McapWriter:
         times_ns = log_times_ns[start:]
         earliest_ns = np.minimum(np.minimum.accumulate(times_ns), first_ns)
         latest_ns = np.maximum(np.maximum.accumulate(times_ns), self._end_ns)
-        # Each message is compared with those before it; the first one belongs to the chunk.
+        # Each message is compared with the messages before it; the first message belongs to the chunk in any case.
         far = (times_ns[1:] - earliest_ns[:-1] > CHUNK_NS) | (latest_ns[:-1] - times_ns[1:] > CHUNK_NS)
         near = len(far) if not far.any() else int(np.argmax(far))
         before = int(ends[start - 1]) if start else 0
@@ -293,7 +294,7 @@ class McapWriter:
         self._start_chunk()
 
     def _summary(self) -> Iterator[tuple[Opcode, Iterable[bytes]]]:
-        """Yield the groups of the summary: opcode, and the records in blocks."""
+        """Yield the opcode and the records, in blocks, of each group of the summary."""
         statistics = Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),

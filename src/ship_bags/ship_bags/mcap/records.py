@@ -1,8 +1,8 @@
-"""Records of an MCAP file, each checked: damaged ones are detected, skipped and reported.
+"""Reader of the records of an MCAP file; damaged records are detected, skipped and reported.
 
-:class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields record
-after record. It accepts a record only if its body has the structure of its opcode. After a damaged one it continues at
-the next record that can lie between chunks. So one wrong bit costs one record at most.
+:class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields the records
+in order. It accepts a record only if the body has the structure of the opcode. After a damaged record it continues at
+the next record that can stand between chunks. Therefore one wrong bit costs one record at most.
 """
 
 import io
@@ -27,7 +27,7 @@ from ship_bags.mcap.chunk_content import (
 )
 from ship_bags.stamps import END_OF_TIME_NS
 
-# Log times end a day earlier than stamps: the ticks of a replay may continue for that time.
+# Log times end a day earlier than stamps, because the ticks of a replay may continue for a day.
 _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
@@ -47,7 +47,7 @@ class ChunkPlace:
 
     Attributes:
         offset: byte at which the first record begins.
-        length: bytes up to the end of the last one.
+        length: number of bytes up to the end of the last record.
         start_ns: earliest log time.
         end_ns: latest log time.
         is_outside_chunk: True for a run of messages outside any chunk.
@@ -68,14 +68,14 @@ class RecordFile:
 
     Attributes:
         stream: the open file.
-        size: its length in bytes.
+        size: length of the file, bytes.
     """
 
     stream: BinaryIO
     size: int
 
     def record_at(self, offset: int) -> tuple[int, bytes] | None:
-        """Return opcode and body of the record at an offset; None if it exceeds the file."""
+        """Return opcode and body of the record at an offset; None if the record exceeds the file."""
         self.stream.seek(offset)
         header = self.stream.read(HEADER.size)
         if len(header) < HEADER.size:
@@ -89,12 +89,12 @@ class RecordFile:
         """Return the records of one place, in file order.
 
         Args:
-            place: their location.
+            place: location of the records.
             check_times: True if messages outside the times of the place mean damage.
 
         Raises:
-            DamagedChunk: it cannot be decompressed or parsed, its checksum is wrong, or its times differ from the
-                stated ones.
+            DamagedChunk: the chunk cannot be decompressed or parsed, its checksum is wrong, or its times differ from
+                the stated times.
         """
         if place.is_outside_chunk:
             return _check_log_times(list(self._messages_outside_chunks(place)))
@@ -161,7 +161,7 @@ def scan_records(data: RecordFile, offset: int) -> Iterator[ScannedRecord | Gap]
 
 
 def has_header(data: RecordFile, offset: int) -> bool:
-    """Return True if the record with which every MCAP file begins is at an offset."""
+    """Return True if a header record, with which every MCAP file begins, is at an offset."""
     record = _valid_record_at(data, offset)
     return record is not None and record.opcode == Opcode.HEADER
 
@@ -188,7 +188,7 @@ def _valid_record_at(data: RecordFile, offset: int) -> ScannedRecord | None:
 
 
 def _next_valid_offset(data: RecordFile, damaged: int) -> int | None:
-    """Return the offset of the next valid record after a damaged one, whose stated length may be wrong, too."""
+    """Return the offset of the next valid record after a damaged record, whose stated length may be wrong, too."""
     window_start = damaged + 1
     while window_start < data.size:
         data.stream.seek(window_start)
@@ -213,7 +213,7 @@ def _can_continue_at(data: RecordFile, offset: int) -> bool:
 
 
 def _is_whole_attachment(body: bytes) -> bool:
-    """True if name, media type and content fill the body, and the checksum, if there is one, is right."""
+    """True if name, media type and content fill the body, and the checksum, if given, is right."""
     checksum = _U32.unpack_from(body, len(body) - _U32.size)[0]
     try:
         end = _end_of(body, 2 * _U64.size, (_U32, _U32, _U64)) + _U32.size

@@ -1,4 +1,4 @@
-"""Recovery of damaged or unfinished bags: every readable message, in a file with an index.
+"""Recovery of damaged or unfinished bags: every readable message is written to a new file with an index.
 
 The original is only read. The result is renamed to its final name after two other readers have read back every message:
 the seeking reader of the `mcap` project, and `rosbags`.
@@ -29,7 +29,7 @@ _NOTE = "recovered"
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result: the file or folder made, its messages per topic, and one line per problem."""
+    """Result of a recovery: the new file or folder, its number of messages per topic, and one line per problem."""
 
     path: Path
     counts: Counter[str]
@@ -38,7 +38,7 @@ class Recovery:
 
 @dataclass
 class _Tally:
-    """Messages per topic, and a checksum of their times and bytes that does not depend on their order."""
+    """Number of messages per topic, and a checksum of times and bytes that is independent of the messages' order."""
 
     counts: Counter[str] = field(default_factory=Counter)
     digests: Counter[str] = field(default_factory=Counter)
@@ -49,7 +49,7 @@ class _Tally:
 
 
 def recovered_path(source: Path) -> Path:
-    """Return the path of the result: ``voyage.recovered.mcap`` next to ``voyage.mcap``, or such a folder."""
+    """Return the path of the result: ``voyage.recovered.mcap`` for ``voyage.mcap``, or a folder."""
     if source.is_dir():
         return source.with_name(f"{source.name}.recovered")
     return source.with_name(f"{source.name.removesuffix('.mcap')}.recovered.mcap")
@@ -61,7 +61,7 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
     Args:
         source: bag to read.
         target: path of the result.
-        force: True if a file may exist; a folder never.
+        force: True to overwrite a file; a folder is never overwritten.
 
     Raises:
         BadInput: the source is unreadable, the target exists or cannot be written, or the result read back differs from
@@ -113,7 +113,7 @@ def _number(path: Path) -> tuple[int, str]:
 def _recover_file(
     source: Path, target: Path, topics: dict[str, TopicInformation], whole: _Tally
 ) -> tuple[Recovery, FileInformation]:
-    """Recover one file; add its topics and messages to those of the whole bag."""
+    """Recover one file; add its topics and messages to the totals of the whole bag."""
     file = open_mcap(source)
     # rosbags recognises MCAP by its suffix only.
     part = target.with_name(f"{target.stem}.part.mcap")
@@ -180,7 +180,7 @@ def _rewrite(
 
 
 class _Channels:
-    """Channels of the new file, made at the first message of each."""
+    """Channels of the new file, each created at its first message."""
 
     def __init__(self, file: McapFile, writer: Writer, topics: dict[str, TopicInformation]) -> None:
         self._file = file
@@ -190,7 +190,7 @@ class _Channels:
         self._numbers: dict[int, int] = {}
 
     def number(self, channel: Channel) -> int:
-        """Return the new file's id of a channel of the old one."""
+        """Return the id in the new file of a channel of the old file."""
         if channel.id not in self._numbers:
             schema = self._file.schemas.get(channel.schema_id)
             if schema is not None and schema.id not in self._schemas:
@@ -234,15 +234,15 @@ def _read_by_rosbags(path: Path) -> _Tally:
 
 
 def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tally], written: _Tally) -> None:
-    """Check that a reader finds in a file what was written.
+    """Check that a reader reads the written messages back from a file.
 
     Raises:
-        BadInput: it does not, or fails.
+        BadInput: other messages are read back, or the reader fails.
     """
     try:
         found = read(path)
     except Exception as problem:
-        # A reader may raise anything: the result is then wrong.
+        # A reader may raise any exception for a wrong result.
         raise BadInput(f"is not written: reading it back by {reader} failed: {problem}", file=name) from problem
     for topic in sorted(found.counts.keys() | written.counts.keys()):
         if (found.counts[topic], found.digests[topic]) != (written.counts[topic], written.digests[topic]):

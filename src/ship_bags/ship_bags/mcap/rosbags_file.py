@@ -67,7 +67,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
     """Open a rosbag2 folder with sqlite3 or compressed files, or one sqlite3 file.
 
     Raises:
-        BadInput: it cannot be read.
+        BadInput: the bag cannot be read.
     """
     _check_disk_space(path)
     try:
@@ -89,7 +89,7 @@ def _check_disk_space(path: Path) -> None:
     """Refuse a folder whose compressed files state a size larger than the free space for temporary files.
 
     Raises:
-        BadInput: as above.
+        BadInput: the free space is too small.
     """
     needed = 0
     for part in path.glob("*.zstd"):
@@ -112,7 +112,7 @@ def _decompress_message(data: bytes) -> bytes:
 
 
 def _describe(connection: Connection) -> tuple[Schema, Channel]:
-    """Return definition and topic of a connection as MCAP records; without a definition the suite's is used."""
+    """Return definition and topic of a connection as MCAP records; an empty definition stands for the suite's."""
     form, text = connection.msgdef
     schema = Schema(connection.id, text.encode(), _ENCODINGS.get(form, "ros2msg"), connection.msgtype)
     offers = getattr(connection.ext, "offered_qos_profiles", ())
@@ -122,7 +122,7 @@ def _describe(connection: Connection) -> tuple[Schema, Channel]:
 
 
 def _places(file: RosbagsFile, start_ns: int, end_ns: int) -> Iterator[ChunkPlace]:
-    """Yield ranges of log times of a second each, or longer ones if they would be too many."""
+    """Yield ranges of log times, each of a second, or longer if there would be too many ranges."""
     if not (is_stamp_time(start_ns) and is_stamp_time(end_ns)):
         file.add_problem(f"{file.path.name}: it has log times that no stamp can represent: it is not read")
         return

@@ -1,9 +1,9 @@
-"""Pairing of an attitude without its own time with the ZDA of the same burst, before or after it.
+"""Pairing of an attitude without time with the ZDA of the same burst, which comes before or after the attitude.
 
-Instruments send bursts. The ZDA is the first sentence of a burst for Seapath and the last one for others, so the ZDA
-before an attitude may belong to the previous burst. The receive times decide: the delay from stamp to receive time must
-be the usual delay of the instrument, within half a period. The usual delay is that of the burst's GGA, which has its
-own time; without GGA it is that of the ZDA.
+Instruments send bursts of sentences. The ZDA is the first sentence of a burst for Seapath and the last sentence for
+other instruments. Therefore the ZDA before an attitude may belong to the previous burst. The pairing is decided by the
+receive times: the delay from stamp to receive time must be the usual delay of the instrument, within half a period. The
+usual delay is the delay of the burst's GGA, which contains a time, or without GGA the delay of the ZDA.
 """
 
 from collections import deque
@@ -15,14 +15,14 @@ from ship_bags.nmea.instrument_line import InstrumentLine, corrected_ns, datetim
 from ship_bags.stamps import NS_PER_S
 
 _LONGEST_PERIOD_NS = NS_PER_S
-"""Period of bursts until it is known, ns; slower bursts are paired as if they had this one."""
+"""Period of bursts until it is known, ns; slower bursts are paired as if they had this period."""
 _SHORTEST_PERIOD_NS = NS_PER_S // 100
 _GAP_COUNT = 9
-"""Number of intervals between attitudes whose median is their period."""
+"""Number of intervals between attitudes whose median is the period of the attitudes."""
 _EARLIEST_NS = NS_PER_S // 100
 """Maximum time by which an attitude may be received before its stamp, ns."""
 _MIN_PERIOD_RATIO = 0.75
-"""Ratio of the attitudes' period to that of the ZDA below which there are several attitudes per burst."""
+"""Ratio of the attitude period to the ZDA period below which a burst has several attitudes."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class ZdaTime:
     """ZDA sentence with its time.
 
     Attributes:
-        line: with its receive time.
-        stamp_ns: its date and time, as stated by the instrument.
-        delay_ns: from the stamp, corrected for GPS week rollovers, to the receive time.
+        line: the sentence, with its receive time.
+        stamp_ns: date and time as stated by the instrument.
+        delay_ns: time from the stamp, corrected for GPS week rollovers, to the receive time.
     """
 
     line: InstrumentLine
@@ -41,7 +41,7 @@ class ZdaTime:
 
 
 class BurstClock:
-    """Pairs each ZDA with one attitude of its burst. Lines must be given in order of reception.
+    """Pairing of each ZDA with one attitude of its burst; lines must be given in order of reception.
 
     Attributes:
         pending_attitude: the attitude whose ZDA may follow.
@@ -61,7 +61,7 @@ class BurstClock:
         self._gga_ns, self._gga_delay_ns = gga.receive_ns, gga.receive_ns - stamp_ns
 
     def pair_attitude(self, attitude: InstrumentLine) -> ZdaTime | None:
-        """Return the ZDA before an attitude if it is of the same burst.
+        """Return the ZDA before an attitude if the ZDA is of the same burst.
 
         Otherwise the attitude becomes :attr:`pending_attitude`.
         """
@@ -76,7 +76,7 @@ class BurstClock:
         return None
 
     def pair_time(self, line: InstrumentLine) -> tuple[InstrumentLine, ZdaTime] | None:
-        """Return the waiting attitude with this ZDA if both are of the same burst."""
+        """Return the waiting attitude with the ZDA in this line if both are of the same burst."""
         zda = _zda_time(line)
         if zda is None:
             return None
@@ -91,7 +91,7 @@ class BurstClock:
         return None
 
     def _is_of_burst(self, attitude: InstrumentLine, zda: ZdaTime) -> bool:
-        """True if the attitude's delay by this ZDA equals the usual one within half a period."""
+        """True if the attitude's delay by this ZDA equals the usual delay within half a period."""
         attitude_gap_ns = int(median(self._attitude_gaps_ns)) if self._attitude_gaps_ns else self._zda_gap_ns
         period_ns = max(min(attitude_gap_ns, self._zda_gap_ns), _SHORTEST_PERIOD_NS)
         delay_ns, usual_ns = attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns), zda.delay_ns
@@ -103,7 +103,7 @@ class BurstClock:
 
 
 def _is_possible(attitude: InstrumentLine, zda: ZdaTime) -> bool:
-    """False for an attitude received before its stamp; a clock that is behind allows no check."""
+    """False for an attitude received before its stamp; a receive clock that is behind allows no check."""
     return zda.delay_ns < 0 or attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns) >= -_EARLIEST_NS
 
 

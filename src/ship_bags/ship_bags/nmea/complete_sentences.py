@@ -1,4 +1,4 @@
-"""Completeness of sentences without a checksum, by the number of their fields and the form of each.
+"""Check that a sentence without a checksum is complete, by the number and the form of its fields.
 
 A truncated heading looks valid: ``$HEHDT,21`` may be the beginning of ``$HEHDT,218.0,T``. Therefore a sentence without
 a checksum is used only if its kind has an end that a truncated sentence lacks.
@@ -29,7 +29,7 @@ _FORMS: dict[str, tuple[str, ...]] = {
         _TIME, _NUMBER, "T", _NUMBER, _NUMBER, f"({_NUMBER})?", _SIGMA, _SIGMA, _SIGMA, _DIGIT, _DIGIT,
     ),
 }  # fmt: skip
-"""Kind of a sentence → form of each field after the name. MDA and XDR have none: their last fields may be void."""
+"""Kind of a sentence → form of each field after the name; without MDA and XDR, whose last fields may be void."""
 
 _PATTERNS = {kind: re.compile(",".join(forms), re.ASCII) for kind, forms in _FORMS.items()}
 

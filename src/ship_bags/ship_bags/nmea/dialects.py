@@ -9,7 +9,7 @@ PTNTHPR    Honeywell HMR3000 User's Guide, sections 3.10 and 3.12, and compasses
            decimal point are mils of a compass in mil mode. No time.
 PSAT,HPR   Hemisphere GNSS (CSI Wireless), DGPS MAX Programming Manual, section 2.14: N heading by GNSS, G by the gyro.
            The time is UTC in the format notes of NOAA's R/V Ronald H. Brown (CLIVAR 2010), "GPS time" in the manual.
-           Neither of the last two manuals states signs: pitch is taken as positive bow up, roll starboard down.
+           The manuals of PTNTHPR and PSAT,HPR state no signs; pitch is taken as positive bow up, roll starboard down.
 ROT        IEC 61162-1: rate of turn, °/min, negative to port; with HDT in one burst of a gyrocompass.
 ========== ========================================================================================================
 """

@@ -1,4 +1,4 @@
-"""Import of ship logs into a bag: one attitude system as the INS, others as references, position and weather."""
+"""Import of ship logs into a bag: one attitude system as the INS, other systems as references, position and weather."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -49,16 +49,16 @@ class ImportRequest:
     """Inputs and options of an import.
 
     Attributes:
-        ins: log of the attitude system for ``ins/imu`` and ``gnss/fix``; if it has positions and no attitude at all,
-            for ``gnss/fix`` only.
+        ins: log of the attitude system for ``ins/imu`` and ``gnss/fix``; a log with positions and without any attitude
+            gives ``gnss/fix`` only.
         references: name → log of another attitude system, for ``reference/<name>/imu``, never resampled.
         weather: log with MET, MDA or XDR.
         gyro: log with HDT or THS, for ``reference/gyro/imu``.
         time: source of the stamps of attitudes and fixes: :data:`INSTRUMENT_TIME` or :data:`RECEIVE_TIME`.
-        resample_hz: rate of ``ins/imu`` by a rotation spline; None for the log's own samples.
+        resample_hz: rate of ``ins/imu``, resampled by a rotation spline; None to keep the samples of the log.
         suite: suite configuration to attach.
         rules: rules for reading the lines.
-        quality_9_is_fix: see :class:`ship_bags.nmea.instrument.InstrumentRole`.
+        quality_9_is_fix: as in :class:`ship_bags.nmea.instrument.InstrumentRole`.
     """
 
     ins: Path
@@ -73,13 +73,13 @@ class ImportRequest:
 
 
 def import_logs(order: ImportRequest, out_path: Path) -> list[LogReport]:
-    """Write the bag.
+    """Import the logs and write the bag.
 
     Returns:
         Report on the lines of each file.
 
     Raises:
-        BadInput: a file is missing, empty or without the sentences it is given for.
+        BadInput: a file is missing or empty, or lacks the sentences for its purpose.
     """
     factory = RosbagsFactory()
     by_instrument = order.time == INSTRUMENT_TIME

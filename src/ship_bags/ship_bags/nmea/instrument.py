@@ -1,4 +1,4 @@
-"""Conversion of an instrument's lines to messages, one by one: of a log or of a live source.
+"""Conversion of an instrument's lines, from a log or a live source, to messages.
 
 Attitude systems give sensor_msgs/Imu, receivers NavSatFix, weather stations temperature, humidity and pressure.
 """
@@ -72,8 +72,8 @@ _TRANSDUCERS = {
     ("P", "P"): ("pressure_pa", 1.0),
     ("P", "H"): ("pressure_pa", 100.0),
 }
-"""Type and unit of an XDR transducer → field of a reading, and factor: °C, per cent, bar, pascal. H is hectopascal of
-Vaisala; the others are of the standard."""
+"""Type and unit of an XDR transducer → field of a reading, and factor from the unit. The units °C, per cent, bar and
+pascal are of the standard; pressure unit H is the hectopascal of Vaisala."""
 
 _MAX_TRANSDUCERS, _MAX_NAMED = 100, 5
 
@@ -83,11 +83,11 @@ class InstrumentRole:
     """Use of an instrument's lines.
 
     Attributes:
-        becomes: :data:`INS`, :data:`REFERENCE`, :data:`GYRO`, :data:`GNSS` or :data:`WEATHER`.
-        by_instrument: stamp attitudes and fixes by the instrument's time, otherwise by the receive time.
+        becomes: kind of output: :data:`INS`, :data:`REFERENCE`, :data:`GYRO`, :data:`GNSS` or :data:`WEATHER`.
+        by_instrument: True to stamp attitudes and fixes by the instrument's time, False by the receive time.
         transducers: names of the XDR transducers that are used; empty if there is one of each kind.
         has_fix: True if the positions of an INS are used, too.
-        quality_9_is_fix: take a GGA of quality 9 as a fix with SBAS; otherwise it is not a fix.
+        quality_9_is_fix: True if a GGA of quality 9 is a fix with SBAS, False if it is not a fix.
     """
 
     becomes: str
@@ -97,7 +97,7 @@ class InstrumentRole:
     quality_9_is_fix: bool = False
 
     def topics(self, name: str) -> dict[str, str]:
-        """Return topic → type of all outputs of an instrument of that name, the main one first."""
+        """Return topic → type of all outputs of an instrument of that name, the main topic first."""
         if self.becomes == WEATHER:
             return MET_TOPICS
         fix = {FIX_TOPIC: FIX_TYPE}
@@ -107,13 +107,13 @@ class InstrumentRole:
 
 
 class Instrument:
-    """Converts the lines of one instrument to messages.
+    """Conversion of the lines of one instrument to messages.
 
     Args:
         factory: makes the messages.
         role: use of the lines.
         name: name of the instrument; part of the topic of a reference or gyrocompass.
-        report: counts unusable lines.
+        report: counts of unusable lines.
     """
 
     def __init__(self, factory: MessageFactory, role: InstrumentRole, name: str, report: LineReport) -> None:
@@ -141,7 +141,7 @@ class Instrument:
     def _heading(self, line: InstrumentLine) -> Iterator[TimedMessage]:
         """Yield a gyrocompass's heading as a level sensor_msgs/Imu with practically unknown roll and pitch.
 
-        Neither sentence has a time: the stamp is the receive time. If an instrument sends both, THS takes precedence
+        HDT and THS have no time, so the stamp is the receive time. If an instrument sends both, THS takes precedence
         until a timeout of some seconds, because only THS states that a heading is invalid.
         """
         if line.kind == "ROT":
@@ -164,7 +164,7 @@ class Instrument:
         yield line.receive_ns, imu_topic(GYRO, self._name), message
 
     def _turn_rate(self, receive_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Return the angular velocity (forward, left, up) by the ROT of the last second and its covariance, or none."""
+        """Return angular velocity (forward, left, up) and covariance by a ROT of the last second, else "not given"."""
         if self._turn is None or not 0 <= receive_ns - self._turn.receive_ns <= NS_PER_S:
             return np.zeros(3), _NOT_GIVEN
         rate = np.deg2rad(self._turn.content.rate_of_turn) / _S_PER_MIN
@@ -251,13 +251,14 @@ def imu_topic(becomes: str, name: str) -> str:
 def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: LoggedAttitude) -> TimedMessage:
     """Return a sensor_msgs/Imu, ENU ← FLU.
 
-    Covariances are unknown, and the rate is "not given" if the instrument states none.
+    The covariance of the orientation is unknown unless an INS states it. The rate is "not given" if the instrument does
+    not state it; otherwise its covariance is unknown.
     """
     rate_flu, rate_covariance = np.zeros(3), _NOT_GIVEN
     if attitude.rate_d is not None:
         rate_flu, rate_covariance = flu_from_device_vector(attitude.rate_d), _UNKNOWN
     frame_id = INS if becomes == INS else name
-    # A reference has no covariance, so that its configured sigma remains its noise.
+    # The message of a reference has no covariance, so that its configured sigma is used as its noise.
     covariance = _UNKNOWN
     if becomes == INS and attitude.sigmas is not None:
         covariance = _covariance_enu(attitude.rotation_nd, attitude.sigmas)
@@ -266,7 +267,7 @@ def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: Logg
 
 
 def _covariance_enu(rotation_nd: FloatArray, sigmas: FloatArray) -> FloatArray:
-    """Return the covariance of a rotation about east, north, up of independent errors of roll, pitch and heading."""
+    """Return the covariance of a rotation about east, north, up from independent errors of roll, pitch and heading."""
     heading, _, _ = angles_from_rotation(rotation_nd)
     sine, cosine = np.sin(heading), np.cos(heading)
     enu_from_level = np.array([[sine, -cosine, 0.0], [cosine, sine, 0.0], [0.0, 0.0, 1.0]])
@@ -298,7 +299,7 @@ def _imu(
 
 
 def _numbers(*values: Any) -> list[float] | None:
-    """Return the values as numbers; None if one is missing or invalid."""
+    """Return the values as numbers; None if a value is missing or invalid."""
     try:
         return [float(value) for value in values]
     except (TypeError, ValueError):

@@ -15,13 +15,13 @@ WRONG_TIME = "instrument time"
 
 _MAX_EXAMPLES = 3
 _LONGEST_DELAY_NS = 60 * NS_PER_S
-"""Maximum difference of an instrument's time from the receive time, ns: no network delays a sentence longer."""
+"""Maximum difference of an instrument's time from the receive time, ns; no network delays a sentence by more."""
 _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
-"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses a rollover is whole multiples of it behind."""
+"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses rollovers is behind by a multiple of it."""
 _AHEAD_NS = NS_PER_S // 20
-"""Time ahead of the receive time above which an instrument's clock is reported, ns: estimators reject its stamps."""
+"""Time ahead of the receive time above which an instrument's clock is reported, ns; estimators reject such stamps."""
 _BEHIND_NS = 5 * NS_PER_S
-"""Time behind the receive time above which a clock is reported, ns; slow lines and busy computers cause less."""
+"""Delay after the receive time above which a clock is reported, ns; slow lines and busy computers delay by less."""
 _GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
 """GPS time minus UTC since 2017, and the tolerance of an offset that equals it, ns."""
 _DAY = timedelta(days=1)
@@ -33,11 +33,11 @@ class InstrumentLine:
     """Line that was parsed.
 
     Attributes:
-        number: from 1.
+        number: number of the line, from 1.
         receive_ns: receive time in the ship's network, POSIX UTC.
         kind: kind of the sentence, see :class:`ship_bags.nmea.sentences.Sentence`.
         content: content of the sentence.
-        talker: two letters of its sender; empty for a proprietary sentence.
+        talker: two letters of the sender; empty for a proprietary sentence.
     """
 
     number: int
@@ -55,8 +55,8 @@ class LineReport:
         name: name of the instrument or its file, for texts.
         used: kind → number of lines used.
         unused: name of the sentence → number of irrelevant lines.
-        rejected: reason → number; the lines are in ``examples``.
-        corrected: correction in a used line → number.
+        rejected: reason → number of unusable lines.
+        corrected: correction → number of used lines with this correction.
         examples: the first few lines of each reason, with line number.
     """
 
@@ -86,12 +86,12 @@ def time_of_day_ns(time_of_day: Any, near_ns: int) -> int:
 
 
 def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> int | None:
-    """Return the instrument's time of a line, corrected for whole GPS week rollovers; None if it is wrong.
+    """Return the instrument's time of a line, corrected for whole GPS week rollovers; None if the time is wrong.
 
     Args:
-        stamp_ns: as stated by the instrument.
+        stamp_ns: time as stated by the instrument.
         line: the line.
-        report: counts corrections and rejections.
+        report: counts of corrections and rejections.
     """
     result_ns = corrected_ns(stamp_ns, line.receive_ns)
     if result_ns is None:
@@ -108,17 +108,17 @@ def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> in
 
 
 def corrected_ns(stamp_ns: int, receive_ns: int) -> int | None:
-    """Return an instrument's time without whole GPS week rollovers; None where it is far from the receive time."""
+    """Return an instrument's time corrected for whole GPS week rollovers; None if it is far from the receive time."""
     late_ns = receive_ns - stamp_ns
     rollovers_ns = round(late_ns / _ROLLOVER_NS) * _ROLLOVER_NS
     return stamp_ns + rollovers_ns if abs(late_ns - rollovers_ns) <= _LONGEST_DELAY_NS else None
 
 
 def clock_problem(delay_ns: int, other_clock: str) -> str:
-    """Return a sentence on an instrument's clock that is ahead of another or behind it; empty if it is neither.
+    """Return a sentence if an instrument's clock is ahead of another clock or behind it; empty otherwise.
 
     Args:
-        delay_ns: from the instrument's time to the receive time.
+        delay_ns: time from the instrument's time to the receive time.
         other_clock: the clock of the receive times, for the text.
     """
     if -_AHEAD_NS <= delay_ns <= _BEHIND_NS:

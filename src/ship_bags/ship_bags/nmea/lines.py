@@ -1,8 +1,8 @@
-"""Parsing of a line, live or of a log, into sentences or the reasons why it is unusable.
+"""Parsing of a line of a live source or a log into sentences, or into the reasons why the line is unusable.
 
 A line is cut where a connection begins, ends or loses bytes, and where a logger stops. Therefore a sentence counts only
-from its ``$`` to its checksum: a truncated heading, ``$GPHDT,21``, would look valid. Sources without checksums are read
-by the forms of :mod:`ship_bags.nmea.complete_sentences` if that is requested.
+if it is present from its ``$`` to its checksum; a truncated heading, ``$GPHDT,21``, would look valid. On request,
+sentences without checksum are checked by the forms of :mod:`ship_bags.nmea.complete_sentences`.
 """
 
 import re
@@ -13,7 +13,7 @@ from ship_bags.nmea.complete_sentences import is_complete
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
 
 LONGEST_LINE = 512
-"""Maximum length of a line, bytes: a standard sentence has 82, proprietary ones up to three times as many."""
+"""Maximum length of a line, bytes; a standard sentence has 82, a proprietary sentence up to three times as many."""
 
 TOO_LONG, NOISE, INCOMPLETE = "line too long", "binary noise", "half line or no checksum"
 BINARY = "binary"
@@ -46,8 +46,8 @@ def parse_line(line: bytes, needs_checksum: bool = True) -> Iterator[ParsedText]
     """Yield the texts of a line: one sentence, or several whose line ends were lost.
 
     Args:
-        line: may begin with the mark of a datagram and TAG blocks only.
-        needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
+        line: bytes of the line; it may begin with the mark of a datagram and TAG blocks.
+        needs_checksum: True to reject sentences without a checksum; otherwise complete sentences are used.
     """
     if len(line) > LONGEST_LINE:
         yield ParsedText(_printable(line), Unusable(TOO_LONG))

@@ -1,4 +1,4 @@
-"""Attitudes in the lines of an instrument, by its own time or by the receive time, unchanged or resampled.
+"""Attitudes in the lines of an instrument, stamped by its own time or by the receive time, unchanged or resampled.
 
 The attitude of a PSXN,23 is valid at the time in the ZDA of its burst. PASHR has its own time of day.
 """
@@ -19,7 +19,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
 MAX_GAP_S = 3.0
-"""Maximum interval of attitudes that a spline bridges, s."""
+"""Maximum interval between attitudes that a spline bridges, s."""
 
 ATTITUDE_KINDS = ("PSXN23", "PASHR", *dialects.ATTITUDES)
 """Kinds of sentences with an attitude."""
@@ -27,17 +27,17 @@ ATTITUDE_KINDS = ("PSXN23", "PASHR", *dialects.ATTITUDES)
 _INVALID_QUALITY = 2
 
 _PASHR_SIGMAS, _LARGEST_SIGMA_DEG = slice(7, 10), 180.0
-"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the value from which one is invalid."""
+"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the limit of a valid one."""
 
 _PASHR_STATUS = slice(10, 12)
 """Fields of PASHR after the accuracies: aiding, and status of the IMU."""
 
 NOT_LATER = "not later than the attitude before"
 WITHOUT_TIME = "attitude without ZDA"
-"""Reason: no ZDA near enough to the PSXN,23 to be of its burst."""
+"""Reason: no ZDA is near enough to the attitude to be of the same burst."""
 
 UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
-"""Reason: both last fields are 0, which means not aligned for NovAtel and Trimble. The meaning of a single 0 depends on
+"""Reason: both last fields are 0, which NovAtel and Trimble define as not aligned. The meaning of a single 0 depends on
 the maker."""
 
 
@@ -47,8 +47,8 @@ class LoggedAttitude:
 
     Attributes:
         stamp_ns: time of validity, POSIX UTC.
-        log_time_ns: time at which it was available.
-        rotation_nd: horizon from deck, shape (3, 3).
+        log_time_ns: time at which the attitude was available.
+        rotation_nd: rotation deck → horizon, shape (3, 3).
         rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None if not given.
         sigmas: standard deviations of roll, pitch and heading by the instrument, rad; None if not given.
     """
@@ -64,9 +64,9 @@ class AttitudeReader:
     """Attitudes in the lines of one instrument, in order of stamps.
 
     Args:
-        by_instrument: stamp by the instrument's time, otherwise by the receive time.
-        report: counts unusable ones: invalid by PSXN,20 or by PASHR's status, without a ZDA, of a wrong time, not later
-            than the previous one.
+        by_instrument: True to stamp by the instrument's time, False by the receive time.
+        report: counts of unusable attitudes: invalid by PSXN,20 or by PASHR's status, without a ZDA, of a wrong time,
+            or not later than the previous attitude.
     """
 
     def __init__(self, by_instrument: bool, report: LineReport) -> None:
@@ -77,7 +77,7 @@ class AttitudeReader:
         self._last_ns: int | None = None
 
     def take(self, line: InstrumentLine) -> LoggedAttitude | None:
-        """Return the attitude that is usable now: that of the line, or one that waited for its ZDA."""
+        """Return the attitude that is usable now: of this line, or of an earlier line that waited for its ZDA."""
         if line.kind == "ZDA" and self._by_instrument:
             pair = self._bursts.pair_time(line)
             if pair is not None:
@@ -106,7 +106,7 @@ class AttitudeReader:
         return True
 
     def _stamp_ns(self, line: InstrumentLine) -> int | None:
-        """Return the time of validity of an attitude; None if it is wrong or not known yet."""
+        """Return the time of validity of an attitude; None if the time is wrong or not known yet."""
         if not self._by_instrument:
             return line.receive_ns
         time_of_day = getattr(line.content, "timestamp", None)
@@ -136,7 +136,7 @@ class AttitudeReader:
 
 
 def _pashr_sigmas(content: Any) -> FloatArray | None:
-    """Return the standard deviations in a PASHR, rad; None if one is missing or invalid."""
+    """Return the standard deviations in a PASHR, rad; None if a value is missing or invalid."""
     sigmas_deg = np.array([number(field) or 0.0 for field in content.data[_PASHR_SIGMAS]])
     is_known = len(sigmas_deg) == 3 and bool(np.all((sigmas_deg > 0.0) & (sigmas_deg < _LARGEST_SIGMA_DEG)))
     return np.deg2rad(sigmas_deg) if is_known else None

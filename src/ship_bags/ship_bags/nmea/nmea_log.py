@@ -1,4 +1,4 @@
-"""Reader of ship logs: one record per line, ISO 8601 receive time, a space, the sentence (OpenRVDAS style)."""
+"""Reader of ship logs; a line has an ISO 8601 receive time, a space and a sentence (OpenRVDAS style)."""
 
 import re
 from collections.abc import Iterator, Set
@@ -17,7 +17,7 @@ _DAY_NS = 86_400 * NS_PER_S
 _TIME = re.compile(
     r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(?:Z|([+-])(\d\d):?(\d\d)?)?", re.ASCII
 )
-"""Date and time, fraction of a second, and offset from UTC (sign, hours, minutes); without an offset it is UTC."""
+"""Date and time, fraction of a second, and offset from UTC (sign, hours, minutes); a time without offset is UTC."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class LogRules:
     """Rules for reading the lines of logs.
 
     Attributes:
-        needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
+        needs_checksum: True to reject sentences without a checksum; otherwise complete sentences are used.
         talkers: talkers whose sentences are used; empty for all. Proprietary sentences, which have no talker, are
             always used.
     """
@@ -42,7 +42,7 @@ class LogReport(LineReport):
     remarks: list[str] = field(default_factory=list)
 
     def text(self) -> str:
-        """Return one line for the user, and one for each example."""
+        """Return one line for the user, and one line for each example."""
         parts = [f"used {name} {count}" for name, count in sorted(self.used.items())]
         parts += [f"{name} {count}" for name, count in sorted(self.rejected.items())]
         parts += [f"{name} {count}" for name, count in sorted(self.corrected.items())]
@@ -118,7 +118,7 @@ def _line(
 
 
 def _receive_ns(text: str) -> int | None:
-    """Return a time text as POSIX time, ns; None if it is not valid."""
+    """Return a time text as POSIX time, ns; None if the text is not valid."""
     match = _TIME.fullmatch(text)
     if match is None:
         return None

@@ -1,7 +1,7 @@
 """Parsing of one line of an instrument: an NMEA 0183 sentence, or a line ``MET`` of a mast.
 
-Sentences are parsed by pynmea2. This module adds what it lacks: THS, PASHR with a time of any precision, and MET, which
-is not NMEA.
+Sentences are parsed by pynmea2. This module adds THS, PASHR with a time of any precision, the dialects of makers, and
+MET, which is not NMEA.
 """
 
 import math
@@ -26,12 +26,12 @@ _MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
 _MET_LEAST_FIELDS = 6
 
 _PASHR_LEAST_FIELDS = 6
-"""Up to the pitch."""
+"""Minimum number of fields of a PASHR: all up to the pitch."""
 
 _PA_PER_BAR = 1e5
 
 AUTONOMOUS = "A"
-"""Mode of THS with a measured heading: not estimated, manual, simulated or invalid."""
+"""Mode of THS with a measured heading; in all other modes the heading is estimated, manual, simulated or invalid."""
 
 _REQUIRED_FIELDS = {
     "ZDA": ("timestamp", "day", "month", "year"),
@@ -50,7 +50,7 @@ _RANGES_DEG = {
     "heading": (0.0, 360.0), "head": (0.0, 360.0), "true_heading": (0.0, 360.0), "pitch": (-90.0, 90.0),
     "roll": (-180.0, 180.0),
 }  # fmt: skip
-"""Valid ranges of angles: some instruments write 999.99 for an unknown value."""
+"""Valid ranges of angles, degrees; some instruments write 999.99 for an unknown value."""
 
 _NO_NUMBERS = ("timestamp", "status")
 """Fields of dialects that are not numbers."""
@@ -65,7 +65,7 @@ _MINUTES = 60.0
 
 
 class THS(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """True heading with its status (IEC 61162-1): A autonomous, V invalid; pynmea2 finds it by the class's name."""
+    """True heading with its status (IEC 61162-1): A autonomous, V invalid; pynmea2 finds this class by its name."""
 
     fields = (("True heading, degrees", "heading", float), ("Mode indicator", "mode"))
 
@@ -76,8 +76,9 @@ class Sentence:
 
     Attributes:
         kind: ``ZDA``, ``GGA``, ``HDT``, ``THS``, ``PSXN20``, ``PSXN23``, ``PASHR``, ``XDR``, ``MDA`` or ``MET``, or a
-            row of :data:`ship_bags.nmea.dialects.DIALECTS`.
-        content: the sentence of pynmea2, or :class:`MetReading` of MDA and MET, or :class:`DialectContent`.
+            key of :data:`ship_bags.nmea.dialects.DIALECTS`.
+        content: :class:`MetReading` for MDA and MET, :class:`DialectContent` for dialects, else the sentence of
+            pynmea2.
     """
 
     kind: str
@@ -93,7 +94,7 @@ class NotOfInterest:
 
 @dataclass(frozen=True)
 class Unusable:
-    """Unusable line; ``detail`` is more specific than the reason, if more is known."""
+    """Unusable line; ``detail`` is a more specific reason, empty if unknown."""
 
     reason: str
     detail: str = ""
@@ -110,7 +111,7 @@ class MetReading:
 
 @dataclass(frozen=True)
 class DialectContent:
-    """Content of a dialect's sentence: angles in degrees, a rate in °/min; None if it has none."""
+    """Content of a dialect's sentence: angles in degrees, a rate in °/min; None for a missing value."""
 
     text: str
     timestamp: time | None = None
@@ -165,7 +166,7 @@ def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
 
 
 def _pashr(content: Any) -> Any:
-    """Return the attitude of a PASHR, whose time pynmea2 accepts with two or three decimals only; others unchanged."""
+    """Return the attitude of a PASHR with a time of any precision; return a PASHR of another form unchanged."""
     data = list(content.data)
     if len(data) < _PASHR_LEAST_FIELDS or not _TIME_OF_DAY.fullmatch(data[1]):
         return content
@@ -175,7 +176,7 @@ def _pashr(content: Any) -> Any:
 
 
 def _select_sentence(name: str, content: Any) -> Sentence | NotOfInterest | Unusable:
-    """Return the sentence if its kind is used, it is complete, and its fields are numbers."""
+    """Return the sentence if its kind is used, the sentence is complete, and its fields are numbers."""
     kind = type(content).__name__
     if kind not in _REQUIRED_FIELDS:
         # PSXN sentences differ by a number after the name, which pynmea2 puts into its class name.
@@ -209,7 +210,7 @@ def _is_in_range(field: str, value: Any) -> bool:
 
 
 def _position_problem(gga: Any) -> Unusable | None:
-    """Return why the position of a GGA cannot be used; None if it can, or if there is none."""
+    """Return why the position of a GGA cannot be used; None for a usable or empty position."""
     parts = (gga.lat, gga.lat_dir, gga.lon, gga.lon_dir)
     if not any(parts):
         return None
@@ -239,7 +240,7 @@ def _met_reading(sentence: str) -> MetReading | None:
 
 
 def _mda_reading(mda: Any) -> MetReading:
-    """Return the meteorological composite: bar, °C, per cent; None for a field that is not a number."""
+    """Return the air data of an MDA in bar, °C and per cent; None for a field that is not a number."""
     temperature_c, percent, bar = (number(v) for v in (mda.air_temp, mda.rel_humidity, mda.b_pressure_bar))
     return MetReading(
         temperature_c=temperature_c,
@@ -249,7 +250,7 @@ def _mda_reading(mda: Any) -> MetReading:
 
 
 def number(value: Any) -> float | None:
-    """Return a field as a finite number; None if it is none."""
+    """Return a field as a finite number; None if the field is not such a number."""
     try:
         result = float(value)
     except (TypeError, ValueError):

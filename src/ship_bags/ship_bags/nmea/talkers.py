@@ -1,4 +1,4 @@
-"""Several instruments of one kind in one stream: their talkers, and their differences.
+"""Detection of several instruments of one kind in one stream by their talkers, and comparison of their values.
 
 Two receivers or compasses in one log or on one line would be mixed on one topic.
 """
@@ -12,7 +12,7 @@ from ship_bags.nmea.sentences import number
 from ship_geometry.rotations import FloatArray
 
 _MAX_TALKERS = 20
-"""Maximum number of talkers of a kind that are compared; the others are counted as one."""
+"""Maximum number of compared talkers per kind of sentence; further talkers count as one."""
 _OTHERS = "others"
 _EARTH_M_PER_DEG = 111_000.0
 _SIMULTANEOUS_NS = 5_000_000_000
@@ -20,7 +20,7 @@ _SIMULTANEOUS_NS = 5_000_000_000
 
 
 class TalkerComparison:
-    """Compares the headings or positions of the talkers in one stream."""
+    """Comparison of the headings or positions of the talkers in one stream."""
 
     def __init__(self) -> None:
         self._counts: dict[str, Counter[str]] = {}
@@ -41,7 +41,7 @@ class TalkerComparison:
         self._last[line.kind, talker] = line.receive_ns, value
 
     def texts(self, since_ns: int = 0) -> list[str]:
-        """Return a line per kind of sentence with several talkers since a time, with their largest difference."""
+        """Return a line per kind of sentence that several talkers sent since a time, with the largest difference."""
         found = []
         for kind, counts in sorted(self._counts.items()):
             recent = [talker for talker in sorted(counts) if self._last[kind, talker][0] >= since_ns]
@@ -59,7 +59,7 @@ class TalkerComparison:
 
 
 def _value(line: InstrumentLine) -> FloatArray | None:
-    """Return a heading or a position, degrees; None for a line that has neither."""
+    """Return the heading or the position in a line, degrees; None for any other line."""
     if line.kind in ("HDT", "THS"):
         heading_deg = number(line.content.heading)
         return None if heading_deg is None else np.array([heading_deg])

@@ -1,5 +1,5 @@
-"""Black boxes: all inputs and outputs of a node in order of use, written while it runs.
+"""Black boxes: all inputs and outputs of a node in order of use, written while the node runs.
 
-The format imports no ROS, because the offline replay uses it too; the writer needs rclpy. Of the package the folder
-imports ``parameters/``, ``edge/`` and ``documents/``.
+The format is defined without ROS, because the offline replay uses it too; the writer needs rclpy. Of the package the
+folder imports ``parameters/``, ``edge/`` and ``documents/``.
 """

@@ -34,10 +34,10 @@ from ship_node.edge.topics import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text
 
 FLUSH_PERIOD_S = 0.07
-"""Flush period, s: with the time of a flush, all data older than 0.1 s are on the disk."""
+"""Flush period, s; including the duration of a flush, data are on the disk after 0.1 s."""
 
 MAX_QUEUE_ENTRIES = 50_000
-"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz; further ones are lost and
+"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz; further entries are lost and
 counted."""
 
 MAX_QUEUE_BYTES = 64 * 2**20
@@ -47,7 +47,7 @@ RETRY_S = 10.0
 """Period of the attempts to open a new file after a failure of the disk, s."""
 
 MAX_ENTRIES_BEFORE_TIME = 1000
-"""Maximum number of entries kept before the node has a time; of more the newest are kept."""
+"""Maximum number of entries kept before the node has a time; above it the oldest entries are lost."""
 
 
 class _Message(NamedTuple):
@@ -66,19 +66,19 @@ class BlackBox:
     """Black box being written.
 
     Attributes:
-        path: the file; of several the first.
+        path: path of the file; if there are several files, of the first.
 
     Args:
         path: path given by the parameter; see :func:`ship_node.black_box.black_box_files.free_path`.
         adapter: adapter of the node.
-        config: its configuration.
+        config: configuration of the node.
         outputs: all topics that are published.
         namespace: namespace of the node.
-        on_failure: called with a line when the disk fails, and when a new file continues.
+        on_failure: called with a log line when the disk fails, and when a new file continues.
         part_bytes: size at which a new file begins; 0 for never.
 
     Raises:
-        BadInput: the file cannot be made.
+        BadInput: the file cannot be created.
     """
 
     def __init__(
@@ -115,9 +115,10 @@ class BlackBox:
         """Record a message used or published.
 
         Args:
-            topic: relative name.
-            data: its CDR bytes.
-            time_ns: the node time; 0 before the first /clock: it then gets the time of the first entry that has one.
+            topic: relative name of the topic.
+            data: CDR bytes of the message.
+            time_ns: the node time; 0 before the first /clock. Such a message gets the time of the first entry that has
+                a time.
             waiting_ns: timeout-clock time; None if it is equal.
         """
         if time_ns == 0:
@@ -135,7 +136,7 @@ class BlackBox:
         self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
 
     def add_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
-        """Record an event; the times are those of :meth:`add`."""
+        """Record an event; the times are as in :meth:`add`."""
         self.add(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
 
     def add_file(self, use: FileUse, time_ns: int) -> None:
@@ -164,7 +165,7 @@ class BlackBox:
             return
         self._stopping.set()
         self._thread.join()
-        # If the node never had a time, the entries waiting for it are written now.
+        # If the node never had a time, the entries waiting for a time are written now.
         self.add_event(Closed(), max(self._last_ns, 1))
         self._run_write(self._write_all)
         self._run_write(self._files.close)
@@ -234,7 +235,7 @@ class BlackBox:
             )
 
     def _has_new_file(self) -> bool:
-        """Try to continue in a new file; return True if it could be made."""
+        """Try to continue in a new file; return True if the file could be created."""
         if time.monotonic() < self._retry_s:
             return False
         try:
@@ -247,7 +248,7 @@ class BlackBox:
         return True
 
     def _drop_pending(self) -> None:
-        """Count the waiting entries and those written since the last flush as lost."""
+        """Count the waiting entries, and the entries written since the last flush, as lost."""
         count = len(self._queue)
         for _ in range(count):
             entry = self._queue.popleft()

@@ -1,7 +1,7 @@
-"""Files of a black box: the first one, and a further one when the last is full or the disk works again.
+"""Files of a black box: a first file, and a further file when the last one is full or the disk works again.
 
-A further file, ``NAME.part2.mcap`` and so on, lies next to the first one. It starts with the same header, so that it
-can be read by itself. The bag reader reads all of them as one when the first is opened.
+A further file, ``NAME.part2.mcap`` and so on, is next to the first file. It starts with the same header, so that it can
+be read alone. When the first file is opened, the bag reader reads all files as one bag.
 """
 
 import re
@@ -32,8 +32,8 @@ class BlackBoxFiles:
     """Files of one black box, of which the last is being written.
 
     Attributes:
-        path: the first file.
-        last_path: the file being written.
+        path: path of the first file.
+        last_path: path of the file being written.
         count: number of entries written, in all files; each entry has its number.
 
     Args:
@@ -42,7 +42,7 @@ class BlackBoxFiles:
         part_bytes: size at which a file is full; 0 for never.
 
     Raises:
-        BadInput: the first file cannot be made.
+        BadInput: the first file cannot be created.
     """
 
     def __init__(self, path: str, head: BlackBoxHeader, part_bytes: int) -> None:
@@ -60,7 +60,7 @@ class BlackBoxFiles:
         return self._writer.flushed_bytes
 
     def write(self, topic: str, data: bytes, time_ns: int, waiting_ns: int) -> None:
-        """Add an entry. Entries of all topics are numbered together: a missing one shows at the next one."""
+        """Add an entry; the entries of all topics are numbered together, so that a gap shows a missing entry."""
         self.count += 1
         self._writer.write_raw(topic, self._types[topic], data, time_ns, waiting_ns, self.count)
 
@@ -80,7 +80,7 @@ class BlackBoxFiles:
         """Begin a new file.
 
         Raises:
-            OSError, BadInput: it cannot be made; no part of it is left.
+            OSError, BadInput: the file cannot be created; no part of it is left.
         """
         number = self._part + 1
         while (path := self.path.with_name(f"{self.path.stem}.part{number}.mcap")).exists():
@@ -97,7 +97,7 @@ class BlackBoxFiles:
         self._writer, self.last_path = writer, path
 
     def truncate(self) -> None:
-        """Give up the last file after a failed write: it stays valid up to its last flush."""
+        """Give up the last file after a failed write; the file stays valid up to its last flush."""
         self._writer.truncate()
 
     def close(self) -> None:
@@ -116,7 +116,7 @@ class BlackBoxFiles:
 
 
 def free_path(path: Path) -> Path:
-    """Return the path, or one with the next free number: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
+    """Return the path if it is free, else the path with the next number: ``box_2.mcap``, ``box_3.mcap``."""
     pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
     matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
     newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)
@@ -124,7 +124,7 @@ def free_path(path: Path) -> Path:
 
 
 def _open_first(text: str, node_name: str) -> BagWriter:
-    """Open a new file at a path, or one with the node's name in a folder."""
+    """Open a new file at a path, or a file with the node's name in a folder."""
     path = Path(text)
     if text.endswith("/") or path.is_dir():
         path = path / f"{node_name}.mcap"

@@ -1,4 +1,4 @@
-"""Format of a black box: the events of a node besides the messages, and all names.
+"""Format of a black box: events of a node besides its messages, and names of topics and records.
 
 A black box is an MCAP bag. Inputs and outputs have their own topics; events are JSON texts on :data:`EVENTS_TOPIC`. The
 order in the file is the order of use, and the results of a use follow it. The sequence numbers count all entries from
@@ -25,7 +25,7 @@ black box), ``part`` (from 1) and ``first`` (name of the first file). The last t
 one file."""
 
 VERSIONS_ATTACHMENT = "versions.json"
-"""Attachment with :func:`ship_node.black_box.versions.versions`; the parameters are in
+"""Name of the attachment with the result of :func:`ship_node.black_box.versions.versions`; the parameters are in
 :data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
 
 
@@ -49,7 +49,7 @@ class DuplicatePublishersChanged:
 
 @dataclass(frozen=True)
 class ClockStepped:
-    """The computer's clock was set by ``step_ns`` against a steady clock; the log time is that after the step."""
+    """Step of the computer's clock by ``step_ns`` against a steady clock; the log time is the time after the step."""
 
     step_ns: int
 
@@ -58,7 +58,7 @@ class ClockStepped:
 class ParametersChanged:
     """Live parameters, dotted name → value, passed to the adapter.
 
-    ``refused`` is the reason of its refusal; None if it applied them.
+    ``refused`` is the reason if the adapter refused them; None if the adapter applied them.
     """
 
     changes: Mapping[str, Any]
@@ -75,7 +75,7 @@ class ChangeRefused:
 
 @dataclass(frozen=True)
 class ServiceCalled:
-    """Service call with its answer; None if it raised."""
+    """Service call with its answer; the answer is None if the call raised an exception."""
 
     name: str
     success: bool | None
@@ -88,7 +88,7 @@ class FileUsed:
 
     Attributes:
         path: path given by the adapter.
-        written: True if it was written, False if it was read.
+        written: True if the file was written, False if it was read.
         attachment: name of the attachment with the content; None if the operation failed.
         error: error number (errno) if the operation failed.
     """

@@ -6,7 +6,7 @@ from importlib import metadata
 from typing import Any
 
 SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite that compute numbers of every node; ``ship_bags`` only transports them."""
+"""Packages of the suite that compute numbers for every node; ``ship_bags`` only transports numbers."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"
 """Libraries whose versions a black box contains."""
@@ -29,7 +29,7 @@ def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
 
 
 def package_versions(names: Iterable[str]) -> dict[str, str]:
-    """Return package → version; "unknown" if it was not installed as a package."""
+    """Return package → version; "unknown" for a package that is not installed."""
     return {name: _version(name) for name in names}
 
 

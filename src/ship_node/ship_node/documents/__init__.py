@@ -1,4 +1,4 @@
 """Persistent files: documents saved for a node's next start, figures and pages.
 
-The folder imports no other folder of the package, and no ROS.
+The folder imports neither other folders of the package nor ROS.
 """

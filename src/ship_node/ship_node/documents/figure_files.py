@@ -1,6 +1,6 @@
 """Figures of a study as PNG files, in one style.
 
-Import it late: loading matplotlib takes longer than most studies.
+Import this module late, because loading matplotlib takes longer than most studies.
 """
 
 import io
@@ -33,20 +33,20 @@ _STYLE = {
 
 
 MAX_ROWS = 60
-"""Maximum number of rows of a figure, one per source or name; tables have all of them."""
+"""Maximum number of rows of a figure, one per source or name; tables have all rows."""
 
 _MAX_NAME_LENGTH = 40
-"""Maximum length of a name at an axis, characters: longer ones leave no room for the drawing."""
+"""Maximum length of a name at an axis, characters; longer names leave no room for the drawing."""
 
 _SETTLED_RATIO = 3.0
 """Ratio of sigma to its best value below which the start is over."""
 
 
 def settled_slice(sigma: FloatArray) -> slice:
-    """Return the part of a time series that scales a figure: all but the start, with its large uncertainty.
+    """Return the part of a time series by which a figure is scaled: all but the start with large uncertainty.
 
     Args:
-        sigma: predicted, in order of time, shape (n,); NaN where none was given.
+        sigma: predicted standard deviations in order of time, shape (n,); NaN where unknown.
     """
     known = sigma[np.isfinite(sigma)]
     if not len(known):
@@ -64,17 +64,17 @@ def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[s
     """Write figures into an existing folder, one after the other.
 
     Args:
-        figures: names and figures; drawn in the style while iterated over.
+        figures: names and figures; the iteration draws the figures in the common style.
         folder: folder for ``NAME.png``.
 
     Returns:
-        The files by the figures' names.
+        Paths of the files, by name of the figure.
     """
     files = {}
     with plt.rc_context(_STYLE):
         for name, figure in figures:
             files[name] = folder / f"{name}.png"
-            # No version of matplotlib in the metadata: the same study gives the same file.
+            # The metadata omit the version of matplotlib, so that the same study gives the same file.
             content = io.BytesIO()
             figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
             write_atomically(files[name], content.getvalue())

@@ -1,4 +1,4 @@
-"""Parts of the HTML pages of studies, one self-contained file each: style, tables, embedded figures."""
+"""Parts of the self-contained HTML pages of studies: style, tables, embedded figures."""
 
 import base64
 from collections.abc import Iterable, Sequence
@@ -59,8 +59,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], last_is_sum: boo
     """Return a table of texts.
 
     Args:
-        header: titles of its columns.
-        rows: its cells.
+        header: titles of the columns.
+        rows: cells of each row.
         last_is_sum: True if the last row is the sum of the others.
         style: ``words`` if the second column has texts, ``groups`` if every three columns belong together.
     """

@@ -1,8 +1,8 @@
 """Files that an adapter reads and writes while it runs, and documents that a node saves for its next start.
 
-A file that a node reads is an input like any message: a replay must get the same bytes. Therefore an adapter reads and
-writes only through :class:`Files`, where a black box can record each use. A saved document is readable YAML with format
-and version.
+A file that a node reads is an input like any message, so a replay must get the same bytes. Therefore an adapter reads
+and writes only through :class:`Files`, where a black box can record each use. A saved document is readable YAML with
+format and version.
 """
 
 import errno
@@ -23,7 +23,7 @@ from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
 
 MAX_FILE_BYTES = 16_000_000
-"""Maximum size of a file, bytes; a saved alignment or calibration has some ten thousand."""
+"""Maximum size of a file, bytes; a saved alignment or calibration has about ten thousand."""
 
 _ROUNDING = 1e-6
 
@@ -37,8 +37,8 @@ class FileUse:
 
     Attributes:
         path: path given by the adapter.
-        written: True if it was written or set aside, False if it was read.
-        content: the bytes; of a file set aside its new path; None if the operation failed.
+        written: True if the file was written or set aside, False if it was read.
+        content: bytes of the file, or the new path of a file set aside; None if the operation failed.
         error: error number (errno) if the operation failed.
     """
 
@@ -56,11 +56,11 @@ class Files(Protocol):
         ...
 
     def write(self, path: Path, content: bytes) -> None:
-        """Write a file atomically: it is either the old or the new one. Missing folders are made."""
+        """Write a file atomically, so that either the old or the new file exists; create missing folders."""
         ...
 
     def set_aside(self, path: Path) -> Path:
-        """Rename an unusable file, so that it is kept and a new one can be written; return its new path.
+        """Rename an unusable file, so that it is kept and a new file can be written; return its new path.
 
         The new name ends with ``.unreadable``, or ``.unreadable.2`` and so on if such a file exists.
         """
@@ -71,7 +71,7 @@ class DiskFiles:
     """Files on the disk."""
 
     def read(self, path: Path) -> bytes:
-        """See :meth:`Files.read`; a file longer than :data:`MAX_FILE_BYTES` is an OSError, too."""
+        """See :meth:`Files.read`; a file longer than :data:`MAX_FILE_BYTES` raises an OSError, too."""
         try:
             check_regular(path)
             with path.open("rb") as stream:
@@ -101,7 +101,7 @@ class DiskFiles:
 
 
 class ReadOnlyFiles(DiskFiles):
-    """Files on the disk, never changed: written content is discarded.
+    """Files on the disk that are never changed; written content is discarded.
 
     A program that runs an adapter without being the node, such as a replay, must not replace a ship's saved documents.
     """
@@ -118,7 +118,7 @@ class RecordingFiles:
     """Files on the disk, with a record of each use.
 
     Attributes:
-        uses: in order; the reader of the list clears it.
+        uses: uses of files in order; the reader of this list clears it.
     """
 
     def __init__(self) -> None:
@@ -164,10 +164,10 @@ class SavedFormat(Generic[Content]):
 
     Attributes:
         format: first line of the file.
-        version: version of the layout; no other is read.
-        kind_name: "alignment", "calibration": for texts.
+        version: version of the layout; a document of another version is not read.
+        kind_name: name of the document in texts, as "alignment" or "calibration".
         document: converts a content to a document.
-        content: converts a document to a content; a ValueError names the section that cannot be used.
+        content: converts a document to a content; its ValueError names the section that cannot be used.
     """
 
     format: str
@@ -177,7 +177,7 @@ class SavedFormat(Generic[Content]):
     content: Callable[[dict[str, Any]], Content]
 
     def save(self, path: Path, content: Content, files: Files = DISK) -> bytes:
-        """Write a document atomically; return what was written.
+        """Write a document atomically; return its bytes.
 
         Raises:
             BadInput: the file cannot be written.
@@ -194,7 +194,7 @@ class SavedFormat(Generic[Content]):
         """Read a document.
 
         Raises:
-            BadInput: names the file and the error.
+            BadInput: the document cannot be read or used; the text names the file and the error.
         """
         return self.parse(path, self.read_bytes(path, files))
 
@@ -229,7 +229,7 @@ class SavedFormat(Generic[Content]):
         """Return the content of a document's bytes.
 
         Raises:
-            BadInput: names the file and the error.
+            BadInput: the document cannot be read or used; the text names the file and the error.
         """
         try:
             document = plain_data(str(path), written.decode())
@@ -251,7 +251,7 @@ def section(document: dict[str, Any], key: str, read: Callable[[Any], Value]) ->
     """Return one section of a document.
 
     Raises:
-        ValueError: names the section that is missing or cannot be read.
+        ValueError: the section is missing or cannot be read; the text names the section.
     """
     if key not in document:
         raise ValueError(f"'{key}' is missing")
@@ -267,7 +267,7 @@ def stamp_ns(value: Any) -> int:
     """Return a time, ns.
 
     Raises:
-        ValueError: it is not a time that a stamp can represent.
+        ValueError: the value is not a time that a stamp can represent.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < END_OF_TIME_NS:
         raise ValueError("expected a whole number of nanoseconds since 1970")
@@ -278,7 +278,7 @@ def texts(values: Mapping[Any, Any]) -> dict[str, str]:
     """Return texts by name.
 
     Raises:
-        ValueError: one is a list or a group.
+        ValueError: a value is a list or a group.
     """
     for name, value in values.items():
         if isinstance(value, (list, dict)):
@@ -290,7 +290,7 @@ def finite_numbers(values: dict[str, Any]) -> dict[str, float]:
     """Return finite numbers by name.
 
     Raises:
-        ValueError: one is NaN, infinite or not a number.
+        ValueError: a value is NaN, infinite or not a number.
     """
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(float(value)):
@@ -309,7 +309,8 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     covariance = np.array(rows, dtype=float)
     if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
         raise ValueError(f"shape {covariance.shape}: expected {size} x {size} finite numbers")
-    # Relative to the sigmas, because angles are far smaller numbers than seconds; a fixed quantity has sigma 0.
+    # The checks are relative to the sigmas, because angles are far smaller numbers than seconds. A fixed quantity has a
+    # sigma of 0.
     sigma = np.sqrt(np.abs(np.diagonal(covariance)))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     correlation = covariance / np.outer(scale, scale)
@@ -327,5 +328,5 @@ def _free_path(path: Path) -> Path:
 
 
 def _plain_os_error(number: int, path: Path) -> OSError:
-    """Return the error as a replay of the black box will raise it, which has only its number."""
+    """Return the error as a replay will raise it: with the error number alone, as recorded in the black box."""
     return OSError(number, os.strerror(number), str(path))

@@ -1,4 +1,4 @@
-"""Saved document that a node starts from, and the remarks for the user about it."""
+"""Saved document that a node starts from, with remarks about the document for the user."""
 
 import errno
 from collections.abc import Callable, Mapping
@@ -12,16 +12,16 @@ from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
 _MAX_SIGMA_RATIO = 1.1
-"""Ratio of a sigma to another one above which it counts as worse; smaller changes depend on the stars in view."""
+"""Ratio of a new sigma to the saved sigma above which it is worse; smaller changes depend on the stars in view."""
 
 _FATAL_ERRORS = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is wrong
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # lack of resources, maybe temporary
 )
-"""Errors for which a node does not start."""
+"""Error numbers for which a node does not start."""
 
 _CONTENT_ERRORS = (errno.EFBIG, errno.ELOOP)
-"""Errors for which a file is set aside, as for a bad content. After any other error the file may be good."""
+"""Error numbers for which a file is set aside, as for a bad content. After any other error the file may be good."""
 
 _NEVER_NS = 1 << 62
 """Time that is never reached, ns."""
@@ -32,11 +32,11 @@ class SavedContent(Protocol):
 
     @property
     def time_ns(self) -> int:
-        """Stamp of the newest data in it, ns; 0 if there is none."""
+        """Stamp of the newest data in the content, ns; 0 if unknown."""
         ...
 
     def sigmas(self) -> Mapping[str, npt.NDArray[np.float64]]:
-        """Return the standard deviations of each quantity, in its own units, by a name that contains the device."""
+        """Return the standard deviations of each quantity, in its units, by a name that contains the device."""
         ...
 
 
@@ -44,21 +44,21 @@ Prior = TypeVar("Prior", bound=SavedContent)
 
 
 class SavedStart(Generic[Prior]):
-    """Saved document that a node starts from: read when the node is made, used as soon as there is a time.
+    """Saved document that a node starts from; it is read at construction and used as soon as the node has a time.
 
     Args:
         kind: the format.
-        path: path of the file; empty if there is none.
+        path: path of the file; empty if the node has no such file.
         files: file operations.
         start_from: starts the core from a content at a time in ns; returns remarks for the operator.
-        content_to_save: returns the content to save; None if there is none yet.
-        nothing_text: why there is none, for the user.
+        content_to_save: returns the content to save; None if there is no content yet.
+        nothing_text: text for the user about why there is no content yet.
 
     Attributes:
-        notices: lines for the log, until they are taken.
+        notices: log lines that have not been taken yet.
         messages: remarks of the core on the content that it started from.
         autosave_problem: why automatic saving fails at present; empty if it works.
-        unreadable_reason: why the file was set aside or cannot be read, until one is saved or read; empty otherwise.
+        unreadable_reason: why the file was set aside or cannot be read; empty after a file was saved or read.
         is_pending: True if a content was read and not yet passed to the core.
 
     Raises:
@@ -80,7 +80,7 @@ class SavedStart(Generic[Prior]):
         self.messages: list[str] = []
         self.autosave_problem = self.unreadable_reason = ""
         self._is_file_kept = False
-        # Bytes of the file from which the core's state has developed; None if there is none.
+        # Bytes of the file from which the core's state has developed; None if there is no such file.
         self._origin: bytes | None = None
         self._saved_ns = 0
         self._last_autosave_ns: int | None = None
@@ -96,14 +96,14 @@ class SavedStart(Generic[Prior]):
             self._start_core(content, now_ns)
 
     def note_core_reset(self) -> None:
-        """Record that the core was reset: the file may now contain more than the core."""
+        """Record that the core was reset, so that the file may now contain more than the core."""
         self._origin, self._saved_ns, self._last_autosave_ns = None, 0, None
 
     def save(self) -> str:
         """Write the core's content; return a text about the result.
 
         Raises:
-            BadInput: there is no content or no file is named, or it cannot be written.
+            BadInput: there is no content or no file is named, or the file cannot be written.
         """
         path, content = self._file(), self._content_to_save()
         if content is None:
@@ -125,9 +125,9 @@ class SavedStart(Generic[Prior]):
         return not is_first
 
     def autosave(self) -> None:
-        """Write the core's content if it is newer than the last one written and no worse than that of the file.
+        """Write the core's content if it is newer than the last written and not worse than the file's content.
 
-        An obstacle becomes :attr:`autosave_problem`, and a notice when it changes.
+        A reason not to save becomes :attr:`autosave_problem`, and a notice when the reason changes.
         """
         try:
             problem = self._save_unless_worse(self._file())
@@ -141,7 +141,7 @@ class SavedStart(Generic[Prior]):
         """Read the file again and start from it; return a text about the result.
 
         Raises:
-            BadInput: no file is named, or it cannot be read.
+            BadInput: no file is named, or the file cannot be read.
         """
         path = self._file()
         self._read = self._kind.read_bytes(path, self._files)
@@ -172,7 +172,7 @@ class SavedStart(Generic[Prior]):
     def _read_usable(self, path: Path) -> tuple[bytes | None, Prior | None]:
         """Return the file's bytes and its content, or None twice.
 
-        A file with an unusable content is set aside. One that cannot be read stays in place.
+        A file with an unusable content is set aside. A file that cannot be read stays in place.
 
         Raises:
             BadInput: see the class.
@@ -223,9 +223,9 @@ class SavedStart(Generic[Prior]):
 
 
 def less_certain_quantity(content: SavedContent, other: SavedContent) -> str:
-    """Return the first quantity with a larger sigma in a content than in another; empty if there is none.
+    """Return a text about the first quantity whose sigma is smaller in ``other``; empty if there is no such quantity.
 
-    A quantity that is missing counts as less precise.
+    A quantity that ``content`` lacks counts as less certain.
     """
     own = content.sigmas()
     if not all(np.all(np.isfinite(sigma)) for sigma in own.values()):

@@ -30,14 +30,14 @@ class Adapter(Protocol):
     All times are integer ns. Each message and each tick has two times:
 
     - ``receive_ns`` or ``now_ns``: the node's time, with which stamps are compared.
-    - ``waiting_ns``: the time of the timeout clock, by which timeouts are measured; None if it equals the node's time.
-      The timeout clock never steps. In a live node it counts the time in which the node was listening. With
-      ``use_sim_time`` it follows /clock, in a replay the log time.
+    - ``waiting_ns``: the timeout-clock time, by which timeouts are measured; None if it equals the node's time. The
+      timeout clock never steps. In a live node it counts only time in which the node was processing events. With
+      ``use_sim_time`` the timeout clock follows /clock, and in a replay the log time.
 
-    Files are read and written through ``files`` only, so that a black box can record what was read. The adapter updates
-    ``health``; the node runtime adds what only the middleware reports. The adapter publishes it in :meth:`tick`.
-    ``start_warnings`` has one line for each thing that the configuration lacks. ``notices`` are lines for the log,
-    until the node runtime takes them.
+    The adapter reads and writes files only through ``files``, so that a black box can record the files read. The
+    adapter updates ``health`` and publishes it in :meth:`tick`; the node runtime adds information of the middleware to
+    it. ``start_warnings`` has one line for each missing part of the configuration. ``notices`` are log lines that the
+    node runtime has not taken yet.
     """
 
     node_name: ClassVar[str]
@@ -62,7 +62,7 @@ class Adapter(Protocol):
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """Publish no valid output while the node is behind its inputs.
 
-        Called when messages are cut, and when the node keeps up again.
+        Called when messages are dropped, and when the node keeps up again.
         """
         ...
 
@@ -81,11 +81,11 @@ class Adapter(Protocol):
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """Set that two publishers send on an input topic; an empty text ends this state.
 
-        It is unknown which publisher is right: outputs that depend on the topic are not VALID meanwhile.
+        Which publisher is right is unknown, so outputs that depend on the topic are not VALID in this state.
 
         Args:
             topic: the input topic.
-            text: for the user, with the names of the publishers.
+            text: text for the user, with the names of the publishers.
         """
         ...
 
@@ -93,6 +93,6 @@ class Adapter(Protocol):
         """Apply live parameters, dotted name → value.
 
         Raises:
-            ParameterError: nothing was changed; the text gives the reason.
+            ParameterError: a change is invalid; then no parameter is changed.
         """
         ...

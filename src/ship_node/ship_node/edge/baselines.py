@@ -21,7 +21,7 @@ _MAX_LENGTH_M = 1e5
 
 
 class Antennas(Protocol):
-    """Expected identity of a baseline's antennas; an empty text accepts any."""
+    """Expected frame and antennas of a baseline; an empty text accepts any value."""
 
     @property
     def frame_id(self) -> str:
@@ -37,10 +37,10 @@ class Antennas(Protocol):
 
 
 def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
-    """Return the stamp of a message of these antennas, ns.
+    """Return the stamp of a baseline message, ns, after a check of its frame and antennas.
 
     Raises:
-        MessageRejected: the message is of other antennas, or its stamp is invalid.
+        MessageRejected: the frame or an antenna is not the expected one, or the stamp is invalid.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, antennas.frame_id)
@@ -54,7 +54,7 @@ def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
 
 
 def fix_rejection(message: Any, least_fix: str) -> Rejection | None:
-    """Return the rejection of a solution below ``least_fix`` ("float", "fixed") or of unknown kind; else None."""
+    """Return the rejection of a baseline whose fix is below ``least_fix`` ("float", "fixed") or unknown; else None."""
     if _FIXES.index(least_fix.upper()) <= message.fix < len(_FIXES):
         return None
     fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
@@ -65,7 +65,7 @@ def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
     """Return the vector (North, Up, East), m, shape (3,), and its covariance, m², shape (3, 3), or None if not given.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: a value is not finite or too large, or the covariance is invalid.
     """
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
     if np.max(np.abs(vector_n)) > _MAX_LENGTH_M:

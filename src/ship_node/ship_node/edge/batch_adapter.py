@@ -1,6 +1,6 @@
 """Adapter that can evaluate many messages of a topic as one batch, offline.
 
-The result of each message equals that of :mod:`ship_node.edge.reporting_adapter` to the last bit.
+Each message gives bit for bit the same result as in :mod:`ship_node.edge.reporting_adapter`.
 """
 
 from abc import abstractmethod
@@ -26,11 +26,11 @@ class BatchAdapter(ReportingAdapter):
         return self.feeds[topic].batch is not None and not self.is_off(topic) and not self.time_base.is_step_pending
 
     def can_read_rows(self, topic: str) -> bool:
-        """Return True if messages of a topic can be read many at once, for processing one by one."""
+        """Return True if many messages of a topic can be read together, to be processed one by one afterwards."""
         return topic in self.feeds and self.feeds[topic].read_rows is not None
 
     def read_rows(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> Sequence[ReadMessage[Any] | None]:
-        """Read messages for :meth:`handle_read`; None for each that :meth:`handle` must process."""
+        """Read messages for :meth:`handle_read`; return None for each message that :meth:`handle` must process."""
         read = self.feeds[topic].read_rows
         assert read is not None
         return read(messages, receive_ns)
@@ -51,7 +51,7 @@ class BatchAdapter(ReportingAdapter):
 
     @property
     def idle_until_ns(self) -> int:
-        """Timeout-clock time before which a tick does no more than call the core; 0 if each tick may do more."""
+        """Timeout-clock time before which a tick only calls the core; 0 if every tick may do more."""
         if self.next_slow_ns is None or (self.saved is not None and self.saved.is_pending):
             return 0
         if self.saved is None:
@@ -59,7 +59,7 @@ class BatchAdapter(ReportingAdapter):
         return min(self.next_slow_ns, self.saved.next_autosave_ns(self.config.alignment_autosave_s))
 
     def evaluate_batch(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> PendingBatch | None:
-        """Read and evaluate the leading messages of a batch; None if the first must be processed by itself.
+        """Read and evaluate the leading messages of a batch; return None if the first message must be processed alone.
 
         Until the whole batch is committed, no other message of the topic is processed. Estimates and protection levels,
         on which no other message depends, are computed at the end (:meth:`finish_batch`).
@@ -82,7 +82,7 @@ class BatchAdapter(ReportingAdapter):
         return PendingBatch(topic, reading, receive_ns[:count], batch)
 
     def commit_batch(self, pending: PendingBatch, stop: int) -> list[BatchOutput]:
-        """Commit the messages of a batch before index ``stop``; return what must be published at once."""
+        """Commit the messages of a batch before index ``stop``; return the outputs to publish now."""
         feed = self.feeds[pending.topic].batch
         assert feed is not None
         feed.core.commit_batch(pending.evaluated, min(stop, pending.evaluated.checked.accepted_count))
@@ -117,12 +117,12 @@ class BatchAdapter(ReportingAdapter):
         return parts
 
     def batch_outputs(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BatchOutput]:
-        """Yield the outputs of estimates, with the protection levels to be published before some of them.
+        """Yield estimates to publish, with the protection levels that must be published before some of them.
 
         Args:
-            some: their indices among all that are computed together.
-            found: a run of estimates, or why they could not be computed.
-            times_ns: stamps of all that are computed together.
+            some: indices of these estimates among all that are computed together.
+            found: a run of estimates, or the rejection if they could not be computed.
+            times_ns: stamps of all estimates that are computed together.
         """
         if isinstance(found, Rejection):
             for place in range(some.start, some.stop):
@@ -140,4 +140,4 @@ class BatchAdapter(ReportingAdapter):
 
     @abstractmethod
     def batch_messages(self, runs: Sequence[Any]) -> Iterator[OutputRows]:
-        """Return the messages of several runs of outputs, those of each output in order of publication."""
+        """Return the messages of several runs of outputs; the messages of one output are in order of publication."""

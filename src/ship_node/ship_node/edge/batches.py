@@ -1,7 +1,7 @@
-"""Batches: consecutive messages of one topic that differ only in numbers, processed together offline.
+"""Batches of consecutive messages of one topic that differ only in numbers, for processing together offline.
 
-Each message gives the same result as by itself, to the last bit; only the computation is shared. A message that differs
-otherwise ends the batch and is processed by itself.
+Each message gives bit for bit the same result as when it is processed alone. A message that differs in more than
+numbers ends the batch and is processed alone.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,9 +24,9 @@ class ReadBatch(NamedTuple):
     """Leading messages of a batch that were read without remarks.
 
     Attributes:
-        samples: input of the core, with the stamps ``times_ns``, shape (N,). The message after them must be read by
-            itself.
-        covariance_known: False if they give no covariance; the configured sigma is used then.
+        samples: input of the core, with the stamps ``times_ns``, shape (N,). The message after the last sample must be
+            read alone.
+        covariance_known: False if the messages give no covariance; the configured sigma is used then.
     """
 
     samples: Any
@@ -38,7 +38,7 @@ class EvaluatedBatch(Protocol):
 
     Attributes:
         checked: result of the INS check.
-        pending_outcomes: index of a sample and its outcome other than estimates, until it is published.
+        pending_outcomes: outcomes without estimates that are not published yet, each with the index of its sample.
     """
 
     checked: CheckedBlock
@@ -52,7 +52,7 @@ class BatchCore(Protocol[Batch]):
     """Interface of a core that evaluates batches of samples before it commits them."""
 
     def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Batch | None:
-        """Evaluate the leading samples that need no special treatment; None if the first one does."""
+        """Evaluate the leading samples that need no special treatment; return None if the first one needs it."""
         ...
 
     def commit_batch(self, batch: Batch, stop: int) -> None:
@@ -64,7 +64,7 @@ class BatchCore(Protocol[Batch]):
         ...
 
     def batch_estimates(self, batch: Batch) -> list[tuple[slice, Any]]:
-        """Return indices of samples with their estimates on one state, or why they could not be computed."""
+        """Return slices of samples, each with its estimates from one state, or with the rejection if these failed."""
         ...
 
 
@@ -72,8 +72,8 @@ class BatchFeed(NamedTuple):
     """Processing of a batch of messages by a core.
 
     Attributes:
-        read: reads the messages and their receive times.
-        core: processes the samples read.
+        read: reader, called with the messages and their receive times.
+        core: core that processes the samples.
     """
 
     read: Callable[[CdrRows, StampArray], ReadBatch]
@@ -84,7 +84,7 @@ class PendingBatch(NamedTuple):
     """Batch of messages that were read and evaluated, and are committed in order with messages of other topics.
 
     Attributes:
-        topic: their topic.
+        topic: topic of the messages.
         reading: the messages as read.
         receive_ns: receive times, equal by both clocks.
         evaluated: the core's evaluation.
@@ -100,10 +100,10 @@ class BatchOutput(NamedTuple):
     """Part of the outputs of a batch.
 
     Attributes:
-        place: index of the message in the batch, or of the first one.
+        place: index in the batch of a message, or of the first message with estimates.
         published: messages to publish with that message.
-        estimates: outputs still to be converted to messages, one for each message from there on; None if there are
-            none.
+        estimates: outputs still to be converted to messages, one for each message of the batch from ``place`` on; None
+            if there are no outputs.
     """
 
     place: int
@@ -116,7 +116,7 @@ class OutputRows(NamedTuple):
 
     Attributes:
         topic: the topic.
-        messages: in order.
+        messages: messages in order of the outputs.
         places: index of the output of each message.
     """
 
@@ -133,15 +133,16 @@ def outputs_with_levels(
     directions: FloatArray,
     protection_level_messages: Callable[[Any], list[OutputMessage]],
 ) -> Iterator[BatchOutput]:
-    """Yield a run of outputs, split where protection levels are published before one of them.
+    """Yield a run of outputs, split where protection levels are published before an output.
 
     Args:
-        place: index of the first one in its batch.
-        run: N outputs on one state.
+        place: index of the first output in its batch.
+        run: N outputs from one state.
         published: the published protection levels; ``protection_level_messages`` changes them.
-        redundancy_keys: attributes of each output on which, besides the state, the redundancy of its sources depends.
+        redundancy_keys: attributes of each output that determine, together with its state, the redundancy of its
+            sources.
         directions: directions of each output, shape (N, 3, 3).
-        protection_level_messages: protection levels of one output, if the published ones do not cover it.
+        protection_level_messages: returns the protection levels of one output if the published levels do not cover it.
     """
     start, count = 0, len(run.time_ns)
     while start < count:

@@ -1,8 +1,8 @@
 """Checks of the messages of a batch before any of them reaches a filter, as array operations.
 
-Each check returns for every message whether :mod:`ship_node.edge.messages_in` accepts it without remark. For those the
-values are equal to the last bit. The others are read one by one and may still be used. Every comparison is written so
-that NaN fails it.
+Each check returns, for every message, True if :mod:`ship_node.edge.messages_in` accepts the message without remark. The
+values of these messages are bit for bit the values that the module returns. The other messages are read one by one and
+may still be used. NaN fails every comparison.
 """
 
 from collections.abc import Callable, Iterator
@@ -34,19 +34,19 @@ Valid = NDArray[np.bool_]
 """True for each message that passes, shape (N,)."""
 
 ReadRows = list[ReadMessage[Any] | None]
-"""Reading of each message; None if it must be read by itself."""
+"""Result of reading each message; None if the message must be read alone."""
 
 
 def read_valid(
     messages: CdrRows, frame_id: str, valid: Valid, read: Callable[[], Iterator[ReadMessage[Any] | None]]
 ) -> ReadRows:
-    """Return the readings of the valid messages; None for the others, and for all if the frame is wrong.
+    """Return the results of reading valid messages; None for other messages, and for all if the frame is wrong.
 
     Args:
         messages: the messages, which all have the same frame.
         frame_id: expected frame; empty for any.
-        valid: True for the valid ones.
-        read: yields the readings of these.
+        valid: True for each valid message, shape (N,).
+        read: yields the results of reading the valid messages.
     """
     if frame_id and messages.message(0).header.frame_id != frame_id:
         return [None] * len(valid)
@@ -91,9 +91,9 @@ def ship_rates(numbers: np.ndarray) -> tuple[FloatArray, Valid]:
 
 
 def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Valid]:
-    """Return symmetric covariances, shape (N, 3, 3), of nine numbers each, shape (N, 9), and their validity.
+    """Convert rows of nine numbers, shape (N, 9), to symmetric covariances, shape (N, 3, 3), and their validity.
 
-    Unknown covariances are not valid, nor are those that are positive definite only within rounding.
+    Unknown covariances and covariances that are positive definite only within rounding are not valid.
     """
     above, below = values[:, _ABOVE], values[:, _BELOW]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -111,6 +111,6 @@ def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Valid]:
 
 
 def angular_covariances(values: FloatArray) -> tuple[FloatArray, Valid]:
-    """Return :func:`covariances_3x3` of angles or rotation vectors, rad²; too large variances are not valid."""
+    """Return :func:`covariances_3x3` of angles or rotation vectors, rad²; a too large variance is not valid."""
     covariances, valid = covariances_3x3(values)
     return covariances, valid & (values[:, ::4] <= MAX_VARIANCE).all(axis=1)

@@ -1,7 +1,7 @@
-"""Adapter of a node whose outputs may be computed together: offline each is computed on demand.
+"""Adapter of a node whose outputs can be computed together offline.
 
-The core lists the pending outputs while its inputs are processed one by one. The result equals that of publishing each
-output at once, to the last bit.
+The core collects pending outputs while its inputs are processed one by one. Outputs that are computed together equal
+bit for bit outputs that are published at once.
 """
 
 from typing import Any, Protocol
@@ -16,14 +16,13 @@ class DeferringCore(Protocol):
     """Core that computes several outputs together.
 
     Attributes:
-        pending: basis of the pending outputs, each with its stamp ``time_ns``; None if each output is published at
-            once.
+        pending: data of each pending output, with its stamp ``time_ns``; None if each output is published at once.
     """
 
     pending: list[Any] | None
 
     def compute_pending(self) -> list[tuple[slice, Any | Rejection]]:
-        """Compute all pending outputs; return their indices and the outputs, or why they cannot be computed."""
+        """Compute all pending outputs; return slices of them with the outputs, or with the rejection if this fails."""
         ...
 
 
@@ -31,7 +30,7 @@ class DeferringAdapter(BatchAdapter):
     """Adapter that can also publish its outputs together; see :class:`BatchAdapter`."""
 
     def defer_outputs(self) -> None:
-        """Leave the outputs out of the results from now on: :meth:`take_outputs` returns them."""
+        """Collect the outputs from now on; :meth:`take_outputs` returns them."""
         self.core.pending = []
         self._computed_outputs: list[BatchOutput] = []
         self._computed_count = 0
@@ -42,19 +41,19 @@ class DeferringAdapter(BatchAdapter):
         return self._computed_count + len(self.core.pending)
 
     def take_outputs(self) -> list[BatchOutput]:
-        """Compute and return all pending outputs by their indices, with the messages published before some of them."""
+        """Compute and return all pending outputs, with the messages that are published before some of them."""
         self._compute_pending()
         parts, self._computed_outputs, self._computed_count = self._computed_outputs, [], 0
         return parts
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """See :class:`ship_node.edge.adapter.Adapter`; periodic messages are those of the last output."""
+        """See :class:`ship_node.edge.adapter.Adapter`; periodic messages describe the last output."""
         if (now_ns if waiting_ns is None else waiting_ns) >= self.idle_until_ns:
             self._compute_pending()
         return super().tick(now_ns, waiting_ns)
 
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`; an output that is published at once follows all pending ones."""
+        """See :class:`ReportingAdapter`; pending outputs are computed before an output that is published at once."""
         if outcome.estimates:
             self._compute_pending()
         return super().report_outcome(outcome, now_ns, waiting_ns)

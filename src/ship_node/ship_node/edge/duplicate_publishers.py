@@ -1,7 +1,7 @@
-"""Inputs on which two publishers send; it is unknown which of them is right.
+"""Detection of two publishers on one input; which publisher is right is unknown.
 
-A live node gets their names from the middleware (:mod:`ship_node.live.active_publishers`). In a recording only the
-values reveal them: two streams alternate, each of which is continuous (:mod:`ship_estimation.interleaved`).
+A live node gets the publishers' names from the middleware (:mod:`ship_node.live.active_publishers`). In a recording
+only the values reveal two publishers, as two continuous streams that alternate (:mod:`ship_estimation.interleaved`).
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ _ROTATION = np.sqrt(2.0)
 """Distance of two rotation matrices (all nine elements) per radian of a small angle between them."""
 
 _TIMEOUT_NS = 30 * SECOND_NS
-"""Timeout after which the two streams found by their values count as one again, ns."""
+"""Time without values after which two detected streams count as one again, ns."""
 
 
 class StreamQuantity(NamedTuple):
@@ -48,10 +48,10 @@ ATTITUDE = StreamQuantity(
     30.0 * ARCSEC * _ROTATION,
     lambda distance: _degrees(2.0 * np.arcsin(min(distance / (2.0 * _ROTATION), 1.0))),
 )
-"""Attitude; 30″ are six times the noise of a coarse system."""
+"""Attitude; the minimum distance, 30″, is six times the noise of a coarse system."""
 
 def _normalised_residual(decision: Any) -> FloatArray:
-    """Return the innovation in standard deviations of the measurement's own noise, which is at least 0.1″."""
+    """Return the innovation in standard deviations of the measurement noise, which is at least 0.1″."""
     in_sigmas: FloatArray = decision.residual / np.sqrt(np.maximum(decision.noise.diagonal(), (0.1 * ARCSEC) ** 2))
     return in_sigmas
 
@@ -61,10 +61,10 @@ INNOVATION = StreamQuantity(
     10.0,
     lambda distance: f"{distance:.0f} sigma of their noise apart",
 )
-"""Innovation of an attitude in standard deviations of its own noise; independent of the ship's motion."""
+"""Innovation of an attitude in standard deviations of its noise; it does not depend on the ship's motion."""
 
 POSITION = StreamQuantity(lambda fix: ecef_from_geodetic(fix.position), 5.0, _metres)
-"""Position fix; 5 m correspond to 0.2″."""
+"""Position fix; the minimum distance, 5 m, corresponds to 0.2″ of the horizon."""
 
 BASELINE = StreamQuantity(lambda sample: sample.vector, 0.05, _metres)
 """Baseline to a drone."""
@@ -79,7 +79,7 @@ class DuplicatePublishers:
     """Inputs on which two publishers send, by the middleware's information and by the values.
 
     Args:
-        continuous: topic → continuous quantity, of the inputs that are checked by their values.
+        continuous: topic → continuous quantity, for the inputs whose values are checked.
     """
 
     def __init__(self, continuous: dict[str, StreamQuantity]) -> None:
@@ -90,11 +90,12 @@ class DuplicatePublishers:
     def restart(self) -> None:
         """Reset the value checks: the clock went back, or the node was reset."""
         self._streams = {topic: InterleavedStreams(kind.min_distance) for topic, kind in self._quantities.items()}
-        # For each topic with two streams: stamp of its newest value, and timeout-clock time at which that was found.
+        # For each topic with two streams: stamp of its newest value, and timeout-clock time at which this stamp was
+        # found.
         self._newest_stamps: dict[str, tuple[int | None, int]] = {}
 
     def end_timed_out(self, waiting_ns: int) -> list[str]:
-        """End pairs of streams without values since the timeout; return their topics.
+        """End each pair of streams that had no value for the timeout; return the topics of these pairs.
 
         Args:
             waiting_ns: time by the timeout clock.
@@ -111,9 +112,10 @@ class DuplicatePublishers:
         return timed_out
 
     def set_publisher_text(self, topic: str, text: str) -> None:
-        """Set the text of a topic with two publishers by the middleware's information; an empty text ends it.
+        """Set the text about two publishers that the middleware reports for a topic; an empty text ends this state.
 
-        The value check of the topic restarts then: for slow messages it would need a minute to end.
+        The end also restarts the topic's value check, which for slow messages would otherwise report two streams for
+        another minute.
         """
         if text:
             self._publisher_texts[topic] = text

@@ -15,7 +15,7 @@ from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 _MAX_PENDING = 5000
-"""Maximum number of pending decisions; of more the newest are evaluated."""
+"""Maximum number of pending decisions; above it the oldest are discarded."""
 
 _OK_KINDS = (DiagnosisKind.AS_STATED, DiagnosisKind.UNKNOWN)
 
@@ -24,7 +24,7 @@ class InnovationReport:
     """Innovation diagnoses of a node's sources as diagnostics.
 
     Attributes:
-        pending: decisions not evaluated yet, each with the name of its source.
+        pending: decisions that are not evaluated yet, each with the name of its source.
     """
 
     def __init__(self) -> None:
@@ -48,12 +48,12 @@ class InnovationReport:
 
 
 def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> DiagnosticStatus:
-    """Return the status of the clock offsets that a filter estimates: WARN if one is outside the configured limits.
+    """Return the status of the clock offsets that a filter estimates: WARN if an offset is outside its limits.
 
     Args:
         model: state model of the filter.
-        mean: its state.
-        groups: see :func:`ship_estimation.innovation_diagnosis.clock_diagnoses`.
+        mean: state vector of the filter.
+        groups: as for :func:`ship_estimation.innovation_diagnosis.clock_diagnoses`.
     """
     issues = clock_diagnoses(model, mean, groups)
     return DiagnosticStatus(

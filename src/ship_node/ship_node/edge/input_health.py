@@ -12,14 +12,14 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
 FIRST_MESSAGE_TIMEOUT_NS = 5_000_000_000
-"""Maximum time from the start to the first message of a required topic or one with publishers, ns."""
+"""Maximum time from the start to the first message of a topic, and between its first messages, ns."""
 
 REJECTION_SHOWN_NS = 2_000_000_000
 """Time for which a single rejection is shown, ns."""
 
 TIMEOUT_PERIODS = 3.0
 TIMEOUT_ERROR_NS = 1_000_000_000
-"""Timeout of a required topic after which the level is ERROR, ns."""
+"""Time without data of a required topic after which the level is ERROR, ns."""
 
 MIN_TIMEOUT_NS = 100_000_000
 """Minimum timeout, ns: the evaluation runs once per tick."""
@@ -29,7 +29,7 @@ REJECTIONS_ERROR = 20
 FUTURE_STAMPS_ERROR = 10
 
 _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
-"""Rejections that also good data meet occasionally: only several in a row are a warning."""
+"""Reasons for which good data are rejected occasionally; only several such rejections in a row give a warning."""
 
 _EDGES = (*(f"up to {edge:g} s" for edge in DELAY_BIN_EDGES_S), f"above {DELAY_BIN_EDGES_S[-1]:g} s")
 
@@ -40,9 +40,9 @@ class _InputState(NamedTuple):
     """State of one input topic at one time.
 
     Attributes:
-        record: its statistics.
-        level, text: the worst issue.
-        rate_hz, latency_s, age_s: from the statistics.
+        record: statistics of the topic.
+        level, text: level and text of the worst issue.
+        rate_hz, latency_s, age_s: values from the statistics at that time.
     """
 
     record: InputRecord
@@ -56,14 +56,14 @@ class _InputState(NamedTuple):
 class InputHealthMonitor(InputRecords):
     """Health of all inputs of a node, from their statistics and from information of the middleware.
 
-    The node runtime adds what only the middleware reports; offline that stays unknown.
+    The node runtime adds the information of the middleware, which is unknown offline.
 
     Args:
-        inputs: the topics; others raise KeyError.
-        max_age_s: maximum age of a stamp, s: an older one belongs to another time.
+        inputs: the input topics; any other topic raises KeyError.
+        max_age_s: maximum age of a stamp, s; see :data:`ship_node.edge.input_record.MAX_AGE_S`.
 
     Attributes:
-        first_duplicate_publishers: topic → first text about two publishers, of the topics that ever had two.
+        first_duplicate_publishers: topic → first text about its two publishers; topics that never had two are left out.
     """
 
     def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
@@ -79,7 +79,7 @@ class InputHealthMonitor(InputRecords):
     def set_publisher_count(self, topic: str, count: int, names: Sequence[str] = ()) -> None:
         """Set the number of publishers of a topic, and their names if there are several.
 
-        Without a publisher the note of an incompatible QoS is removed.
+        If there is no publisher, the record of an incompatible QoS is removed.
         """
         self._publishers[topic] = count
         self._publisher_names[topic] = ", ".join(names)
@@ -87,13 +87,13 @@ class InputHealthMonitor(InputRecords):
             self._incompatible.pop(topic, None)
 
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
-        """Set the text about two publishers of a topic; an empty text ends it."""
+        """Set the text about two publishers of a topic; an empty text ends this state."""
         self._duplicate_publishers[topic] = text
         if text:
             self.first_duplicate_publishers.setdefault(topic, text)
 
     def record_incompatible_qos(self, topic: str, text: str) -> None:
-        """Record that a publisher's QoS is incompatible: none of its messages will arrive."""
+        """Record that a publisher's QoS is incompatible, so that its messages cannot arrive."""
         self._incompatible[topic] = text
 
     def set_clock_unused(self, is_unused: bool) -> None:
@@ -154,7 +154,7 @@ class InputHealthMonitor(InputRecords):
         return DiagnosticStatus(f"input {topic}", state.level, state.text, values)
 
     def _worst_issue(self, record: InputRecord, latency_s: float, rate_hz: float, waiting_ns: int) -> _Issue:
-        """Return the worst issue; of equally bad ones the first."""
+        """Return the issue of the highest level; the first one if several have this level."""
         issues = [
             *self._connection_issues(record, waiting_ns),
             *([(Level.ERROR, self._age_text(latency_s))] if record.is_too_old else []),

@@ -20,7 +20,7 @@ WINDOW = 50
 """Number of arrivals from which rate and latency are computed."""
 
 MAX_AGE_S = 10.0
-"""Maximum age of a stamp, s: an older one belongs to another time."""
+"""Maximum age of a stamp, s; an older stamp shows a wrong clock or a bag played without /clock."""
 
 DELAY_BIN_EDGES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """Upper edges of the histogram of the delays of late messages, s."""
@@ -34,15 +34,15 @@ class InputRecord:
     Attributes:
         input: the topic.
         received, accepted, rejected: numbers of messages since the start.
-        reasons: number of messages by reason, in order of first appearance.
-        note_counts: the part of ``reasons`` with messages that were used nevertheless.
-        late_delays: number of late messages per bin of :data:`DELAY_BIN_EDGES_S`, and above.
-        consecutive_rejections: messages rejected since the last accepted one; those of a source that is switched off do
-            not count.
-        consecutive_future_stamps: messages stamped in the future since the last other one.
+        reasons: number of rejections and remarks by reason, in order of first appearance.
+        note_counts: number of remarks on used messages by reason; ``reasons`` includes them.
+        late_delays: number of late messages per bin of :data:`DELAY_BIN_EDGES_S`; the last bin is above all edges.
+        consecutive_rejections: number of rejections since the last accepted message; messages of a source that is
+            switched off do not count.
+        consecutive_future_stamps: number of messages in a row that were rejected for a stamp in the future.
         last_rejection_ns: timeout-clock time of the last rejection; None if there was none.
         last_rejection: the last rejection; None if there was none.
-        is_too_old: True if the last accepted stamp was too long before the node's time.
+        is_too_old: True if the last accepted stamp was older than the maximum age.
         last_arrival_ns: timeout-clock time of the last message; None if there was none.
     """
 
@@ -77,11 +77,11 @@ class InputRecord:
         self.last_arrival_ns = waiting_ns
 
     def add_batch(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
-        """Count a batch of messages that were all used, as by :meth:`add_arrival` and :meth:`add_accepted`.
+        """Count a batch of used messages as :meth:`add_arrival` and :meth:`add_accepted` count single messages.
 
         Args:
-            arrivals_ns: receive times by the node's clock, which the timeout clock equals here, shape (N,).
-            stamps_ns: in ascending order, shape (N,).
+            arrivals_ns: receive times, equal by both clocks, shape (N,).
+            stamps_ns: stamps in ascending order, shape (N,).
             max_age_ns: see :meth:`add_accepted`.
         """
         self.received += len(arrivals_ns)
@@ -103,7 +103,7 @@ class InputRecord:
             self._newest_stamp_ns = int(stamps_ns[-1])
 
     def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
-        """Count a used message and end a run of rejections; one older than ``max_age_ns`` is counted as CLOCK."""
+        """Count a used message and end a run of rejections; a stamp older than ``max_age_ns`` adds a remark CLOCK."""
         self.accepted += 1
         self.consecutive_rejections = self.consecutive_future_stamps = 0
         self._latencies_ns.append(receive_ns - stamp_ns)
@@ -115,7 +115,7 @@ class InputRecord:
             self._newest_stamp_ns = stamp_ns
 
     def add_rejected(self, rejection: Rejection, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
-        """Count a rejected message; the delay of a late one is added to the histogram."""
+        """Count a rejected message; the delay of a late message is added to the histogram."""
         self.rejected += 1
         self.reasons[rejection.reason] += 1
         # A source that is switched off may be good: its messages do not count as consecutive rejections.
@@ -127,7 +127,7 @@ class InputRecord:
             self.late_delays[sum(delay_s > edge for edge in DELAY_BIN_EDGES_S)] += 1
 
     def add_overflow(self, count: int, why: str, waiting_ns: int) -> None:
-        """Count messages that were cut unread because of a bound; a run of rejections neither grows nor ends."""
+        """Count messages that were dropped unread because of a bound; the count of consecutive rejections stays."""
         self.received += count
         self.rejected += count
         self.reasons[Reason.OVERFLOW] += count
@@ -136,7 +136,7 @@ class InputRecord:
         self.last_rejection = Rejection(Reason.OVERFLOW, f"{cut} messages dropped, the last {why}")
 
     def add_behind(self, count: int, why: str, waiting_ns: int) -> None:
-        """Count messages that were cut because the node is behind; they count as arrivals for the timeout."""
+        """Count messages that were dropped because the node is behind; for the timeout they count as arrivals."""
         self.received += count
         self.rejected += count
         self.reasons[Reason.BEHIND] += count
@@ -154,7 +154,10 @@ class InputRecord:
         return (sum(self._intervals_ns) - max(self._intervals_ns)) / (len(self._intervals_ns) - 1)
 
     def rate_hz(self, waiting_ns: int) -> float:
-        """Return the mean arrival rate, Hz, with a current gap longer than any interval; NaN before two messages."""
+        """Return the mean arrival rate, Hz; NaN before two messages.
+
+        The time since the last message counts as an interval if it is longer than every earlier interval.
+        """
         if self.last_arrival_ns is None or not self._intervals_ns:
             return math.nan
         since_ns = waiting_ns - self.last_arrival_ns
@@ -168,7 +171,7 @@ class InputRecord:
         if not self._latencies_ns:
             return math.nan
         ordered, middle = sorted(self._latencies_ns), len(self._latencies_ns) // 2
-        # The two middle values, which are equal for an odd number.
+        # For an odd number of values both indices are the same.
         return 0.5 * (ordered[middle] + ordered[~middle]) * 1e-9
 
     def age_s(self, now_ns: int) -> float:
@@ -180,15 +183,15 @@ class InputRecords:
     """Statistics of all inputs of a node, updated by the adapter and the node runtime.
 
     Rates and timeouts are measured by the timeout clock (:class:`ship_node.edge.adapter.Adapter`), ages and latencies
-    by the node's clock, as stamps are.
+    by the node's clock.
 
     Args:
-        inputs: the topics; others raise KeyError.
-        max_age_s: maximum age of a stamp, s: an older one belongs to another time.
+        inputs: the input topics; any other topic raises KeyError.
+        max_age_s: maximum age of a stamp, s; see :data:`MAX_AGE_S`.
 
     Attributes:
         records: topic → its statistics.
-        start_ns: first timeout-clock time; None before.
+        start_ns: first timeout-clock time; None before the first call with a time.
     """
 
     def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
@@ -214,8 +217,8 @@ class InputRecords:
             waiting_ns: receive time by the timeout clock.
             receive_ns: receive time by the node's clock.
             reading: the message as read.
-            rejection: why it was rejected; None if it was used, or if a decision follows later.
-            is_used: True if a message without rejection counts as used already.
+            rejection: reason of a rejection; None if the message was used, or if a decision follows later.
+            is_used: True if a message without rejection counts as used at once.
         """
         self.record_arrival(topic, waiting_ns)
         if not reading.covariance_known:
@@ -235,8 +238,8 @@ class InputRecords:
         Args:
             topic: the input topic.
             receive_ns: receive times, equal by both clocks, shape (N,).
-            stamps_ns: in ascending order, shape (N,).
-            covariance_known: True if they give a covariance.
+            stamps_ns: stamps in ascending order, shape (N,).
+            covariance_known: True if the messages give a covariance.
         """
         self._now(int(receive_ns[0]))
         self._now(int(receive_ns[-1]))
@@ -249,7 +252,7 @@ class InputRecords:
     def record_unreadable(
         self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection
     ) -> None:
-        """Record a message that could not be read; times as in :meth:`record_input`, and its stamp."""
+        """Record a message that could not be read; the receive times are as in :meth:`record_input`."""
         self.record_arrival(topic, waiting_ns)
         self.record_rejected(topic, rejection, receive_ns, stamp_ns)
 
@@ -258,7 +261,7 @@ class InputRecords:
 
         Args:
             topic: the input topic.
-            decision: on the measurement.
+            decision: decision on the measurement.
             now_ns: time of the decision by the node's clock.
         """
         time_ns = decision.measurement.time_ns
@@ -288,7 +291,7 @@ class InputRecords:
             topic: the input topic.
             rejection: the reason.
             receive_ns: time of the rejection by the node's clock.
-            stamp_ns: stamp of the message; None if it is unusable.
+            stamp_ns: stamp of the message; None if the stamp is unusable.
         """
         if rejection.reason is Reason.FAILED:
             self.record_failure(f"{topic}: {rejection.text}")
@@ -301,18 +304,18 @@ class InputRecords:
         self.records[topic].note_counts[reason] += 1
 
     def record_overflow(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """Record messages that were cut unread because a bound was exceeded.
+        """Record messages that were dropped unread because a bound was exceeded.
 
         Args:
             topic: the input topic.
             count: number of messages.
-            why: the bound, for the user.
+            why: text for the user about the bound.
             waiting_ns: time of the report by the timeout clock.
         """
         self.records[topic].add_overflow(count, why, self._now(waiting_ns))
 
     def record_overload_cut(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """Record messages that were cut because the node is behind; arguments as in :meth:`record_overflow`."""
+        """Record messages that were dropped because the node is behind; arguments as in :meth:`record_overflow`."""
         self.records[topic].add_behind(count, why, self._now(waiting_ns))
 
     def record_failure(self, text: str) -> None:
@@ -337,9 +340,9 @@ class InputRecords:
             record.reset_stamps()
 
     def rejection_and_note_counts(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
-        """Return topic → reason → numbers of rejected messages and of messages used with a remark.
+        """Return topic → (rejections by reason, remarks on used messages by reason).
 
-        Topics without either are left out.
+        Topics without rejections and remarks are left out.
         """
         return {
             topic: (record.reasons - record.note_counts, record.note_counts)

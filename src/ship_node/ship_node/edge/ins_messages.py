@@ -23,14 +23,14 @@ from ship_node.edge.messages_in import (
 )
 
 SIGMA_MISMATCH_RATIO = 1.5
-"""Ratio of the sigma that an INS states to the configured one above which it is reported."""
+"""Ratio of the sigma stated by an INS to the configured sigma, above which the stated sigma is reported."""
 
 
 def sigma_mismatch_text(covariance: FloatArray, config: InsInputConfig) -> str:
-    """Return a text with the sigmas stated by the INS that exceed the configured ones; empty if none does.
+    """Return a text about sigmas that the INS states too large for the configuration; empty if there are none.
 
     Args:
-        covariance: covariance of the orientation in its messages, rad², shape (3, 3); the third axis is vertical.
+        covariance: orientation covariance in the INS's messages, rad², shape (3, 3); the third axis is vertical.
         config: configuration of the INS.
     """
     stated_arcsec = np.sqrt(covariance.diagonal()) / ARCSEC
@@ -48,10 +48,10 @@ def sigma_mismatch_text(covariance: FloatArray, config: InsInputConfig) -> str:
 def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
     """Convert an ``ins/imu`` message to attitude and angular rate of the deck.
 
-    The message's covariance is the INS's total error, not white noise: it is checked and not used further.
+    The covariance in the message describes the INS's total error, not white noise, so it is only checked.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message fails a check.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.frame_id)
@@ -65,9 +65,10 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
 
 
 def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBatch:
-    """Return the leading messages of a batch that :func:`ins_sample` accepts, as a SampleBlock.
+    """Return the leading messages of a batch that :func:`ins_sample` accepts.
 
-    They all have angular rates and the same covariance. Each sample equals that of :func:`ins_sample` to the last bit.
+    These messages all have angular rates and the same covariance. Each sample equals the result of :func:`ins_sample`
+    bit for bit.
 
     Args:
         messages: messages of ``ins/imu``.
@@ -95,12 +96,12 @@ def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
 
 
 def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:
-    """Return the rotations deck → horizon, shape (N, 3, 3), of the INS's quaternions, shape (N, 4)."""
+    """Convert quaternions of the INS, shape (N, 4), to rotations deck → horizon, shape (N, 3, 3)."""
     rotations: FloatArray = rotation_from_quaternion(quaternions, config.convention) @ config.rotation_di.T
     return rotations
 
 
 def _rates_d(rates_ros: FloatArray, config: InsInputConfig) -> FloatArray:
-    """Return angular rates in the deck frame, rad/s, shape (N, 3), of rates in the axes of the message."""
+    """Convert angular rates from the axes of the message to the deck frame, rad/s, shape (N, 3)."""
     rates: FloatArray = (config.rotation_di @ device_vector_from_ros(rates_ros, config.convention)[..., None])[..., 0]
     return rates

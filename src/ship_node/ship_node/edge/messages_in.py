@@ -28,9 +28,9 @@ MIN_QUATERNION_NORM = 1e-6
 QUATERNION_NORM_TOLERANCE = 1e-2
 COVARIANCE_TOLERANCE = 1e-6
 MIN_DEFINITE_DETERMINANT = 1e-9
-"""Determinant of a correlation matrix above which it is positive definite beyond rounding."""
+"""Determinant of a correlation matrix above which the matrix is positive definite beyond rounding."""
 NOT_GIVEN = -1.0
-"""First element of a covariance in sensor_msgs/Imu whose quantity is not given."""
+"""First element of a covariance in sensor_msgs/Imu if the message does not give the quantity."""
 _LONGEST_ID = 64
 MAX_VARIANCE = (2.0 * math.pi) ** 2
 """Largest accepted variance of an angle, rad²: a sigma of one full turn."""
@@ -38,7 +38,7 @@ MAX_VARIANCE = (2.0 * math.pi) ** 2
 MAX_RATE = 100.0
 """Largest accepted angular rate of a ship, rad/s.
 
-Rates in degrees per second stay below it; they are detected by their ratio to the expected ones."""
+A ship's rates in degrees per second are below this limit; they are detected by their ratio to the expected rates."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class ReadMessage(Generic[Value]):
     """Result of reading a message.
 
     Attributes:
-        value: the struct that the core takes, with its stamp ``time_ns``.
+        value: the input of the core, with its stamp ``time_ns``.
         covariance_known: False if the message gives no covariance; the configured sigma is used then.
         rejected_parts: rejected parts of the message (stars, lights), by name, with the reasons.
-        is_empty: True if the device works and saw nothing, so that there is nothing to compare.
+        is_empty: True if the device works but detected nothing, so that there is nothing to compare.
     """
 
     value: Value
@@ -71,7 +71,7 @@ class MessageRejected(Exception):
 
 
 def quoted_id(name: str) -> str:
-    """Return a name from a message for a text: in quotes and cut to a reasonable length."""
+    """Return a name from a message in quotes, shortened for use in a text."""
     return f"'{shorten(name, _LONGEST_ID)}'"
 
 
@@ -79,8 +79,8 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     """Return the stamp of a header, ns.
 
     Raises:
-        MessageRejected: BAD_STAMP if it is zero, negative or has 1e9 ns or more; FUTURE if it is more than 50 ms ahead
-            of ``receive_ns``.
+        MessageRejected: BAD_STAMP if the stamp is zero or negative, or if its nanoseconds are 1e9 or more; FUTURE if
+            the stamp is more than 50 ms ahead of ``receive_ns``.
     """
     if header.stamp.nanosec >= _SECOND_NS:
         raise MessageRejected(
@@ -96,7 +96,7 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
 
 
 def check_frame(frame_id: str, expected: str) -> None:
-    """Reject a message with another frame_id; an empty ``expected`` accepts any.
+    """Reject a message with another frame_id; an empty ``expected`` accepts any frame.
 
     Raises:
         MessageRejected: FRAME.
@@ -106,7 +106,7 @@ def check_frame(frame_id: str, expected: str) -> None:
 
 
 def check_device_id(field: str, given: str, expected: str) -> None:
-    """Reject a message of another device than the topic's.
+    """Reject a message whose device is not the expected one.
 
     Raises:
         MessageRejected: UNKNOWN_SENSOR.
@@ -185,13 +185,14 @@ def optional_sigma(sigma: float, largest: float) -> float | None:
 
 
 def covariance_3x3(values: Sequence[float], field: str = "covariance") -> FloatArray | None:
-    """Return a covariance given as nine numbers, symmetric, shape (3, 3); None if it is unknown.
+    """Return the symmetric covariance of nine numbers, shape (3, 3); None if the covariance is unknown.
 
-    Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma is used then.
+    A covariance is unknown if all numbers are zero or the first is −1 (sensor_msgs/Imu); the configured sigma is used
+    then. Asymmetry and negative eigenvalues due to rounding are removed.
 
     Raises:
-        MessageRejected: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is, beyond rounding,
-            not symmetric or not positive semidefinite. Rounding errors are removed.
+        MessageRejected: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is not symmetric or
+            not positive semidefinite beyond rounding.
     """
     try:
         return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())
@@ -229,7 +230,7 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     variances = numbers[::4]
     if min(variances) < 0.0:
         raise MessageRejected(Reason.BAD_COVARIANCE, f"holds a negative variance: {min(variances):.6g}")
-    # Relative to the sigmas, so that small and large axes are checked equally.
+    # The limits are relative to the sigmas, so that axes with small and large sigmas are checked equally.
     first, second, third = map(math.sqrt, variances)
     limits = first * second, first * third, second * third
     above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
@@ -249,14 +250,14 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
 
 
 def _is_clearly_definite(off_diagonal: Sequence[float], limits: Sequence[float]) -> bool:
-    """True if correlations are those of a positive definite matrix beyond rounding.
+    """True if a correlation matrix is positive definite beyond rounding.
 
-    The product of the three eigenvalues is the determinant. Their sum is three, so the product of two is at most 9/4,
-    and the smallest exceeds a third of the determinant.
+    The product of the three eigenvalues is the determinant. The sum of the eigenvalues is three, so the product of two
+    is at most 9/4. The smallest eigenvalue therefore exceeds a third of the determinant.
 
     Args:
         off_diagonal: covariances of axes 1 and 2, 1 and 3, 2 and 3.
-        limits: products of their sigmas.
+        limits: products of the sigmas of the same axes.
     """
     if not min(limits) > 0.0:
         return False
@@ -265,7 +266,7 @@ def _is_clearly_definite(off_diagonal: Sequence[float], limits: Sequence[float])
 
 
 def _with_nonnegative_variances(symmetric: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return a symmetric matrix, shape (3, 3), as a covariance without negative eigenvalues of its correlations.
+    """Return a covariance, shape (3, 3), with negative eigenvalues of its correlation matrix set to zero.
 
     Raises:
         MessageRejected: BAD_COVARIANCE if an eigenvalue is negative beyond rounding.

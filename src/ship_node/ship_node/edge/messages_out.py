@@ -46,10 +46,10 @@ class DiagnosticStatus:
     """State of one part of a node.
 
     Attributes:
-        name: the part, as ``"input ins/imu"``.
+        name: name of the part, as ``"input ins/imu"``.
         level: severity.
         message: one line for the user.
-        values: further figures by name.
+        values: further values as texts, by name.
     """
 
     name: str
@@ -81,10 +81,10 @@ class _ReportedStatus(NamedTuple):
 def diagnostic_array(
     now_ns: int, node: str, statuses: Iterable[DiagnosticStatus], full_name: str = ""
 ) -> CdrMessage:
-    """Return a diagnostic_msgs/DiagnosticArray as its bytes.
+    """Return an encoded diagnostic_msgs/DiagnosticArray.
 
-    Its texts change from one array to the next, so a template would not be reused. All fields but the levels are texts
-    and counts, aligned to four bytes: they are concatenated.
+    No template is used, because the texts change from one array to the next. All fields except the levels are texts and
+    counts, aligned to four bytes, so that their bytes are concatenated.
 
     Args:
         now_ns: time of the report.
@@ -116,7 +116,7 @@ def decision_message(factory: MessageFactory, source: str, decision: Measurement
     Args:
         factory: makes the message.
         source: name of the source.
-        decision: on the measurement.
+        decision: decision on the measurement.
     """
     reason, text = decision.reason, decision.text
     if decision.accepted and not decision.measurement.covariance_known:
@@ -151,7 +151,7 @@ def rejection_message(
     sigma: FloatArray = _NOTHING,
     nis: float = float("nan"),
 ) -> Any:
-    """Return the ship_msgs/Innovation of an input, or of a part of one (a star, a light), that was rejected.
+    """Return the ship_msgs/Innovation of a rejected input, or of a rejected part of an input (a star, a light).
 
     Args:
         factory: makes the message.
@@ -160,7 +160,7 @@ def rejection_message(
         rejection: the reason.
         components: names of the residuals; empty if nothing was compared.
         residual: measured minus predicted, rad, shape (m,).
-        sigma: predicted standard deviation of each, rad, shape (m,).
+        sigma: predicted standard deviation of each residual, rad, shape (m,).
         nis: normalised innovation squared.
     """
     source = shorten(source)
@@ -194,10 +194,11 @@ def error_budget_message(
         factory: makes the message.
         quantity: the estimated quantity.
         time_ns: stamp of the estimate.
-        frame_id: frame whose attitude it is.
+        frame_id: frame whose attitude is estimated.
         sources: names of the error sources.
-        covariances_n: covariance by each source, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
-        covariance_n: their sum, rad², shape (3, 3).
+        covariances_n: covariance due to each source, as rotation vector in (North, Up, East), rad², shape (n_sources,
+            3, 3).
+        covariance_n: sum of ``covariances_n``, rad², shape (3, 3).
     """
     return factory.encode(
         BUDGET_TYPE,

@@ -1,6 +1,6 @@
-"""Numbers of outputs for their messages: of one output as numbers, of many as columns.
+"""Values for the fields of output messages: numbers for one output, columns for many outputs.
 
-The assignment of numbers to fields is defined once per node and used for single outputs (live) and for batches.
+The assignment of values to fields is defined once per node, for single outputs (live) and for batches.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -15,11 +15,11 @@ from ship_node.edge.batches import OutputRows
 
 Fields = Mapping[str, Any]
 MessageFields = Iterator[tuple[str, str, Fields]]
-"""Topic, type and fields of each message that outputs become."""
+"""Topic, type and fields of each message."""
 
 
 def join_fields(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
-    """Return the values of some fields of several runs of outputs, concatenated: arrays or lists.
+    """Return each named field, concatenated over several runs of outputs to one array or list.
 
     Example:
         >>> from types import SimpleNamespace
@@ -34,17 +34,17 @@ def join_fields(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
 
 def select_values(values: Any, places: NDArray[np.int64]) -> Any:
-    """Select values of an array or a list."""
+    """Return the values of an array or a list at some indices."""
     return [values[place] for place in places] if isinstance(values, list) else values[places]
 
 
 def single_numbers(*arrays: Any) -> list[Any]:
-    """Return for each array, whose first axis counts outputs, the numbers of its only output."""
+    """Return the numbers of the only output in each array; the first axis of an array counts outputs."""
     return [values[0].tolist() for values in arrays]
 
 
 def column_numbers(*arrays: Any) -> list[Any]:
-    """Return for each array, whose first axis counts outputs, the numbers of all outputs by columns."""
+    """Return each array, whose first axis counts outputs, transposed: one column for each number of an output."""
     return [values.T for values in arrays]
 
 
@@ -53,12 +53,12 @@ def rows_by_kind(
     kinds: Iterable[Hashable],
     messages_of: Callable[[Any, NDArray[np.int64]], MessageFields],
 ) -> Iterator[OutputRows]:
-    """Return the messages of many outputs; those of each output are in the order of ``messages_of``.
+    """Return the messages of many outputs; the messages of one output are in the order of ``messages_of``.
 
     Args:
         factory: makes the messages.
-        kinds: kind of each output; outputs of one kind have messages with the same texts and lengths.
-        messages_of: messages of a kind and the indices of its outputs.
+        kinds: kind of each output; outputs of one kind have messages with the same texts and array lengths.
+        messages_of: returns the messages for a kind and the indices of its outputs.
     """
     kinds = list(kinds)
     for kind in dict.fromkeys(kinds):

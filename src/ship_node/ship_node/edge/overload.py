@@ -1,4 +1,4 @@
-"""State of a node that cannot keep up with its inputs, and its text."""
+"""Overload state of a node that cannot keep up with its inputs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Overload:
-    """Change of the overload state: messages were cut because they waited too long, or the node keeps up again.
+    """Change of the overload state: messages were dropped because they waited too long, or the node keeps up again.
 
     Attributes:
         behind_s: time that the oldest message has waited, s; 0 if the node keeps up again.
         cores: number of processor cores that the node may use.
         load: mean number of runnable processes in the last minute.
-        cut: topic → number of messages cut since the last change.
+        cut: topic → number of messages dropped since the last change.
     """
 
     behind_s: float

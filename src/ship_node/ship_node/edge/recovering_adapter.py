@@ -1,9 +1,10 @@
-"""Adapter with recovery: a second estimator may replace one that is in trouble.
+"""Adapter with recovery: a second estimator may replace an estimator that is in trouble.
 
 Trouble is an excluded source, or a status that is worse than the inputs allow
-(:mod:`ship_estimation.recovery.trouble`). The second estimator then gets the same inputs and ticks. Once a second the
-adapter passes status and sources to :mod:`ship_estimation.recovery.recovery`, which decides. While the second estimator
-runs, messages are processed one by one, and nothing that the filter has learned is saved.
+(:mod:`ship_estimation.recovery.trouble`). In trouble, a second estimator gets the same inputs and ticks as the first.
+Once a second the adapter passes status and sources to :mod:`ship_estimation.recovery.recovery`, which decides on
+starting and adopting the second estimator. While the second estimator runs, messages are processed one by one. The
+filter's state is not saved while there is trouble.
 """
 
 from abc import abstractmethod
@@ -35,7 +36,7 @@ PRESENCE_REASONS = frozenset({
     *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
 })  # fmt: skip
-"""Reasons of a comparison. A message that is rejected for one of them was usable, so its source counts as present."""
+"""Reasons of decisions that follow a comparison: the compared message was usable, so its source counts as present."""
 
 _RECOVERY = "recovery"
 """Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
@@ -44,10 +45,10 @@ _NOT_SAVED_TEXT = "not saved: a second estimator runs, because {}; the state lea
 
 
 class RecoveringAdapter(BatchAdapter):
-    """Adapter with a second estimator in trouble; see :class:`BatchAdapter`.
+    """Adapter that runs a second estimator while there is trouble; see :class:`BatchAdapter`.
 
     Attributes:
-        recovery: decides on starting and adopting the second estimator.
+        recovery: logic for starting and adopting the second estimator.
     """
 
     def __init__(self, config: Any, *rest: Any) -> None:
@@ -62,7 +63,7 @@ class RecoveringAdapter(BatchAdapter):
     @property
     @abstractmethod
     def source_timeouts_s(self) -> Mapping[str, float]:
-        """Prefix of source names → maximum age of the last usable message for the source to be present, s."""
+        """Maximum age of the last usable message of a present source, s, by prefix of the source's name."""
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
         """Return the sources, named as in exclusions, that a usable message shows to be present."""
@@ -74,11 +75,11 @@ class RecoveringAdapter(BatchAdapter):
 
     @abstractmethod
     def can_be_valid(self, present_sources: Set[str]) -> bool:
-        """Return True if a new estimator would be VALID with these sources."""
+        """Return True if the output of a new estimator would be VALID with these sources."""
 
     @abstractmethod
     def remedy(self, displaced: Mapping[str, float]) -> str:
-        """Return the advice for sources whose mounting has shifted and does not return.
+        """Return the advice for the operator about sources whose mountings have shifted permanently.
 
         Args:
             displaced: source → shift, rad.
@@ -130,7 +131,7 @@ class RecoveringAdapter(BatchAdapter):
         return failed + super().report_outcome(outcome, now_ns, waiting_ns)
 
     def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[OutputMessage]:
-        """Pass decisions to the recovery; return a failure message if that raises."""
+        """Pass decisions to the recovery; return a failure message if the recovery raises an exception."""
         try:
             for decision in decisions:
                 self.recovery.record_decision(self.core, decision)
@@ -176,7 +177,7 @@ class RecoveringAdapter(BatchAdapter):
         return published
 
     def _decide(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Let the recovery decide; return the messages of an adoption or of a failure of the second estimator."""
+        """Update the recovery; return the messages of an adoption or of a failure of the second estimator."""
         present_sources, before = self._present_sources(waiting_ns), self.recovery.candidate
         is_as_expected = (
             self._is_valid_or_above_limit() or self.behind is not None or not self.can_be_valid(present_sources)
@@ -193,9 +194,9 @@ class RecoveringAdapter(BatchAdapter):
         return published
 
     def _is_valid_or_above_limit(self) -> bool:
-        """Return True if the last output is VALID, or only DEGRADED by the alert limit.
+        """Return True if the last output is VALID, or DEGRADED only because of the alert limit.
 
-        Another estimator would not change a protection level above its alert limit.
+        A second estimator would not lower a protection level below its alert limit.
         """
         latest = self.latest
         if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
@@ -212,7 +213,7 @@ class RecoveringAdapter(BatchAdapter):
         )
 
     def _adopt(self, waiting_ns: int) -> list[OutputMessage]:
-        """Replace the estimator by the second one; outputs continue in order."""
+        """Replace the estimator by the second estimator; the outputs continue in order."""
         candidate = self.recovery.candidate
         assert candidate is not None
         published = self.before_adoption()
@@ -287,7 +288,7 @@ class RecoveringAdapter(BatchAdapter):
         return DiagnosticStatus("recovery", Level.OK, text, values)
 
     def _recovery_reason(self) -> str:
-        """Return why there is trouble, and what ends it."""
+        """Return the cause of the trouble, with the advice for the operator."""
         displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
         if displaced:
             moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
@@ -300,7 +301,7 @@ class RecoveringAdapter(BatchAdapter):
 def _process_in_both(
     first: Callable[..., Any], second: Callable[..., Any], candidate: SecondEstimator
 ) -> Callable[[Any, int], Any]:
-    """Return a function that passes a value to both estimators and returns the first one's outcome."""
+    """Return a function that passes a value to both estimators and returns the outcome of the first."""
 
     def process(value: Any, waiting_ns: int) -> Any:
         outcome = first(value, waiting_ns)

@@ -1,8 +1,8 @@
 """Common adapter of all nodes: read inputs, pass them to the core, count and report the results, run periodic tasks.
 
 A topic's entry in the adapter's table (:class:`Feed`) reads a message and passes its value to the core. The health
-statistics record the result. Rejections, decisions, failures and estimates become messages. The adapters of the nodes
-add the table, the messages of an estimate and their own diagnostics.
+statistics record the result. Rejections, decisions, failures and estimates become messages. The adapter of each node
+adds the table, the messages of an estimate and the node's diagnostics.
 """
 
 from abc import ABC, abstractmethod
@@ -39,16 +39,16 @@ OWN_OUTPUTS = (
     OutputTopic(INPUT_HEALTH_TOPIC, "ship_msgs/msg/InputHealth"),
     OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
 )
-"""Output topics that every node has for its own state."""
+"""Output topics with which every node reports its state."""
 
 _SOURCE_OFF = Rejection(Reason.OFF, "switched off by sources_off")
 _SLOW_TOPICS = "slow topics"
 _ATTITUDE_SHAPE = (3, 3)
-"""Shape of the covariance of an attitude's innovation."""
+"""Shape of the noise covariance of an attitude measurement."""
 _STARS = "star."
 _LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
 _MAX_PENDING_STEP_NS = 60_000_000_000
-"""Maximum age of the state before a possible time step to which the core may be reset, ns."""
+"""Maximum age of the state from before a possible time step, ns; the core is not reset to an older state."""
 _STEP_SHOWN_NS = 60_000_000_000
 """Time for which a step of the time base is a warning, ns."""
 _SECOND_NS = 1_000_000_000
@@ -66,16 +66,18 @@ class Feed:
     Attributes:
         input: the topic.
         source: name of the device in innovation messages.
-        read: reader of a message, with its receive time ``receive_ns=`` by the node's clock, ns; it raises
+        read: reader, called with a message and ``receive_ns=``, the receive time by the node's clock, ns; it raises
             :class:`ship_node.edge.messages_in.MessageRejected` if the message cannot be used.
         process: method of the core, called with the value read and the timeout-clock time, ns; it returns the outcome.
         has_decision: True if the core decides on each message of the topic, perhaps later; False if a message counts as
             used unless the core rejects it at once.
         measurement_source: name of the device in measurements; empty if it equals ``source``.
-        batch: processing of many messages at once (:mod:`ship_node.edge.batch_adapter`); None if there is none.
-        read_rows: reader of many messages and their receive times; its result is None for each that ``read`` must read.
-        stream_quantity: quantity by which two publishers are detected in a recording; None if there is none. It is
-            computed from the decision if ``has_decision``, otherwise from the value read.
+        batch: processing of many messages at once (:mod:`ship_node.edge.batch_adapter`); None if messages are only
+            processed one by one.
+        read_rows: reader, called with many messages and their receive times; it returns None for each message that
+            ``read`` must read.
+        stream_quantity: quantity by which two publishers are detected in a recording; None if the topic is not checked.
+            The quantity is computed from the decision if ``has_decision``, otherwise from the value read.
     """
 
     input: InputTopic
@@ -90,7 +92,7 @@ class Feed:
 
 
 def ignore_time(process: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
-    """Return a method of a core that needs no receive time as :attr:`Feed.process`."""
+    """Return a core's method without a time argument in the form of :attr:`Feed.process`."""
     return lambda value, _waiting_ns: process(value)
 
 
@@ -101,8 +103,8 @@ class ReportingAdapter(ABC):
         config: the node's parameters.
         core: the estimator.
         factory: makes the messages.
-        estimate_messages: messages of an estimate.
-        saved: saved document from which the core starts; None if the node has none.
+        estimate_messages: returns the messages of an estimate.
+        saved: saved document from which the core starts; None if the node has no saved document.
 
     Raises:
         ParameterError: ``sources_off`` names a source that is unknown or cannot be switched off.
@@ -110,7 +112,7 @@ class ReportingAdapter(ABC):
     Attributes:
         config: the current parameters.
         core: the estimator.
-        latest: the last estimate published; None before.
+        latest: the last published estimate; None before the first.
         pending_budget: the last estimate while its error budget is pending; None after an INVALID output.
         conflicts: source → text, for sources in persistent conflict.
         innovation_report: innovation diagnoses of the sources.
@@ -134,7 +136,7 @@ class ReportingAdapter(ABC):
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"]
     """Attributes of an output that determine, together with its state, the redundancy of its sources."""
     directions: ClassVar["attrgetter[np.ndarray]"]
-    """Attribute of an output: matrix from the errors of its state to those of its angles."""
+    """Attribute of an output: the matrix that maps errors of the state to errors of the output's angles."""
     integrity_frame: str = ""
     required_sources: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be switched off."""
@@ -164,7 +166,7 @@ class ReportingAdapter(ABC):
             self.start_warnings = (*self.start_warnings, f"{saved.unreadable_reason}; the filter starts as configured")
         self.clock_jumps = 0
         self.time_base = TimeBase()
-        # State of the core when an input's clock was first found to have moved, and the timeout-clock time of that.
+        # State of the core, and timeout-clock time, when the first input with a moved clock was found.
         self._state_before_step: tuple[Any, int] | None = None
         self._stepped_at_ns = 0
         self.latest: Any = None
@@ -188,7 +190,7 @@ class ReportingAdapter(ABC):
 
     @abstractmethod
     def own_statuses(self, waiting_ns: int) -> Iterable[DiagnosticStatus]:
-        """Return the node's diagnostic statuses other than those of the inputs."""
+        """Return the node's diagnostic statuses, without the statuses of the inputs."""
 
     def no_output(self, now_ns: int, text: str) -> Any | None:
         """Return the INVALID output of a node that is behind; None if its outputs have no such status.
@@ -262,7 +264,7 @@ class ReportingAdapter(ABC):
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
     def check_single_publisher(self, feed: Feed, reading: ReadMessage[Any]) -> None:
-        """Check, before the core gets a value, that it belongs to one stream."""
+        """Add a value to the check for two publishers, before the core gets the value."""
         if feed.stream_quantity is None or feed.has_decision or reading.is_empty:
             return
         topic = feed.input.topic
@@ -281,7 +283,7 @@ class ReportingAdapter(ABC):
         self.core.set_duplicate_publishers(feed.measurement_source or feed.source, "" if self.is_off(topic) else text)
 
     def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Rejection | None:
-        """Return why a message with this stamp is rejected, after processing a time step that it reveals."""
+        """Process a time step that a stamp reveals; return the rejection of the message, or None."""
         topic, clocks = feed.input.topic, self.time_base
         step_ns = clocks.add_arrival(topic, time_ns, receive_ns, waiting_ns)
         if step_ns is not None:
@@ -330,7 +332,7 @@ class ReportingAdapter(ABC):
         return published
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """See :meth:`ship_node.edge.adapter.Adapter.overload`; cut messages are counted and reported as rejected."""
+        """See :meth:`ship_node.edge.adapter.Adapter.overload`; dropped messages count as rejected and are reported."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         why = (change if change.behind_s else self.behind or change).text(self.node_name)
         published = []
@@ -339,7 +341,7 @@ class ReportingAdapter(ABC):
             self.health.record_overload_cut(topic, count, text, waiting_ns)
             published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
-        self.published_levels = PublishedLevels()  # those published before do not apply to the next output
+        self.published_levels = PublishedLevels()  # earlier levels do not apply to the next output
         self._next_invalid_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
@@ -350,7 +352,7 @@ class ReportingAdapter(ABC):
         return []
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Record a step of the computer's clock; it becomes a step of the time base if the inputs follow it."""
+        """Record a step of the computer's clock; the time base steps too if the inputs follow."""
         self.time_base.note_computer_step(step_ns, waiting_ns)
         self.notices.append(f"the computer's clock stepped by {_step_text(step_ns)}")
         return []
@@ -377,7 +379,7 @@ class ReportingAdapter(ABC):
         """Apply live parameters, dotted name → value.
 
         Raises:
-            ParameterError: nothing was changed; the text gives the reason.
+            ParameterError: a change is invalid; then no parameter is changed.
         """
         config = with_changes(self.config, changes)
         self._off_topics = self._disabled_topics(config)
@@ -462,7 +464,7 @@ class ReportingAdapter(ABC):
         return frozenset(topics[source] for source in config.sources_off)
 
     def _off_statuses(self) -> list[DiagnosticStatus]:
-        """Return a status with the sources that are switched off; none if all are on."""
+        """Return a status with the sources that are switched off; an empty list if all are on."""
         names = [feed.source for topic, feed in self.feeds.items() if topic in self._off_topics]
         text = f"switched off by sources_off: {', '.join(names)}"
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
@@ -481,7 +483,7 @@ class ReportingAdapter(ABC):
         return published
 
     def _overload_status(self) -> DiagnosticStatus:
-        """Return the status of the overload: whether the node keeps up with its inputs."""
+        """Return the diagnostic status of the overload."""
         if self.behind is None:
             return DiagnosticStatus("overload", messages_out.Level.OK, "keeps up with its inputs")
         values = {
@@ -513,7 +515,7 @@ class ReportingAdapter(ABC):
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
     def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
-        """Return the protection levels of an output if the published ones do not cover it."""
+        """Return the protection levels of an output if the published levels do not cover it."""
         published, redundancy_key, directions = (
             self.published_levels,
             self.redundancy_key(estimate),
@@ -564,7 +566,7 @@ class ReportingAdapter(ABC):
         self._reset_outputs()
 
     def _restart_streams(self) -> None:
-        """Restart the search for duplicate publishers: the stamps do not continue the earlier ones."""
+        """Restart the check for two publishers, because new stamps do not continue the earlier stamps."""
         doubled = list(filter(self._duplicates.text, self.feeds))
         self._duplicates.restart()
         for topic in doubled:
@@ -574,7 +576,7 @@ class ReportingAdapter(ABC):
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         state = getattr(self.core, "state", None)
         if self._state_before_step is not None and waiting_ns - self._state_before_step[1] <= _MAX_PENDING_STEP_NS:
-            # Messages after the step may have been used as late ones from before it.
+            # Messages from after the step may have been used as late messages from before the step.
             state = self._state_before_step[0]
         self._state_before_step = None
         self.core.step_time_base(step_ns, state)
@@ -585,7 +587,7 @@ class ReportingAdapter(ABC):
         self.notices.append(f"time base stepped by {_step_text(step_ns)}: reset, mountings and calibration kept")
 
     def _time_base_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """Return one status with the last step of the time base; none if there was none."""
+        """Return one status with the last step of the time base; an empty list if there was no step."""
         if not self.time_base.steps:
             return []
         level = messages_out.Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else messages_out.Level.OK

@@ -1,19 +1,19 @@
 """Detection of steps of the time base: all clocks that stamp the inputs jump by the same time at once.
 
-The offset of an input's clock is its stamp minus the time of the timeout clock, which never steps. A late message looks
-like a clock that is behind. A clock has moved only if no delay explains the change of its offset:
+The offset of an input's clock is the stamp of a message minus the timeout-clock time, which never steps. A late message
+looks like a clock that is behind. A clock has moved only if no delay explains the change of its offset:
 
-- It has moved back if a stamp is no newer than the newest one of its own input.
-- It has moved forward if a stamp is ahead of the node's clock, or if its offset has grown by more than
+- A clock has moved back if a stamp is not newer than the newest stamp of the same input.
+- A clock has moved forward if a stamp is ahead of the node's clock, or if the offset has grown by more than
   :data:`_LONGEST_DELAY_NS`.
-- It has moved either way if its change follows an equal step of the computer's clock within a second.
+- A clock has moved back or forward if the change follows an equal step of the computer's clock within a second.
 
-The time base has stepped if every present input has moved by the same time and no message has contradicted it for 0.3
-s. At least two clocks must agree; the computer's clock counts as one. One device alone is never a step of the time
-base.
+The time base has stepped if every present input has moved by the same time and no message has contradicted this step
+for 0.3 s. At least two clocks must agree; the computer's clock counts as one of them. A step of one device alone is
+never a step of the time base.
 
 A step back of the computer's clock is confirmed by the first input that follows it. The stamps of an input that does
-not follow are then ahead of the node's clock, so they could not be used in any case.
+not follow are ahead of the node's clock, so these stamps are unusable in any case.
 """
 
 import bisect
@@ -25,7 +25,7 @@ _MIN_STEP_NS = SECOND_NS // 2
 """Smallest step of stamps that counts without a step of the computer's clock, ns."""
 
 _LONGEST_DELAY_NS = 10 * SECOND_NS
-"""Largest change forward of stamps against arrival that a shorter delay explains, ns."""
+"""Largest growth of an offset that a shorter delay explains, ns."""
 
 _AHEAD_NS = SECOND_NS // 20
 """Tolerance for stamps ahead of the node's clock, ns."""
@@ -49,15 +49,15 @@ _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
 """Time after which the offset of an input that moved alone becomes its normal offset, ns."""
 
 _TOLERANCE, _LARGEST_TOLERANCE_NS = 0.1, 2 * SECOND_NS
-"""Largest difference between two equal steps, as a ratio of them and as a maximum, ns."""
+"""Largest difference of two steps that count as equal: as a ratio of a step, and at most, ns."""
 
 _SMALL_STEP_NS, _LEAST_MESSAGES = 3 * SECOND_NS, 8
-"""Size below which a step may be disorder, ns, and number of messages that must confirm such a step.
+"""Size of a step below which unordered messages may explain it, ns, and number of messages that confirm such a step.
 
 Messages may arrive up to two seconds late."""
 
 _STEADY_AFTER_NS = 10 * SECOND_NS
-"""Time for which a small step is ignored after another one was reversed, ns."""
+"""Time for which a small step is ignored after another small step was reversed, ns."""
 
 _LEAP_NS = -SECOND_NS
 _LEAP_TOLERANCE_NS = SECOND_NS // 4
@@ -70,14 +70,14 @@ class _InputClock:
     """Clock of one input.
 
     Attributes:
-        level_ns: stamp minus timeout-clock time, at the last message that had not moved.
+        level_ns: offset at the last message that had not moved, less ``own_offset_ns``.
         newest_ns: newest stamp.
         arrival_ns: timeout-clock time of the last message.
         period_ns: mean time between messages.
-        own_offset_ns: offset that this input alone has had for long; the following values are relative to it.
-        moved_ns: offset from the level; 0 if it has not moved.
-        moved_since_ns: timeout-clock time at which it moved.
-        last_delay_ns: offset at the last message that a delay explained.
+        own_offset_ns: change of the offset that this input alone has had for long.
+        moved_ns: change of the offset from ``level_ns`` plus ``own_offset_ns``; 0 if the clock has not moved.
+        moved_since_ns: timeout-clock time at which the clock moved.
+        last_delay_ns: change of the offset at the last message that a delay explained.
         last_delay_at_ns: timeout-clock time of that message.
         last_return_ns: timeout-clock time at which a small step was last reversed; None if never.
     """
@@ -101,8 +101,8 @@ class _Candidate:
     Attributes:
         step_ns: the step.
         since_ns: timeout-clock time since which no message has contradicted it.
-        agree: inputs that have moved by it since then.
-        messages: number of messages of inputs that have moved by it.
+        agree: inputs that have moved by ``step_ns`` since then.
+        messages: number of messages of inputs that have moved by ``step_ns``.
     """
 
     step_ns: int
@@ -116,7 +116,7 @@ class TimeBase:
 
     Attributes:
         steps: number of steps of the time base.
-        last_step_ns: the last step; 0 if there was none.
+        last_step_ns: the last step; 0 before the first.
     """
 
     def __init__(self) -> None:
@@ -133,7 +133,7 @@ class TimeBase:
 
     @property
     def is_step_pending(self) -> bool:
-        """True if an input has moved and it is undecided whether all have."""
+        """True if an input's clock has moved and it is undecided whether all clocks have."""
         return self._candidate is not None
 
     def note_computer_step(self, step_ns: int, waiting_ns: int) -> None:
@@ -149,8 +149,8 @@ class TimeBase:
         """Add a message; return the step of the time base if the message confirms one.
 
         Args:
-            topic: its topic.
-            stamp_ns: its stamp.
+            topic: topic of the message.
+            stamp_ns: stamp of the message.
             receive_ns: receive time by the node's clock.
             waiting_ns: receive time by the timeout clock.
         """
@@ -174,7 +174,7 @@ class TimeBase:
     def _process_move(
         self, topic: str, clock: _InputClock, stamp_ns: int, receive_ns: int, waiting_ns: int
     ) -> int | None:
-        """Process a message while some clock has moved, or may have; return as :meth:`add_arrival`."""
+        """Process a message while some clock has moved or may have moved; return the result of :meth:`add_arrival`."""
         if self._computer is not None and waiting_ns > self._computer[1]:
             self._computer = None
         offset_ns = stamp_ns - waiting_ns
@@ -200,8 +200,8 @@ class TimeBase:
         """Return the number of leading messages whose clock has not moved.
 
         Args:
-            topic: their topic.
-            stamps_ns: their stamps, in ascending order.
+            topic: topic of the messages.
+            stamps_ns: stamps of the messages, in ascending order.
             arrivals_ns: receive times, equal by both clocks.
         """
         clock = self._clocks.get(topic)
@@ -216,15 +216,15 @@ class TimeBase:
         return len(stamps_ns)
 
     def add_batch(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
-        """Add messages without a step (:meth:`count_without_step`): stamp and arrival of the last, and their number."""
+        """Add messages without a step (:meth:`count_without_step`), given their number and the times of the last."""
         clock = self._clocks[topic]
         clock.period_ns = (arrival_ns - clock.arrival_ns) / count
         clock.level_ns, clock.newest_ns, clock.arrival_ns = stamp_ns - arrival_ns, stamp_ns, arrival_ns
 
     def ahead_ns(self, topic: str) -> int:
-        """Return the time by which a clock is ahead, if no delay explains it and other inputs are present; else 0.
+        """Return the lead of an input's clock, ns, if no delay explains it and other inputs are present; else 0.
 
-        Its messages are not used until it is decided whether the other clocks have moved too.
+        Messages of this input are not used until it is decided whether the other clocks have moved too.
         """
         clock = self._clocks[topic]
         if clock.moved_ns <= (_LONGEST_DELAY_NS if self._computer is None else 0):
@@ -235,8 +235,9 @@ class TimeBase:
     def is_misdated(self, stamp_ns: int, waiting_ns: int) -> bool:
         """True if a UTC stamp is ambiguous by one second because a leap second is being inserted.
 
-        Clocks that count seconds since 1970 give two seconds the same number: the last of the old day or the first of
-        the new one. The stamps alone do not show which; the step back by one second does.
+        Clocks that count seconds since 1970 give the inserted second the number of a neighbour: of the last second of
+        the old day or of the first second of the new day. Only the step back by one second shows which of the two
+        seconds a stamp means.
         """
         number = bisect.bisect_right(self._leaps_ns, stamp_ns + SECOND_NS) - 1
         since_ns = stamp_ns - self._leaps_ns[number] if number >= 0 else SECOND_NS
@@ -261,7 +262,8 @@ class TimeBase:
             clock.last_return_ns = None
         is_future = stamp_ns > receive_ns + _AHEAD_NS
         if clock.moved_ns and _are_equal(moved_ns, clock.moved_ns):
-            # A clock ahead of the others is not used while they are present; the node's clock may reject it anyway.
+            # A clock far ahead of other present inputs stays moved, so that its messages are not used. A stamp in the
+            # future is rejected in any case.
             keeps = moved_ns > _LONGEST_DELAY_NS and not is_future and self._has_unmoved_other(clock, waiting_ns)
             if not keeps and waiting_ns - clock.moved_since_ns > _OWN_CLOCK_AFTER_NS:
                 clock.own_offset_ns += moved_ns
@@ -272,7 +274,7 @@ class TimeBase:
         return stamp_ns <= clock.newest_ns if moved_ns < 0 else is_future or moved_ns > _LONGEST_DELAY_NS
 
     def _mark_late_inputs(self, first: _InputClock, waiting_ns: int) -> set[str]:
-        """Mark and return the inputs that moved with the first one but seemed late before."""
+        """Mark as moved, and return, the inputs that seemed late but moved with the first input."""
         found = set()
         for name, clock in self._clocks.items():
             is_recent = clock.last_delay_ns and waiting_ns - clock.last_delay_at_ns <= _FOLLOWS_WITHIN_NS
@@ -287,7 +289,7 @@ class TimeBase:
         return found
 
     def _has_unmoved_other(self, clock: _InputClock, waiting_ns: int) -> bool:
-        """True if another input is present that has not moved."""
+        """True if another present input has not moved."""
         others = (other for other in self._clocks.values() if other is not clock and not other.moved_ns)
         return any(_is_awaited(other, waiting_ns) for other in others)
 

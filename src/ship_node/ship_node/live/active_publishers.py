@@ -1,7 +1,8 @@
-"""Active publishers of an input topic, by the sequence numbers that the middleware gives their messages.
+"""Detection of the active publishers of an input topic by the sequence numbers of their messages.
 
-Each publisher numbers its messages from 1. The numbers of one publisher increase; those of two alternate. The ROS graph
-is not sufficient: a publisher may never send, and a killed one stays in the graph until its lease ends.
+The middleware numbers the messages of each publisher from 1. The numbers of one publisher increase; the numbers of two
+publishers alternate. The ROS graph is not sufficient: a publisher may never send, and a killed publisher stays in the
+graph until its lease ends.
 """
 
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 UNNUMBERED = 2**64 - 1
-"""Number of every message if the middleware does not number messages, as CycloneDDS: publishers are then unknown."""
+"""Number of every message if the middleware does not count messages, as CycloneDDS; publishers are then unknown."""
 
 MIN_TIMEOUT_NS = 1_000_000_000
 """Minimum timeout of a publisher, ns."""
@@ -21,9 +22,9 @@ _REMOVAL_TIMEOUT_NS = 10_000_000_000
 """Time without a message after which a publisher is removed, ns."""
 
 _MIN_RETURNS = 2
-"""Minimum number of returns to a publisher, after messages of another one, by which two publishers are detected.
+"""Minimum number of returns to an earlier publisher, after messages of another publisher, that shows two publishers.
 
-A restart of a publisher causes no return; a lost message may cause one."""
+A restart of a publisher causes no return; a lost message may cause a return."""
 
 
 @dataclass
@@ -46,7 +47,7 @@ class _Publisher:
 
 
 class ActivePublishers:
-    """Counts the active publishers of one topic.
+    """Active publishers of one topic.
 
     >>> publishers = ActivePublishers()
     >>> [publishers.add_message(number, n * 10_000_000) for n, number in enumerate((700, 701, 1, 702, 2, 703))]
@@ -70,7 +71,7 @@ class ActivePublishers:
             return False
         self._publishers = [each for each in self._publishers if now_ns - each.last_ns <= _REMOVAL_TIMEOUT_NS]
         earlier = [each for each in self._publishers if each.number < number]
-        # Of two publishers with the same number the latest one continues.
+        # If two publishers have the same number, the message counts for the latest publisher.
         found = max(earlier, key=lambda each: (each.number, each is latest), default=None)
         if found is None:
             found = _Publisher(number, now_ns)
@@ -88,7 +89,7 @@ class ActivePublishers:
         return self._returns >= _MIN_RETURNS and sum(not each.is_timed_out(now_ns) for each in self._publishers) >= 2
 
     def keep_latest(self) -> None:
-        """Keep only the latest publisher: the middleware lists no other one."""
+        """Keep only the latest publisher, because the middleware lists no other publisher."""
         self._publishers, self._returns = [self._latest] if self._latest is not None else [], 0
 
 

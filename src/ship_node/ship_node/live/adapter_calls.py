@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 
 class AdapterCalls:
-    """Calls an adapter; an exception of the adapter is raised after the call was recorded.
+    """Calls of an adapter; an exception of the adapter is raised after the call was recorded.
 
-    ``now_ns`` is the node time, ``waiting_ns`` the time of the timeout clock (:class:`ship_node.edge.adapter.Adapter`).
+    ``now_ns`` is the node time, ``waiting_ns`` the timeout-clock time (:class:`ship_node.edge.adapter.Adapter`).
 
     Args:
         adapter: the adapter.
-        publishers: topic → publisher, of all its outputs.
+        publishers: topic → publisher, for all outputs of the adapter.
         files: files that the adapter reads and writes.
-        black_box: records everything; None if there is no black box.
+        black_box: black box for calls and results; None if there is no black box.
         status_log: logs the adapter's diagnostics; None for no log.
     """
 
@@ -107,7 +107,7 @@ class AdapterCalls:
         self.publish(published, now_ns)
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
-        """Report to the adapter that the computer's clock was set."""
+        """Report to the adapter that the computer's clock stepped."""
         published: list[OutputMessage] = []
         try:
             published = self._adapter.clock_stepped(step_ns, now_ns, waiting_ns)
@@ -168,7 +168,7 @@ def message_bytes(message: Any) -> bytes:
 
 
 def _logged_statuses(message: Any) -> Iterator[DiagnosticStatus]:
-    """Yield the statuses of a DiagnosticArray to be logged: all but those of inputs, which change often."""
+    """Yield the statuses of a DiagnosticArray for the log, without the statuses of inputs, which change often."""
     for status in message.status:
         name = status.name.partition(": ")[2]
         if not name.startswith("input "):

@@ -1,9 +1,9 @@
 """Overload detection: when a node is behind its inputs, and when it keeps up again.
 
-The queue time of a message is the time from its arrival to its use. It is measured by the running clock: in steady
-time, or in the time of /clock with ``use_sim_time``, so that a bag played too fast is detected as well. After a
-standstill of the node messages have waited long but are processed at once: the node is not behind. It is behind if
-queue times stay long while the node is working.
+The queue time of a message is the time from its arrival to its use. It is measured by the running clock: a steady clock
+or, with ``use_sim_time``, /clock, so that a bag played too fast is detected as well. After a standstill of the node,
+messages have waited long but are processed at once, so the node is not behind. A node is behind if queue times stay
+long while the node is working.
 """
 
 import enum
@@ -16,7 +16,7 @@ from ship_node.live.node_clock import TimeoutClock
 LONG_QUEUE_TIME_NS = 1_000_000_000
 """Queue time that counts as long, ns.
 
-Together with :data:`BEHIND_AFTER_NS` it is within the default ``lag_s``: as long as a node is not behind, its outputs
+The sum with :data:`BEHIND_AFTER_NS` is within the default ``lag_s``, so that outputs of a node that is not behind
 are not late at the next node."""
 
 BEHIND_AFTER_NS = 1_000_000_000
@@ -39,18 +39,18 @@ class OverloadChange(enum.Enum):
 
     NONE = enum.auto()
     BEHIND = enum.auto()
-    """The node is behind: cut all waiting messages."""
+    """The node is behind; all waiting messages must be dropped."""
     KEEPS_UP = enum.auto()
 
 
 class Backlog:
-    """Overload detector, by the queue time of a node's oldest message.
+    """Overload detector based on the queue time of a node's oldest message.
 
     Args:
         steady_ns: a steady clock, ns.
 
     Attributes:
-        is_behind: True from a cut until the node keeps up.
+        is_behind: True from the detection of an overload until the node keeps up again.
     """
 
     def __init__(self, steady_ns: Callable[[], int]) -> None:
@@ -69,7 +69,7 @@ class Backlog:
         """Return the change of the overload state.
 
         Args:
-            waited_ns: queue time of the oldest message; 0 if none waits.
+            waited_ns: queue time of the oldest message; 0 if no message waits.
             running_ns: current time by the running clock.
         """
         self._running_ns = running_ns
@@ -85,7 +85,8 @@ class Backlog:
             return OverloadChange.NONE
         steady_ns = self._steady_ns()
         since_long_ns = steady_ns - self._last_long_ns
-        # The queue time divided by the rate of /clock since the last long one, at least 1; written without division.
+        # The queue time is divided by the rate of /clock since the last long queue time, at least 1; the comparison
+        # needs no division.
         if waited_ns * since_long_ns > SHORT_QUEUE_TIME_NS * max(
             since_long_ns, running_ns - self._last_long_running_ns
         ):

@@ -1,9 +1,9 @@
 """Live rclpy node around an adapter: inputs, ticks, services and parameters.
 
 A callback only adds its message to a bounded inbox. When no event is left to process, the adapter gets the oldest
-message (:mod:`ship_node.live.node_events`) by :class:`ship_node.live.adapter_calls.AdapterCalls`, which publishes what
-it returns. Before the message the adapter is ticked up to its receive time, on a grid of the timeout clock
-(:mod:`ship_node.live.node_clock`). An exception of the adapter does not end the node
+message (:mod:`ship_node.live.node_events`) through :class:`ship_node.live.adapter_calls.AdapterCalls`, which publishes
+the results. Before the message the adapter gets all ticks up to the message's receive time, on a grid of the timeout
+clock (:mod:`ship_node.live.node_clock`). An exception of the adapter does not end the node
 (:mod:`ship_node.live.node_report`).
 """
 
@@ -51,7 +51,7 @@ MIN_JUMP_BACK = Duration(nanoseconds=-100_000_000)
 """Smallest jump back of the clock that restarts the node; /clock may go back by less if two computers publish it."""
 
 MAX_CATCH_UP_NS = 10_000_000_000
-"""Longest jump forward for which missed ticks are made up, ns; after a longer one the tick grid restarts."""
+"""Longest jump forward for which missed ticks are made up, ns; after a longer jump the tick grid restarts."""
 
 
 class LiveNode:
@@ -68,7 +68,7 @@ class LiveNode:
 
     Raises:
         BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file has a section for a
-            node of (nearly) this name, but none that matches this node.
+            node of (nearly) this name, but no section that matches this node.
     """
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
@@ -104,7 +104,7 @@ class LiveNode:
         valid_until_next = {i.topic for i in self.adapter.inputs if i.is_valid_until_next}
         self._inbox = Inbox({i.topic: qos.depth for i, qos in input_qos_profiles.items()}, valid_until_next)
         self._backlog = Backlog(time.monotonic_ns)
-        # Time by the running clock at which no event was left: a message received later has arrived after it.
+        # Time by the running clock when no event was left; a message received later has arrived after this time.
         self._queue_empty_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
@@ -168,7 +168,7 @@ class LiveNode:
         path, config = self._parameters.black_box, self._parameters.config
         if not path:
             return None
-        # Imported only for a black box: the bag writer takes a tenth of a node's start.
+        # Imported only for a black box, because importing the bag writer takes a tenth of a node's start time.
         from ship_node.black_box.black_box import BlackBox
 
         outputs, part_bytes = _outputs(self.adapter), self._parameters.black_box_part_bytes
@@ -178,7 +178,7 @@ class LiveNode:
         return box
 
     def _create_clocks(self) -> None:
-        """Create the tick on the node's clock, the watchdog on a steady clock, and the reset for time going back."""
+        """Create the tick timer, the timer for periodic checks on a steady clock, and the callback for a jump back."""
         clock = self.node.get_clock()
         self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._events.note_event)
         self.node.create_timer(
@@ -200,14 +200,14 @@ class LiveNode:
         self._events.note_event()
         data, information = message
         now_ns, waiting_ns = self._clock.times()
-        # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception.
+        # The EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception, so queue_empty_ns stands for it.
         self._inbox.add(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
         number, active = information["publication_sequence_number"], self._active_publishers[topic]
         if active.add_message(number, time.monotonic_ns()) and topic not in self._duplicate_publishers:
             self._check_publishers(topic)
 
     def _check_backlog(self) -> None:
-        """Cut the waiting messages if the node is behind; report each change to the adapter."""
+        """Drop the waiting messages if the node is behind; report each change to the adapter."""
         running_ns, since_ns = self._clock.running_ns(), self._inbox.oldest_queued_ns
         waited_ns = running_ns - since_ns if since_ns else 0
         change = self._backlog.evaluate(waited_ns, running_ns)
@@ -243,7 +243,7 @@ class LiveNode:
         self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
-        """Give the adapter the next message at its receive time, or the current time if none waits."""
+        """Give the adapter the next message at its receive time, or the current time if no message waits."""
         if not self._inbox:
             times_ns = self._clock.times()
             self._report_clock_step(self._clock.stepped_ns, *times_ns)
@@ -268,7 +268,7 @@ class LiveNode:
         self.adapter.notices.clear()
 
     def _handle_all(self) -> None:
-        """Give the adapter all waiting messages, so that the next call comes after them."""
+        """Give the adapter all waiting messages before another call."""
         while self._inbox and self._clock.now_ns():
             self._work()
 

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 CLOCK_TIMEOUT_NS = 2_000_000_000
-"""Timeout of /clock, ns: a player publishes it many times a second, also while paused."""
+"""Timeout of /clock, ns; a player publishes /clock many times a second, even while paused."""
 
 _FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
-"""Timeout of the first /clock, ns: its publisher must still be discovered."""
+"""Timeout of the first /clock, ns; it is longer, because the publisher must be discovered first."""
 
 MIN_STEP_NS = 100_000_000
-"""Smallest step of the system's clock between two readings that counts, ns: no daemon slews so fast."""
+"""Smallest change of the system's clock between two readings that counts as a step, ns; no daemon slews so fast."""
 
 _MAX_READING_NS = 10_000_000
 """Maximum time for reading both clocks for which the readings belong together, ns."""
@@ -32,16 +32,18 @@ CLOCK_DEPTH = 1000
 class NodeClock:
     """Node time and timeout clock for an adapter (:class:`ship_node.edge.adapter.Adapter`).
 
-    With ``use_sim_time`` both are equal as long as /clock arrives. After its timeout the node time is frozen, and the
-    timeout clock goes on by a steady clock in whole ticks, so that timeouts work as for any other input.
+    With ``use_sim_time`` both times are equal as long as /clock arrives. After the timeout of /clock the node time is
+    frozen. The timeout clock then continues by a steady clock in whole ticks, so that timeouts of the inputs still
+    work.
 
     Args:
-        node: has no subscriptions yet, so that /clock can be queued with them.
+        node: node without subscriptions, so that /clock can be queued together with the later inputs.
         steady_ns: a steady clock, ns.
         on_event: called after each message of /clock.
 
     Attributes:
-        stepped_ns: sum of the steps of the system's clock against the steady clock since the start; not of /clock.
+        stepped_ns: sum of the steps of the system's clock against the steady clock since the start; steps of /clock do
+            not count.
     """
 
     def __init__(self, node: "Node", steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
@@ -70,7 +72,7 @@ class NodeClock:
         return (now_ns, now_ns + frozen_ns) if now_ns else (0, 0)
 
     def running_ns(self) -> int:
-        """Return the time of the running clock, by which queue times are measured: steady, or that of /clock."""
+        """Return the time by which queue times are measured: of a steady clock, or of /clock if the node uses it."""
         return self.now_ns() if self.is_simulated() else self._steady_ns()
 
     def _system_ns(self) -> int:
@@ -109,7 +111,7 @@ class NodeClock:
         return DiagnosticStatus("clock", Level.OK, "running with /clock")
 
     def _since_clock_ns(self) -> int:
-        """Return the listening time since the last /clock, ns."""
+        """Return the time since the last /clock without standstills of the node, ns."""
         return self._listening.now_ns(0) - self._last_clock_ns
 
     def _frozen_ns(self) -> int:
@@ -127,17 +129,17 @@ class NodeClock:
 
 
 class TimeoutClock:
-    """Timeout clock without ``use_sim_time``: the time in which the node was listening.
+    """Timeout clock without ``use_sim_time``: steady time without standstills of the node.
 
-    It runs by a steady clock, independent of the system's time. It starts at the node time, so that both are similar in
-    a black box.
+    The clock starts at the node time, so that both times are similar in a black box, and is then independent of the
+    system's time.
 
     Args:
         steady_ns: a steady clock, ns.
     """
 
     MAX_STEP_NS = 2 * TICK_PERIOD_NS
-    """Maximum time counted for a standstill of the node, ns: messages that arrived meanwhile only wait."""
+    """Maximum time counted for a standstill of the node, ns; messages that arrived meanwhile only wait."""
 
     def __init__(self, steady_ns: Callable[[], int]) -> None:
         self._steady_ns = steady_ns
@@ -159,7 +161,7 @@ class TimeoutClock:
 
 
 class TickGrid:
-    """Grid of ticks: every multiple of the period that the time has reached, each once."""
+    """Grid of ticks: each multiple of the period is a tick, yielded once when the time has reached it."""
 
     def __init__(self, period_ns: int = TICK_PERIOD_NS) -> None:
         self._period_ns = period_ns
@@ -175,20 +177,21 @@ class TickGrid:
             self.restart(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """Restart the grid at ``now_ns`` after a jump of the clock; the ticks between are left out."""
+        """Restart the grid at ``now_ns`` after a jump of the clock; the ticks in between are left out."""
         self._newest = now_ns // self._period_ns
 
 
 def queue_clock(node: "Node", on_clock: Callable[[], None] = lambda: None) -> None:
     """Queue every message of /clock until the node processes it; without ``use_sim_time`` do nothing.
 
-    rclpy keeps the newest only. In a node that is behind for a moment (a fast bag, a busy computer), time then runs
-    ahead of the inputs that still wait. They seem late, and their timeout is reported although they are in the queue.
-    With an executor that processes messages in order of arrival, queued time is right for each of them.
+    By default, rclpy keeps only the newest message of /clock. In a node that is behind for a moment (a fast bag, a busy
+    computer), the node time is then ahead of the inputs that still wait. These inputs seem late, and their timeout is
+    reported although they are in the queue. If /clock is queued, an executor that processes messages in order of
+    arrival gives each input the right node time.
 
     Args:
         node: node whose /clock is queued.
-        on_clock: called after each message of it.
+        on_clock: called after each message of /clock.
     """
     # rclpy has no public access to this subscription, and no QoS overrides for it.
     time_source = node._time_source

@@ -1,7 +1,7 @@
 """Events of a live node, and the bounded queues of its messages.
 
-:class:`NodeEvents` runs the callbacks without delay. They only add messages to the :class:`Inbox`, where a bounded
-number of each topic waits for the adapter in order of arrival.
+:class:`NodeEvents` runs the callbacks without delay. The callbacks only add messages to the :class:`Inbox`. There a
+bounded number of messages of each topic waits for the adapter in order of arrival.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -25,15 +25,15 @@ MAX_EVENTS = 1000
 """Maximum number of events processed at once, so that a flood does not stop the node's own work."""
 
 MAX_BEHIND_NS = 1_000_000_000
-"""Time in the queue of events above which all of them are dropped, ns."""
+"""Time of an event in the queue above which all queued events are dropped, ns."""
 
 MAX_MESSAGE_BYTES = 65_536
-"""Maximum size of a message: an exposure of a thousand stars is smaller, and decoding a larger one takes too long."""
+"""Maximum size of a message: an exposure of 1000 stars is smaller, and decoding a larger message takes too long."""
 
 _PULSE_S = 0.2
 
 _NO_WAIT_S = -1e-3
-"""Timeout for no waiting: a time in the past. With a timeout of zero Linux lets the thread sleep for 50 us and more."""
+"""Timeout without any wait, s; negative, because with a timeout of zero the thread sleeps for at least 50 us."""
 
 _WAITED_NS = 200_000
 """Time that suffices to take an existing event and run its callback, ns."""
@@ -45,13 +45,13 @@ class NodeEvents:
     """Events executor of one node.
 
     The events executor of rclpy needs half the processor time of the single-threaded one, and reports messages of all
-    topics in the order of arrival. But it queues an event for each message without a bound, even if the message has
-    been overwritten meanwhile. Therefore callbacks must be quick, and the queue is dropped if it grows nevertheless:
-    if the event of a timer waits in it for too long.
+    topics in the order of arrival. But it queues an event for each message without a bound, even if the message was
+    overwritten meanwhile. Therefore callbacks must be quick. If a timer's event nevertheless waits in the queue for too
+    long, the queue is dropped.
 
-    The middleware reports each message once. A message whose event was dropped would stay in its queue and delay every
-    later message. Therefore all waiting messages are then taken without an event: the newest message of each topic is
-    used, and each service request is answered.
+    The middleware reports each message once. A message whose event was dropped would stay in the middleware's queue and
+    delay every later message. Therefore after a drop all waiting messages are taken without events. The newest message
+    of each topic is used, and each service request is answered.
 
     Args:
         context: context of the node.
@@ -92,10 +92,10 @@ class NodeEvents:
         self._has_event = True
 
     def process_events(self, timeout_s: float) -> bool:
-        """Process the waiting events; wait for the first one no longer than ``timeout_s``.
+        """Process the waiting events; wait for the first event no longer than ``timeout_s``.
 
-        If the call had to wait for the first event, no other one was queued. It then does not look for another one,
-        which would take 20 us and more.
+        If the call had to wait for the first event, no other event was queued. The call then ends without a search for
+        another event, which would take at least 20 us.
 
         Returns:
             False if events may be left.
@@ -113,7 +113,7 @@ class NodeEvents:
         return not may_be_more
 
     def _process_one(self, timeout_s: float) -> bool:
-        """Process one event, waiting no longer than ``timeout_s``; return True if there was one."""
+        """Process one event, waiting no longer than ``timeout_s``; return True if there was an event."""
         self._has_event = False
         self._guard.call("executor", self._executor.spin_once, timeout_s)
         return self._has_event
@@ -168,12 +168,12 @@ class Arrival(NamedTuple):
     """Received message.
 
     Attributes:
-        topic: its topic.
-        data: its CDR bytes.
+        topic: topic of the message.
+        data: CDR bytes of the message.
         now_ns: receive time by the node's clock; 0 before the first /clock.
         waiting_ns: receive time by the timeout clock; 0 before the first /clock.
-        queued_ns: start of its queue time by the running clock
-            (:meth:`ship_node.live.node_clock.NodeClock.running_ns`); 0 if unknown: its queue time then counts as 0.
+        queued_ns: start of the queue time by the running clock
+            (:meth:`ship_node.live.node_clock.NodeClock.running_ns`); 0 if unknown, so that the queue time counts as 0.
         stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` at reception.
     """
 
@@ -188,16 +188,18 @@ class Arrival(NamedTuple):
 class Inbox:
     """Bounded queue per topic, processed in order of arrival over all topics.
 
-    If a queue is full, its oldest message is dropped for the newest. This bounds the age of the data of a node that is
-    behind, and a flood on one topic displaces no message of another.
+    If a queue is full, its oldest message is dropped for the newest. The bound limits the age of the data in a node
+    that is behind. A flood on one topic displaces no message of another topic.
 
     If a node is behind (:mod:`ship_node.live.backlog`), all waiting messages are dropped. Messages that arrive later
     are dropped as well if their stamp is not after the cut time, because their counterparts of other topics are gone.
-    The cut time is the newest stamp, not ahead of the node's clock, on the topic with most dropped messages.
+    The cut time is the newest stamp on the topic with most dropped messages; stamps ahead of the node's clock do not
+    count.
 
     Args:
         depths: topic → maximum number of waiting messages.
-        valid_until_next: topics whose messages are valid until the next one: they are not cut if the node is behind.
+        valid_until_next: topics whose messages are valid until the next one; these messages are not dropped if the node
+            is behind.
     """
 
     def __init__(self, depths: Mapping[str, int], valid_until_next: Collection[str] = ()) -> None:
@@ -239,16 +241,16 @@ class Inbox:
 
     @property
     def oldest_queued_ns(self) -> int:
-        """Start of the queue time of the oldest message; 0 if none waits."""
+        """Start of the queue time of the oldest message; 0 if no message waits."""
         return next(iter(self._waiting.values())).queued_ns if self._waiting else 0
 
     def cut_all(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
-        """Drop waiting messages, except those of ``valid_until_next``, because the node is behind; set the cut time.
+        """Drop waiting messages, except of the topics in ``valid_until_next``, and set the cut time.
 
         Args:
-            now_ns: the node's time now, which the remaining messages get as their receive time.
-            waiting_ns: the same by the timeout clock.
-            since_ns: the same by the running clock.
+            now_ns: the node's current time; the remaining messages get these three times.
+            waiting_ns: current time by the timeout clock.
+            since_ns: current time by the running clock.
         """
         removed = [arrival for arrival in self._waiting.values() if arrival.topic not in self._valid_until_next]
         kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._valid_until_next]
@@ -257,7 +259,7 @@ class Inbox:
             most = counts.most_common(1)[0][0]
             all_ns = [stamp_of_bytes(arrival.data) for arrival in removed if arrival.topic == most]
             stamps_ns = [stamp_ns for stamp_ns in all_ns if stamp_ns is not None]
-            # A stamp in the future would drop good messages until its time.
+            # With a cut time in the future, good messages would be dropped until then.
             past_ns = [stamp_ns for stamp_ns in stamps_ns if stamp_ns <= now_ns]
             self._cut_until_ns = max(past_ns, default=now_ns if stamps_ns else None)
         self._overload_cuts += counts
@@ -268,12 +270,12 @@ class Inbox:
             self.add(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, queued_ns=since_ns))
 
     def take_overload_cuts(self) -> Counter[str]:
-        """Return topic → number of messages cut since the last call because the node is behind."""
+        """Return topic → number of messages dropped since the last call because the node is behind."""
         cut, self._overload_cuts = self._overload_cuts, Counter()
         return cut
 
     def resume(self) -> None:
-        """Accept stamps before the last cut again: the node keeps up, or its clock went back."""
+        """Accept stamps before the cut time again, because the node keeps up or its clock went back."""
         self._cut_until_ns = None
 
     def take_cuts(self) -> Counter[tuple[str, str]]:

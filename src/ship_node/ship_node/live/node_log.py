@@ -1,7 +1,7 @@
 """Log of a live node with the code location of each line.
 
-The logger of rclpy searches for the location in the files of all modules: 40 ms for the first line of a node, and 0.3
-ms for each later one. No message is processed meanwhile.
+The logger of rclpy searches for the location in the files of all modules. The search takes 40 ms for the first line of
+a node and 0.3 ms for each later line, and no message is processed meanwhile.
 """
 
 import sys
@@ -12,10 +12,10 @@ from rclpy.node import Node
 
 
 class NodeLog:
-    """Writes lines into the log of a node as rclpy does: to the console, to a file and to /rosout.
+    """Log of a node, written as by rclpy to the console, to a file and to /rosout.
 
     Args:
-        node: its node.
+        node: the node.
     """
 
     def __init__(self, node: Node) -> None:

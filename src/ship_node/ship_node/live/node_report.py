@@ -2,7 +2,7 @@
 
 One line at the start gives the set-up. A :class:`ExceptionGuard` catches, counts, logs and reports exceptions of
 callbacks, so that they do not end the node. A :class:`StatusLog` logs changes of the diagnostics for users who have
-only a terminal. Further statuses report a duplicate node name and data of another time.
+only a terminal. Further statuses report a duplicate node name and too old stamps.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ SHOWN_NS = 10_000_000_000
 
 _FILE = "_file"
 _FIGURES = re.compile(r"'[^']*'|\d+(\.\d+)?")
-"""Parts of a text that change between reports without changing its meaning: figures, and examples in quotes."""
+"""Numbers and quoted examples, which change from report to report while the meaning of a text stays."""
 _MOST_REASONS = 5
 
 
@@ -35,9 +35,10 @@ def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str
 
     Args:
         adapter: adapter of the node, as configured.
-        config: its configuration: a group of devices is a mapping; the name of a file parameter ends with ``_file``.
+        config: configuration of the node. A group of devices is a mapping; the name of a file parameter ends with
+            ``_file``.
         clock: full name of the topic that sets the node's time; empty for the system's time.
-        black_box: path of its black box; empty if there is none.
+        black_box: path of the node's black box; empty if the node has no black box.
     """
     parts = []
     for field in dataclasses.fields(config):
@@ -72,7 +73,7 @@ class Logger(Protocol):
 
 
 class ExceptionGuard:
-    """Calls functions and catches their exceptions.
+    """Calls of functions whose exceptions are caught, counted and logged.
 
     Args:
         logger: gets a line at most once a second.
@@ -92,7 +93,7 @@ class ExceptionGuard:
         Args:
             what: name of the call in texts, as ``"ins/imu"``.
             function: the function.
-            arguments: its arguments.
+            arguments: arguments of the function.
         """
         try:
             return function(*arguments)
@@ -124,7 +125,7 @@ class ExceptionGuard:
 
 @dataclasses.dataclass
 class _LoggedStatus:
-    """Logged state of a status: its level, and the texts logged at that level without figures and examples."""
+    """Logged state of a status: its level, and the texts logged at that level without numbers and examples."""
 
     level: Level
     reasons: set[str]
@@ -152,7 +153,7 @@ class StatusLog:
         before, now = self._logged, {}
         for status in statuses:
             reason = _FIGURES.sub("", status.message)
-            # A new status, as of a conflict, counts as OK before.
+            # Before its first report, a status (as of a conflict) counts as OK.
             previous = (before or {}).get(status.name, _LoggedStatus(Level.OK, set()))
             is_change = status.level is not previous.level
             now[status.name] = logged = _LoggedStatus(status.level, set()) if is_change else previous
@@ -181,7 +182,7 @@ class StatusLog:
 def name_status(node: "Node") -> DiagnosticStatus:
     """Return the status of the node's name: ERROR if another node has the same name.
 
-    Services and parameters then reach either node, and outputs come from both.
+    Service calls and parameters for such a name reach either node, and both nodes publish outputs.
     """
     own = node.get_fully_qualified_name()
     names = [f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()]
@@ -192,7 +193,7 @@ def name_status(node: "Node") -> DiagnosticStatus:
 
 
 def stamps_status(health: InputHealthMonitor) -> DiagnosticStatus:
-    """Return the status of the stamps: ERROR if the data of an input are of another time."""
+    """Return the status of the stamps: ERROR if the stamps of an input are too old."""
     text = health.stale_stamps_text()
     if not text:
         return DiagnosticStatus("stamps", Level.OK, "consistent with the node's time")

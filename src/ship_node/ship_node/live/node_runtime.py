@@ -27,9 +27,9 @@ from ship_node.parameters.usage import usage_text
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
 
 _BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
-"""Exceptions of bad parameters, arguments or a missing message package before the node runs.
+"""Exceptions before the node runs, due to bad parameters, bad arguments or a missing message package.
 
-The bad input of every package is a ValueError."""
+The exceptions of all packages for bad input are ValueErrors."""
 
 
 class RunnableNode(Protocol):
@@ -49,7 +49,7 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
 
     Args:
         adapter_class: adapter of the node.
-        args: command line without the program's name; by default that of the process.
+        args: command line without the program's name; by default the command line of the process.
 
     Returns:
         Exit code: 0 ended by a signal, 2 bad arguments or parameters (with one line on stderr), 141 if the reader of
@@ -74,7 +74,7 @@ def run_node(
         package: package of its executable.
         name: name of the node, without namespace.
         make: returns the node, from an initialised context and the parameter files of the command line.
-        arguments: for ROS.
+        arguments: command-line arguments for ROS.
 
     Returns:
         Exit code, see :func:`run`.
@@ -110,7 +110,7 @@ def _start(
 ) -> RunnableNode:
     files = tuple(Path(path) for flag, path in pairwise(arguments) if flag == "--params-file")
     for path in files:
-        # rcl reads them too, but its errors have no line.
+        # rcl reads the files too, but its errors have no line number.
         read_matching_sections(path, name)
     prepare_dds()
     # Signals are handled here, so that spin ends between two callbacks and the node closes cleanly.

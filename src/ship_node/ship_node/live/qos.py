@@ -14,10 +14,10 @@ from ship_bags.errors import BadInput
 from ship_node.edge.topics import InputTopic, OutputTopic
 
 OUTPUT_DEPTH = 2000
-"""Messages kept for late acknowledgements: two seconds of data at 1 kHz, or an outage of 20 s at 100 Hz."""
+"""Number of messages kept for late acknowledgements, enough for two seconds at 1 kHz or 20 s at 100 Hz."""
 
 RELIABLE_DEPTH = 2000
-"""Messages of a reliable input that may arrive at once after an outage of the link."""
+"""Number of messages of a reliable input that may arrive at once after an outage of the link."""
 
 _OVERRIDABLE = QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY, QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH
 _EXPECTED = (
@@ -27,7 +27,7 @@ _EXPECTED = (
 
 
 def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
-    """Return the QoS of an input: best effort by default, so that a lost message never delays newer ones.
+    """Return the QoS of an input: best effort by default, so that a lost message never delays newer messages.
 
     Args:
         input_topic: the topic, with a depth of one second of data.
@@ -52,7 +52,7 @@ def output_qos(output_topic: OutputTopic) -> QoSProfile:
 
 
 def overriding_options() -> QoSOverridingOptions:
-    """Return the options that make ``qos_overrides./TOPIC.subscription.reliability`` and the like parameters."""
+    """Return the options that declare parameters such as ``qos_overrides./TOPIC.subscription.reliability``."""
     return QoSOverridingOptions(_OVERRIDABLE, callback=_check_depth)
 
 
@@ -61,7 +61,7 @@ def check_overrides(node: Node, topic: str) -> Iterator[None]:
     """Report unusable overrides while the publisher or subscription of a topic is created in this context.
 
     Raises:
-        BadInput: names the topic and what was expected.
+        BadInput: an override cannot be used; the text names the parameter and what is expected.
     """
     try:
         with warnings.catch_warnings():

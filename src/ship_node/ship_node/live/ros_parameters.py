@@ -50,11 +50,12 @@ _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 class ParameterNode(Node):
     """Node that passes every live change of parameters through one function.
 
-    A parameter callback would not suffice: rclpy calls none for a change that it refuses itself (by range, type,
-    read-only, unknown name), and such a refusal must be logged and recorded, too.
+    A parameter callback would not suffice, because rclpy does not call it for a change that rclpy refuses (range, type,
+    read-only, unknown name). Such a refusal must be logged and recorded, too.
 
     Attributes:
-        change: function that processes a request; its second argument is rclpy's own method. None: only the latter.
+        change: function that processes a request; its second argument is rclpy's method for the request. If the
+            function is None, only rclpy's method is called.
     """
 
     change: Callable[[list[Parameter], Callable[..., SetParametersResult]], SetParametersResult] | None = None
@@ -72,11 +73,11 @@ class NodeParameters:
         config: the current configuration.
         black_box: path of the node's black box; empty if there is none.
         black_box_part_bytes: size at which a black box continues in a new file; 0 for never.
-        has_reliable_inputs: True if messages lost on the way to its inputs are sent again.
-        topics: the suite's name of an input → the ship's, for topics that the ship names differently.
+        has_reliable_inputs: True if messages lost on the way to the node are sent again.
+        topics: the suite's name of an input → the ship's name, for inputs whose two names differ.
 
     Args:
-        node: has no parameters of its own yet.
+        node: node without declared parameters of the suite.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
         has_black_box: True if the node writes a black box; otherwise a parameter of that name is ignored.
 
@@ -98,18 +99,18 @@ class NodeParameters:
             _declare_common(node, f"{TOPICS_PARAMETER}.{name}", "", f"the ship's name of the topic {name}")
         self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
-            # The value contains the override already, as a float where the file had an integer.
+            # The value already includes the override, converted to a float where the file has an integer.
             _declare(node, name, value, self._descriptions[name])
 
     def connect_adapter(
         self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
     ) -> None:
-        """Pass live changes to the adapter from now on; an exception of the adapter refuses them with its text.
+        """Pass live changes to the adapter from now on; an exception of the adapter refuses a change.
 
         Args:
             calls: calls of the adapter.
             now_ns: returns the node's time.
-            before_change: called first: a change is processed after the messages received before it.
+            before_change: called before each change, to process the messages received earlier.
         """
         self._calls = calls
         self._now_ns = now_ns
@@ -135,7 +136,7 @@ class NodeParameters:
         self._was_adapter_called = False
         try:
             if isinstance(requested.get(USE_SIM_TIME), bool):
-                # Earlier and later times would be years apart.
+                # The node times before and after the change would be years apart.
                 raise ParameterError(
                     f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start",
                     USE_SIM_TIME,
@@ -156,7 +157,7 @@ class NodeParameters:
         return result
 
     def _with_list_type(self, parameter: Parameter) -> Parameter:
-        """Return an empty list with the parameter's element type, which a request does not contain."""
+        """Return a parameter whose empty list has the element type, which a request does not contain."""
         description = self._descriptions.get(parameter.name)
         if description is None or _as_plain_value(parameter.value) != []:
             return parameter
@@ -187,9 +188,10 @@ class NodeParameters:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return the values of files and command line by dotted name; rclpy has no public method for that before declaring.
+    """Return the values of parameter files and command line by dotted name.
 
-    For an empty list, as ``ros2 param dump`` writes it, rcl keeps the name and no value.
+    Before the declaration, rclpy has no public method for these values. For an empty list, as ``ros2 param dump``
+    writes it, rcl keeps the name without a value.
     """
     given = {name: p for name, p in node._parameter_overrides.items() if not is_runtime_parameter(name)}
     return {name: [] if p.value is None else _as_plain_value(p.value) for name, p in given.items()}
@@ -220,7 +222,7 @@ def _declare(node: Node, name: str, value: Any, description: ParameterDescriptio
     if kind is None:
         node.declare_parameter(name, value, descriptor, ignore_override=True)
         return
-    # rclpy would take an empty list for a list of bytes, for ever.
+    # rclpy would declare an empty list permanently as a list of bytes.
     node.declare_parameter(name, kind, ignore_override=True)
     node.set_parameters([Parameter(name, kind, value)])
     descriptor.type = kind.value
@@ -228,7 +230,7 @@ def _declare(node: Node, name: str, value: Any, description: ParameterDescriptio
 
 
 def _as_plain_value(value: Any) -> Any:
-    """Return arrays as lists."""
+    """Return a value, with an array converted to a list."""
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
 
 

@@ -1,4 +1,4 @@
-"""Start of a node's executable: it can be ended cleanly before its libraries are imported."""
+"""Start of a node's executable, which can be ended cleanly before its libraries are imported."""
 
 import gc
 import importlib
@@ -12,19 +12,19 @@ from typing import NoReturn
 from ship_bags.live.heartbeat import HEARTBEAT_PERIOD_NS, heartbeat
 
 WAIT_VARIABLE = "SHIP_NODE_WAITS"
-"""Variable of the environment: if set, a node imports its libraries and waits for a line on stdin before it runs."""
+"""Environment variable; if it is set, a node imports its libraries and waits for a line on stdin before it runs."""
 
 
 def start_node(module: str, adapter: str) -> NoReturn:
     """Import a node's adapter and run it until a signal ends it.
 
-    The import takes up to a second, on a busy computer longer. A signal that ends the node meanwhile gives the same
-    exit code as later. A standby process (:data:`WAIT_VARIABLE`) has imported everything in advance; it does not take
+    The import takes up to a second, on a busy computer longer. A signal during the import gives the same exit code as a
+    later signal. A standby process (:data:`WAIT_VARIABLE`) has imported everything in advance, but it does not take
     part in DDS yet and has read no parameters.
 
     Args:
         module: module of the adapter.
-        adapter: name of its class.
+        adapter: name of the adapter's class.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         # Nothing has to be closed yet; an exception could get lost in a library that is being imported.
@@ -49,4 +49,4 @@ def _wait_for_start() -> None:
     while not stdin.poll(HEARTBEAT_PERIOD_NS // 1_000_000):
         heartbeat().beat(time.monotonic_ns())
     if not os.read(sys.stdin.fileno(), 1):
-        os._exit(0)  # the process that would start it is gone
+        os._exit(0)  # the parent process is gone

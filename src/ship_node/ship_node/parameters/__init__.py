@@ -1,5 +1,5 @@
-"""Parameters of a node: its sections of a parameter file, checked, and listed for ``--help``.
+"""Parameters of a node: reading and checking of a parameter file, and the list for ``--help``.
 
-Such files are read and written by :mod:`ship_bags.parameter_yaml`. Of the package the folder imports only
-:mod:`~ship_node.edge`, and no ROS.
+Parameter files are read and written by :mod:`ship_bags.parameter_yaml`. Of the package the folder imports only
+:mod:`~ship_node.edge`; it does not import ROS.
 """

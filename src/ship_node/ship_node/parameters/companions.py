@@ -1,7 +1,7 @@
-"""Nodes of a suite that are not estimators: a suite file may have sections for them; no replay runs them.
+"""Nodes of a suite that are not estimators; a suite file may have sections for them, but no replay runs them.
 
-Their package depends on this one. Therefore they are listed here by name, and their parameters are imported from their
-package only if a file has a section for them.
+The package of these nodes depends on this package. Therefore the nodes are listed here by name, and their parameters
+are imported only if a file has a section for them.
 """
 
 import importlib
@@ -20,9 +20,9 @@ class Companion:
 
     Attributes:
         node_name: name of the node and of its executable.
-        package: its package.
-        config: its parameters, as ``"module:class"``.
-        feeds: True if it publishes topics that a played bag contains.
+        package: package of the node.
+        config: dataclass of the node's parameters, as ``"module:class"``.
+        feeds: True if the node publishes topics that a played bag contains.
     """
 
     node_name: str
@@ -32,10 +32,10 @@ class Companion:
 
     @property
     def config_type(self) -> type[Any]:
-        """Dataclass of its parameters.
+        """Dataclass of the node's parameters.
 
         Raises:
-            ImportError: its package is not installed.
+            ImportError: the node's package is not installed.
         """
         module, _, name = self.config.partition(":")
         return cast(type[Any], getattr(importlib.import_module(module), name))
@@ -48,7 +48,7 @@ COMPANIONS = (
 
 
 def configured_companions(source: Path | str, namespace: str = "") -> Iterator[Companion]:
-    """Yield the companions that a suite file has sections for by name.
+    """Yield the companions for which a suite file has sections with their names.
 
     A section for all nodes (``/**``) does not count.
 

@@ -25,10 +25,10 @@ class MachineResource:
     """Listening port, serial device or file; made by :func:`port_resource` and :func:`path_resource`.
 
     Attributes:
-        parameter: dotted name of the parameter that gives it.
+        parameter: dotted name of the parameter that gives the resource.
         kind: kind of resource.
         name: the port's number, or the path.
-        address: address of a port, the own address or the multicast group; empty for all addresses.
+        address: address of a port, either of this computer or of a multicast group; empty for all addresses.
     """
 
     parameter: str
@@ -47,14 +47,14 @@ class MachineResource:
 
     @property
     def is_multicast(self) -> bool:
-        """True for a port of a multicast group: every listener of a group gets its datagrams."""
+        """True for a port of a multicast group, whose datagrams every listener gets."""
         try:
             return ipaddress.ip_address(self.address).is_multicast
         except ValueError:
             return False
 
     def conflicts_with(self, other: "MachineResource") -> bool:
-        """Return True if only one of the two resources can be used."""
+        """Return True if the two resources cannot be used together."""
         if (self.kind, self.name) != (other.kind, other.name):
             return False
         if self.address == other.address:
@@ -63,7 +63,7 @@ class MachineResource:
 
 
 def is_ipv4(text: str) -> bool:
-    """True for an IPv4 address as numbers."""
+    """True for an IPv4 address in numeric form."""
     try:
         return ipaddress.ip_address(text).version == 4
     except ValueError:
@@ -71,14 +71,14 @@ def is_ipv4(text: str) -> bool:
 
 
 def port_resource(parameter: str, kind: ResourceKind, port: int, address: str = "") -> MachineResource:
-    """Return a port of an own address or of a group; without an address, or with 0.0.0.0, of all addresses."""
+    """Return a port of one address or multicast group; an empty address and 0.0.0.0 stand for all addresses."""
     return MachineResource(parameter, kind, port, "" if address == ANY_ADDRESS else address)
 
 
 def path_resource(parameter: str, path: str) -> MachineResource:
     """Return a device or a file by its path as written, without redundant slashes and dots.
 
-    Links to one device are not resolved: at the start another device may be plugged in.
+    Links are not resolved, because at the start a link may lead to another device.
 
     Example:
         >>> path_resource("sinks.log_text.path", "/var/log//ship/./a.nmea").name
@@ -88,7 +88,7 @@ def path_resource(parameter: str, path: str) -> MachineResource:
 
 
 def conflicting_pairs(places: Iterable[MachineResource]) -> Iterator[tuple[MachineResource, MachineResource]]:
-    """Yield pairs of resources of which only one can be used, in their order."""
+    """Yield the pairs of resources that cannot be used together, in order."""
     return ((one, other) for one, other in combinations(places, 2) if one.conflicts_with(other))
 
 
@@ -96,7 +96,7 @@ def refuse_conflicts(places: Iterable[MachineResource]) -> None:
     """Refuse conflicting resources of one node.
 
     Raises:
-        ParameterError: names both parameters.
+        ParameterError: two resources conflict; the text names both parameters.
     """
     for one, other in conflicting_pairs(places):
         reason = f"parameter '{other.parameter}' = {other.name!r}: '{one.parameter}' has {one} already"

@@ -1,8 +1,8 @@
-"""Parameters of one node from a ROS 2 parameter file, and a configuration as such a file; without ROS.
+"""Reader of a node's parameters from a ROS 2 parameter file, and writer of such files, without ROS.
 
 A file has sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in namespaces
-or with wildcards (``/**``, ``/**/name``, ``/*/name``). As in rcl, a section whose name has neither matches only the
-node without namespace. Of several matching sections, later ones override earlier ones.
+or with wildcards (``/**``, ``/**/name``, ``/*/name``). As in rcl, a section whose name has neither namespace nor
+wildcard matches only a node without namespace. Later matching sections override earlier sections.
 """
 
 import re
@@ -26,15 +26,15 @@ from ship_geometry.input_error import InputError
 Config = TypeVar("Config")
 
 _MIN_SIMILARITY = 0.8
-"""Similarity of two names from which one may be a misspelling of the other: 'ship_attitude' and 'ship_attitude_node'
-have 0.86, 'ship_attitude' and 'star_attitude' 0.75."""
+"""Minimum similarity of two names of which one may be a misspelling of the other. The similarity of 'ship_attitude' to
+'ship_attitude_node' is 0.86, and to 'star_attitude' 0.75."""
 
 
 def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
     """Return the checked configuration of a node; see :func:`read_node_parameters`.
 
     Raises:
-        BadInput: names the file, the line, the parameter and what was expected.
+        BadInput: a parameter is wrong; the text names the file, the line, the parameter and what is expected.
     """
     file = read_node_parameters(source, node)
     try:
@@ -59,13 +59,13 @@ def read_node_parameters(source: Path | str, node: str) -> ParameterFile:
     """Return the parameters of a node with their lines.
 
     Args:
-        source: a path; a ``str`` is the text itself.
+        source: path of the file; a ``str`` is the content of the file.
         node: full name (:func:`ship_bags.parameter_yaml.full_name`), a name alone for a node without namespace, or
             :func:`ship_bags.parameter_yaml.in_any_namespace`.
 
     Raises:
         BadInput: the file cannot be read, is not a parameter file, has no section that matches the node, or has
-            sections for it in several namespaces.
+            sections for the node in several namespaces.
     """
     name, sections = read_sections(source)
     fitting = _matching_sections(sections, node)
@@ -83,7 +83,7 @@ def read_node_parameters(source: Path | str, node: str) -> ParameterFile:
 
 
 def read_matching_sections(source: Path | str, node: str) -> ParameterFile:
-    """Return :func:`read_node_parameters` without requiring a section: the file may be for other nodes.
+    """Return the parameters of a node as :func:`read_node_parameters`, or no parameters if no section matches.
 
     Raises:
         BadInput: the file cannot be read or is not a parameter file.
@@ -96,8 +96,8 @@ def section_warning(source: Path | str, node: str) -> str:
     """Return a warning about a file that a node was started with; empty if a section matches the node.
 
     Raises:
-        BadInput: the file cannot be read or is not a parameter file; or no section matches the node, but one has
-            (nearly) the same name and was probably meant for it.
+        BadInput: the file cannot be read or is not a parameter file; or no section matches, but a section of (nearly)
+            the same name was probably meant for the node.
     """
     name, sections = read_sections(source)
     fitting = _matching_sections(sections, node)
@@ -114,16 +114,16 @@ def section_warnings(sources: Iterable[Path], node: str) -> list[str]:
     """Return the warnings about the files that a node was started with; see :func:`section_warning`.
 
     Raises:
-        BadInput: see :func:`section_warning`: rcl silently ignores sections that do not match.
+        BadInput: as for :func:`section_warning`; rcl would silently ignore a section that does not match.
     """
     return [warning for source in sources if (warning := section_warning(source, node))]
 
 
 def error_with_location(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
-    """Return an error about a parameter with the file that gives it (the last of several) and the line.
+    """Return an error with the file and the line of the parameter that it is about; of several files, the last.
 
     Args:
-        error: about a parameter of the node, or about something else.
+        error: error about a parameter of the node; any other error gets no file and line.
         sources: files that the node was started with.
         node: full name.
     """
@@ -139,7 +139,7 @@ def error_with_location(error: InputError, sources: Sequence[Path], node: str) -
 
 
 def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:
-    """Return True if a section matches a node: one of its name or, with ``wildcards``, one for all nodes.
+    """Return True if a section with a node's name or, with ``wildcards``, a section for all nodes matches the node.
 
     Raises:
         BadInput: the file cannot be read or is not a parameter file.
@@ -151,7 +151,7 @@ def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:
 
 
 def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
-    """Return the names of a file's sections that match none of some nodes, in order.
+    """Return the names of a file's sections that do not match any of the nodes, in order.
 
     Raises:
         BadInput: the file cannot be read or is not a parameter file.

@@ -83,7 +83,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
 def topic_rows(
     adapter_class: type[Adapter], factory: MessageFactory
 ) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
-    """Return input and output topics of a node with one device of each kind: name, type, remark."""
+    """Return name, type and remark of each input and output topic of a node with one device of each kind."""
     descriptions = list(describe(adapter_class.config_type))
     values = _example_values(descriptions)
     adapter = adapter_class(build(adapter_class.config_type, nest(values), placeholder="<id>"), factory)
@@ -99,7 +99,7 @@ def _input_rows(
     values: dict[str, Any],
     factory: MessageFactory,
 ) -> list[tuple[str, ...]]:
-    """Return the inputs of the example configuration, and those that other choices of its parameters add."""
+    """Return the inputs of the example configuration, and the inputs that other choices of its parameters add."""
     rows: dict[str, tuple[str, ...]] = {}
     example = [("", {}), *(
         (f"with {d.name}: {choice}", {d.name: choice})
@@ -126,7 +126,7 @@ def _inputs_with(
     Args:
         adapter_class: adapter of the node.
         values: values of the parameters.
-        given: values of the device's parameters that are zero by default but required for use, as of a camera.
+        given: values of a device's parameters that are zero by default but required for use, as for a camera.
         factory: makes the adapter's messages.
     """
     for attempt in (values, values | given):
