@@ -1,7 +1,7 @@
 """Estimate of the suite's processor load on this computer, from the rates of its inputs.
 
-The cost of a message is that of a live node, measured on one computer: receiving it, its part of the estimate and its
-outputs. The speed of another computer is measured with a small computation of the same kind. The load is accurate to a
+The cost of a message was measured on one computer with live nodes; it includes reception, estimation and outputs. The
+speed of another computer is measured with a small computation of the same kind. The load is accurate to a
 factor of about 1.5.
 """
 
@@ -23,7 +23,7 @@ _COST_MS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "ship_attitude": (("ins/", 0.7), ("star/", 1.5), ("", 0.6)),
     "star_attitude": (("star/", 2.0), ("", 0.4)),
 }
-"""Node → prefix of a topic and cost of a message on it, ms; the first matching row counts."""
+"""Node → prefix of a topic, and cost of a message on such a topic, ms; the first matching prefix counts."""
 
 _OTHER_COST_MS = 0.6
 """Cost of a message of any other node, ms."""
@@ -59,7 +59,7 @@ def node_loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slown
 
     Args:
         adapters: adapters of the nodes.
-        rates_hz: topic → rate of inputs from outside; rates of topics between nodes follow from them.
+        rates_hz: topic → rate of an input from outside; the rates of topics between nodes follow from these rates.
         slowness: relative slowness of this computer, see :func:`measured_slowness`.
     """
     found = []
@@ -73,7 +73,7 @@ def node_loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slown
 
 
 def load_text(found: Sequence[NodeLoad]) -> str:
-    """Return the words for people.
+    """Return a text for people with the loads of the nodes.
 
     Example:
         >>> load_text([NodeLoad("ship_attitude", 0.142, ""), NodeLoad("star_attitude", 0.093, "")])
@@ -85,16 +85,16 @@ def load_text(found: Sequence[NodeLoad]) -> str:
 
 
 def load_warnings(found: Sequence[NodeLoad], cores: int) -> Iterator[str]:
-    """Return what is expected to be too much for this computer.
+    """Yield a warning for each load that is expected to be too high for this computer.
 
     Args:
-        found: the loads of the nodes.
-        cores: processor cores of this computer.
+        found: loads of the nodes.
+        cores: number of processor cores of this computer.
 
     Example:
         >>> for text in load_warnings([NodeLoad("ship_attitude", 0.84, "imu at 1000 Hz")], cores=1):
         ...     print(text)
-        ship_attitude takes about 84 % of one core, limit 70 %: it may fall behind. Most of the load is imu at 1000 Hz
+        ship_attitude takes about 84 % of one core, limit 70 %: it may fall behind, mostly by imu at 1000 Hz
     """
     for load in found:
         if load.is_too_much:
@@ -134,7 +134,7 @@ def _cost_s(node: str, topic: str) -> float:
 
 
 def _rate_hz(topic: str, rates_hz: Mapping[str, float]) -> float:
-    """Return the rate of a topic; for an unknown one of another node, the rate of its source topic."""
+    """Return the rate of a topic; for an output of another node, the rate of the topic from which it is computed."""
     if topic in rates_hz:
         return rates_hz[topic]
     made_of = "ins/imu" if topic == "ship/attitude" else topic.replace("/solution", "/observations")
