@@ -84,7 +84,7 @@ def _run(options: argparse.Namespace) -> int:
     computed = _study(options)
     options.out.mkdir(parents=True, exist_ok=True)
     write_tables(computed, options.out)
-    # matplotlib is imported after the study, because the import takes longer than the report of bad input.
+    # The import of matplotlib takes longer than the study, so bad input is reported first.
     from ship_attitude_star.layout.figures import draw_figures
     from ship_attitude_star.layout.page import page_text
 

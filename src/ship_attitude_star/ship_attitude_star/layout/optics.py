@@ -110,7 +110,7 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
 
 
 def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
-    """Return sigma about (forward, up, right) of the attitude from stars, (3,), rad; infinite for less than two stars.
+    """Return sigma about (forward, up, right) of the attitude from stars, (3,), rad; infinite for one star or none.
 
     The covariance is that of the best attitude, (Σ σ⁻² (I − v vᵀ))⁻¹.
 

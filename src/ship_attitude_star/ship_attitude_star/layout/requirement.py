@@ -103,7 +103,7 @@ class RequirementResult:
         ranking: evaluated layouts, admissible layouts first, then in order of requirement use.
         maps: admissible directions of each sensor, in the order of the sensors.
         trade: layouts with all sensors at one elevation, in order of elevation.
-        allocations: name of a layout → maximum error sizes, for the first layout of the ranking and that as given.
+        allocations: name of a layout → maximum error sizes, for the layout as given and the first in the ranking.
     """
 
     limits_arcsec: FloatArray

@@ -56,7 +56,7 @@ class Truth:
         return self._rotations.get(stamp_ns)
 
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck, shape (3, 3); between stamps None if the truth has no rates."""
+        """Return the rotation horizon from deck, shape (3, 3), interpolated between stamps if the truth has rates."""
         exact = self.rotation_at_stamp(stamp_ns)
         return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
 
@@ -223,7 +223,7 @@ class PublishedPointing(PublishedAttitude):
         self._modes[ns_from_stamp(message.header.stamp)] = message.mode
 
     def errors(self) -> list[AttitudeErrors]:
-        """Return the errors of all pointings, then those of each mode that occurred."""
+        """Return the errors of all pointings, then the errors in each mode that occurred."""
         every = super().errors()
         for errors in every[:1]:
             modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])

@@ -70,7 +70,7 @@ class Identification:
         ]
 
     def _inconsistent_predictions(self, model: str) -> list[str]:
-        """Return a warning each for tilt and heading if errors of predictions are too large, about the worst one."""
+        """Return a warning for tilt and for heading if the errors of predictions are too large, with the worst case."""
         if model not in (GAUSS_MARKOV, self.best.model.name):
             return []
         lines = []

@@ -21,7 +21,7 @@ from ship_replay.offline.adapter_chain import suite_config, suite_text
 from ship_replay.offline.verification import UNCOMPARED_TYPES
 
 _OFF_VALUES = {"alignment_autosave_s": 0.0, "accept_unset_covariance": True}
-"""Last part of the name of a parameter introduced after the first black boxes → value for the behaviour before."""
+"""Last part of the name of a parameter introduced after the first black boxes → value for the former behaviour."""
 _RATE_COVARIANCE_PARAMETER = "ins.accept_unset_covariance"
 """Parameter introduced together with the covariance of the rates in ``ship/imu``."""
 
@@ -60,7 +60,7 @@ def black_box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapt
 
 
 def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
-    """Return the configuration for the replay: that of the black box, or that of a file, with a line in ``notes``.
+    """Return the configuration for the replay: of the black box, or of a file, with a line about the file in ``notes``.
 
     Raises:
         BadInput: the black box is of another version of the suite or lacks an attachment, and no file was given; or the
@@ -158,7 +158,7 @@ def _recorded_parameters(bag: Bag) -> set[str]:
 
 
 def _without_rate_covariance(message: Any) -> Any:
-    """Return a sensor_msgs/Imu whose covariance of the rates is zero, unless it has no rates."""
+    """Return a sensor_msgs/Imu whose covariance of the rates, if positive, is replaced by zeros."""
     imu: Any = message_store().deserialize_cdr(serialize(message), message.__msgtype__)
     if imu.angular_velocity_covariance[0] > 0.0:
         imu.angular_velocity_covariance = np.zeros(9)
@@ -179,7 +179,7 @@ def _version_differences(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def _parameter_changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
-    """Return the parameters that differ from those in the black box, as text; empty if it contains no parameters."""
+    """Return the parameters that differ from those in the black box, as text; empty if it has no parameters."""
     try:
         own, now = (
             flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))),

@@ -1,4 +1,4 @@
-"""Contradictions between sigmas and a bag: the data are the innovations of a source, or the rates of the INS."""
+"""Contradictions between sigmas and a bag, found from the innovations of a source or from the rates of the INS."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple

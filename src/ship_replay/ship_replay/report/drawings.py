@@ -253,7 +253,8 @@ def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part
-    # All residuals are in one array: one numpy call per stamp would be far slower. A zero precedes those of each stamp.
+    # All residuals are in one array, because one numpy call per stamp would be far slower. A zero precedes the
+    # residuals of each stamp.
     residuals: list[float] = []
     starts: list[int] = []
     for stamp in stamps.tolist():

@@ -129,7 +129,7 @@ class RecordedHistory:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """UTC at which the outputs begin and end; the difference is that of the log times."""
+        """UTC at which the outputs begin and end; the length is the span of the log times."""
         return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
 
     def seconds(self, angle: str) -> Counter[Safety]:

@@ -34,7 +34,7 @@ SETTLING_S = 3.0
 """Time after the end of a fault within which its effects are still reported, s."""
 
 _SAME_TIME_NS = NS_PER_S // 2
-"""Time within which a status as bad in the fault-free voyage makes a status be ignored, ns."""
+"""A status is ignored if the fault-free voyage has an equal or worse status within this time, ns."""
 
 _LEAST_REFUSALS = 2
 EXCEEDANCE_SIGMAS = 5.0

@@ -109,7 +109,7 @@ class LiveRun:
         self._wait_for_recorder()
 
     def _wait_for_node(self) -> None:
-        """Wait for the node's answer to a request, which it sends after all inputs before the request are processed."""
+        """Wait until the node has processed all inputs: it answers a request after the inputs received before."""
         name = f"/{self._node_name}/get_parameters"
         client = self.observer.node.create_client(GetParameters, name)
         request = GetParameters.Request(names=["use_sim_time"])

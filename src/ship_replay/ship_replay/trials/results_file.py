@@ -19,7 +19,7 @@ class ResultsFile:
 
     Args:
         path: path of the file; an incomplete last line of a killed run is removed.
-        key: function that returns the key of a result, and raises KeyError or TypeError if the data are no result.
+        key: function that returns the key of a result, and raises KeyError or TypeError for other data.
         fresh: True to discard existing results.
 
     Raises:
