@@ -87,10 +87,10 @@ def independent_count(normalised: FloatArray) -> float:
 
     The mean of n correlated squares has the variance of a mean of n / τ independent squares. Here τ = 1 + 2 Σ r_k is
     the integrated autocorrelation time, and r_k the autocorrelation of the squares. For Gaussian errors r_k is the
-    square of the autocorrelation of the errors (Isserlis 1918), which is estimated far better than r_k itself, because
-    the mean of the errors is known to be zero. With r_k estimated from the squares, τ is too short if errors last for
-    minutes, and one correct sigma in fifty is rejected. The sum ends at the first lag of five times the τ up to this
-    lag (automatic windowing, Sokal 1997, "Monte Carlo methods in statistical mechanics", section 3).
+    square of the autocorrelation of the errors (Isserlis 1918). This autocorrelation is estimated far better than r_k
+    itself, because the mean of the errors is known to be zero. With r_k estimated from the squares, τ is too short if
+    errors last for minutes, and one correct sigma in fifty is rejected. The sum ends at the first lag of five times the
+    τ up to this lag (automatic windowing, Sokal 1997, "Monte Carlo methods in statistical mechanics", section 3).
 
     Args:
         normalised: errors over their sigmas, equally spaced in time, shape (n, k).
