@@ -2,8 +2,8 @@
 
 The INS is levelled by gravity, stars refer to the ellipsoid. The attitude error relative to the geodetic horizon is
 u = a + G d. Here a is the correlated error of the INS, which decays with time, d = (xi, eta) the deflection, which
-changes with the distance over ground, and G the rotation by it (:attr:`LocalVertical.deflection_jacobian`). The state
-``ins.attitude`` holds u, the state ``gravity.deflection`` holds d.
+changes with the distance over ground, and G the rotation due to d (:attr:`LocalVertical.deflection_jacobian`). The
+state ``ins.attitude`` is u, the state ``gravity.deflection`` is d.
 
 Over the time t and the distance s, with the known deflection before (g) and after (g'):
 
@@ -75,7 +75,7 @@ class GaussMarkovIns:
     def _propagation_terms(
         self, before: LocalVertical, here: LocalVertical
     ) -> tuple[FloatArray, float, FloatArray, FloatArray]:
-        """Return the deflection Jacobian, remaining ratio, shift of the states, and covariance added to them."""
+        """Return deflection Jacobian, remaining ratio, shift of the states, and covariance added to the states."""
         change, by_deflection = deflection_change(before, here, self._length_m), _states_by_deflection(here)
         return (
             here.deflection_jacobian,
@@ -86,12 +86,12 @@ class GaussMarkovIns:
 
 
 def _states_by_deflection(here: LocalVertical) -> FloatArray:
-    """Return the derivative of the states by the deflection, shape (5, 2)."""
+    """Return the derivative of the states with respect to the deflection, shape (5, 2)."""
     return np.vstack([here.deflection_jacobian, np.eye(2)])
 
 
 def _distinct_verticals(verticals: list[LocalVertical]) -> tuple[list[LocalVertical], list[int]]:
-    """Return the distinct objects among successive verticals, and the index of each into them."""
+    """Return the distinct objects among successive verticals, and the index of each vertical's object."""
     distinct, index_of = [verticals[0]], []
     for here in verticals:
         if here is not distinct[-1]:

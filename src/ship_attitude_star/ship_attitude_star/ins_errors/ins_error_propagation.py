@@ -11,10 +11,10 @@ from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTr
 from ship_geometry.rotations import FloatArray
 
 _CLOCK = 3
-"""Index of the INS time offset among the states that correct the INS; the states of its process are around it."""
+"""Index of the INS time offset among the states that correct the INS; all other states belong to the INS process."""
 
 _DEFLECTION = slice(4, 6)
-"""Slice of the deflection of the vertical among these states, if it is modelled."""
+"""Slice of the deflection of the vertical, if modelled, among the states that correct the INS."""
 
 
 class InsErrors(NamedTuple):
@@ -23,7 +23,7 @@ class InsErrors(NamedTuple):
     Attributes:
         error_n: attitude error (north, up, east), rad, shape (N, 3).
         covariance_by_source: covariance of attitude error and time offset by error source, shape (N, n_sources, 4, 4).
-        deflection: (xi, eta), rad, shape (N, 2); (N, 0) if it is not modelled.
+        deflection: deflection (xi, eta), rad, shape (N, 2); (N, 0) if it is not modelled.
         deflection_covariance: covariance of the deflection, rad², shape (N, 2, 2), or (N, 0, 0).
         vertical_known: True if the deflection is known, or estimated better than half its prior, shape (N,).
     """
@@ -36,12 +36,12 @@ class InsErrors(NamedTuple):
 
 
 class InsErrorPropagation:
-    """Propagation of the states that correct the INS: attitude error, time offset and the rest of its process.
+    """Propagation of the states that correct the INS: attitude error, time offset and other states of the INS process.
 
     Args:
         process: error process of the INS.
         vertical: vertical along the track.
-        sources: indices of the error sources of the INS and of the deflection, equal if that is not modelled.
+        sources: indices of the error sources of the INS and of the deflection; equal if no deflection is modelled.
         models_deflection: True if the process contains the deflection.
         to_gravity: True if the attitude is published relative to the gravity horizon.
     """
@@ -71,10 +71,10 @@ class InsErrorPropagation:
 
         Args:
             since_ns: time of the state; None before the first measurement.
-            before: vertical at that time; None before the first measurement.
+            before: vertical at the time of the state; None before the first measurement.
             mean: mean of the n states that correct the INS, shape (n,).
-            covariance_by_source: their covariance by error source, shape (n_sources, n, n).
-            times_ns: N times, none before that of the state, in ascending order.
+            covariance_by_source: covariance of these states by error source, shape (n_sources, n, n).
+            times_ns: N times, none before the time of the state, in ascending order.
         """
         verticals = [self._vertical.at(time_ns) for time_ns in times_ns]
         count, size = len(times_ns), len(mean)
@@ -85,7 +85,7 @@ class InsErrorPropagation:
         )
         rows, columns = np.ix_(self._of_process, self._of_process)
         if since_ns is None or before is None:
-            # Before the first measurement the state is the initial one at each time.
+            # Before the first measurement, each time has the initial state.
             initial = [self._process.initial_state(here) for here in verticals]
             of_process += [shift for shift, _ in initial]
             noise[:, self._deflection, rows, columns] = [covariance for _, covariance in initial]
@@ -111,7 +111,7 @@ class InsErrorPropagation:
         """Return True if the deflection is known, or estimated better than half its prior, shape (N,)."""
         if not self._models_deflection:
             return np.zeros(len(verticals), dtype=bool)
-        # Written so that NaN is not known.
+        # A NaN covariance compares as false: the deflection is not known.
         known: NDArray[np.bool_] = np.array([here.given_deflection is not None for here in verticals])
         known |= 4.0 * np.trace(covariance, axis1=1, axis2=2) <= 2.0 * self._unknown_variance
         return known

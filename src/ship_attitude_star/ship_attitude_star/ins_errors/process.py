@@ -16,13 +16,13 @@ DEFLECTION = slice(3, 5)
 
 
 class Propagation(NamedTuple):
-    """Propagation of the n states of a process to N times; all shapes with (N,) in front.
+    """Propagation of the n states of a process to N times; each shape is preceded by N.
 
     Attributes:
         transition: transition matrix of the states, shape (n, n).
         shift: shift added to the states, shape (n,).
-        ins_noise: covariance added by INS errors, shape (n, n).
-        deflection_noise: covariance added by the deflection, shape (n, n).
+        ins_noise: covariance added due to INS errors, shape (n, n).
+        deflection_noise: covariance added due to the deflection, shape (n, n).
     """
 
     transition: FloatArray
@@ -42,9 +42,9 @@ class InsProcess(Protocol):
     """An error process of the INS.
 
     Attributes:
-        blocks: names of its state blocks, in order; ``ins.attitude`` is the first.
-        size: number of its states.
-        needs_latitude: True if it is not valid before the first position fix.
+        blocks: names of the state blocks, in order; ``ins.attitude`` is the first.
+        size: number of states.
+        needs_latitude: True if the process is not valid before the first position fix.
     """
 
     blocks: tuple[str, ...]
@@ -78,7 +78,7 @@ class DeflectionChange(NamedTuple):
     """Change of the deflection d over a distance: remaining_ratio * d + shift, with added noise.
 
     Attributes:
-        remaining_ratio: remaining ratio of the earlier deflection.
+        remaining_ratio: ratio of the earlier deflection that remains.
         shift: shift, rad, shape (2,).
         noise: covariance of the added error, rad², shape (2, 2).
     """
@@ -89,7 +89,7 @@ class DeflectionChange(NamedTuple):
 
 
 def deflection_change(before: LocalVertical, here: LocalVertical, length_m: float) -> DeflectionChange:
-    """Return the change of the deflection between two positions, with the correlation length of its error, m."""
+    """Return the change of the deflection between two positions; its error has a correlation length, m."""
     remaining_ratio = float(np.exp(-max(here.distance_run_m - before.distance_run_m, 0.0) / length_m))
     shift = np.zeros(2)
     if here.given_deflection is not None:

@@ -1,7 +1,7 @@
 """Schuler error process of an INS: errors driven by its gyroscopes and accelerometers.
 
-A tilt error couples gravity into the measured acceleration, which causes a velocity error, which rotates the computed
-horizon: an oscillation with a period of 84.4 min. All vectors are about (North, Up, East):
+A tilt error couples gravity into the measured acceleration. This causes a velocity error, which rotates the computed
+horizon. The result is an oscillation with a period of 84.4 min. All vectors are about (North, Up, East):
 
     u           attitude error, R_true = exp(u) R_ins
     v, l        errors of velocity and latitude
@@ -16,13 +16,13 @@ The equations are
     dl/dt = v_N / R_N                                                 with c = 2 W cos L + V_E / (R_E cos² L)
 
 W is the Earth's rate, w the rotation rate of the horizon by the Earth and the ship velocity V, L the latitude, R_N and
-R_E the radii of curvature. The term in 2 W sin L rotates the plane of the oscillation (Foucault); l adds a period of
-24 h. T is the time constant with which position aiding damps the velocity; such an INS has no latitude error, l = 0.
-e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b are those of the horizon, as
-for an INS with gimbals or sensor rotation: they do not rotate with the hull.
+R_E the radii of curvature. The term in 2 W sin L rotates the plane of the oscillation (Foucault); the state l adds a
+period of 24 h. T is the time constant with which position aiding damps the velocity; an INS with position aiding has no
+latitude error, l = 0. e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b are
+those of the horizon, as for an INS with gimbals or sensor rotation: they do not rotate with the hull.
 
 The equations are those of the phi-angle error model (Titterton and Weston, Strapdown Inertial Navigation Technology,
-ch. 12; models.md §8).
+ch. 12; docs/explanation/ins.md).
 """
 
 import math
@@ -47,7 +47,7 @@ _SERIES_TERMS = 4
 """Number of terms of the power series over a step of 2 s; the next term is 1e-14 of the first."""
 
 _MAX_CHECKPOINTS = 64
-"""Number of stored steps before the newest one: a late position fix changes the last few."""
+"""Maximum number of stored steps; a late position fix changes only the last few steps."""
 
 
 class _Checkpoint(NamedTuple):
@@ -70,7 +70,7 @@ class _PropagationCache(NamedTuple):
     Attributes:
         since_ns: start time.
         before: vertical at the start time.
-        checkpoints: the last steps.
+        checkpoints: propagations up to each of the last steps.
     """
 
     since_ns: int
@@ -83,7 +83,7 @@ class _PowerSeries(NamedTuple):
 
     Attributes:
         transition: terms of the transition matrix, shape (5, n, n).
-        noise: terms of the added covariance, shape (5, n, n); the first is zero.
+        noise: terms of the added covariance, shape (5, n, n); the first term is zero.
     """
 
     transition: FloatArray
@@ -113,7 +113,7 @@ class SchulerIns:
         self._cache: _PropagationCache | None = None
 
     def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
-        """See :class:`InsProcess`; the INS is levelled by gravity at that time."""
+        """See :class:`InsProcess`; initially, the INS is levelled by gravity."""
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         if self._length_m is not None:
             by_deflection = np.vstack([here.deflection_jacobian, np.eye(2)])
@@ -149,8 +149,8 @@ class SchulerIns:
     def _checkpoint_before(self, since_ns: int, before: LocalVertical, time_ns: int, vertical: Vertical) -> _Checkpoint:
         """Return the propagation up to the last step before a time, or up to the start time if that is later.
 
-        Propagations are stored. A stored one is valid while the vertical at its step is the same object, because a
-        change of the vertical at one step creates new objects for all later steps.
+        Propagations are stored. A stored propagation is valid while the vertical at its step is the same object,
+        because a change of the vertical at one step creates new objects for all later steps.
         """
         last = time_ns // STEP_NS
         if self._cache is None or self._cache.since_ns != since_ns or self._cache.before is not before:
@@ -218,7 +218,7 @@ class SchulerIns:
     # -- differential equations -----------------------------------------------------------------------------------
 
     def _power_series(self, here: LocalVertical) -> _PowerSeries:
-        """Return the power series for a vertical; the last one is stored."""
+        """Return the power series for a vertical; the last series is stored."""
         if self._series_cache is None or self._series_cache[0] is not here:
             system_matrix = self.system_matrix(here)
             transition, noise = [np.eye(self.size)], [np.zeros((self.size, self.size)), np.diag(self._density)]

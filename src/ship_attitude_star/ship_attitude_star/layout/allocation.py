@@ -1,9 +1,10 @@
 """Error budget of a layout: maximum size of each error for which the requirement is met, and the dominant error.
 
-If all errors are scaled by one factor, the joint error scales by it too, because the best combination stays the same.
-Each error may therefore be divided by the requirement use, *together* with all others. *Alone*, with the other errors
-unchanged, an error may grow until the worst angle reaches its limit; the sensors are then combined with their new
-covariances. An error that another sensor compensates may have any size.
+If all errors are scaled by one factor, the joint error scales by the same factor, because the best combination stays
+the same. *Together* with all other errors, each error may therefore be divided by the requirement use, the ratio of
+sigma to limit of the worst angle. *Alone*, with the other errors unchanged, an error may grow until the worst angle
+reaches its limit; the sensors are then combined with their new covariances. An error that another sensor compensates
+may have any size.
 """
 
 from collections.abc import Iterator
@@ -15,9 +16,9 @@ from ship_attitude_star.layout.joint_error import Layout
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 MAX_ERROR_ARCSEC = 36_000.0
-"""Largest error of a study, arcseconds; an error that may be larger may have any size."""
+"""Largest error of a study, arcseconds; an error that is allowed to exceed this value may have any size."""
 _MIN_NOISE_ARCSEC = 0.001
-"""Least noise of a sensor, arcseconds: zero noise has a singular covariance."""
+"""Minimum noise of a sensor, arcseconds: the covariance of zero noise is singular."""
 _HALVINGS = 40
 
 _AXES = ("forward", "up", "right")
@@ -32,11 +33,11 @@ class Allocation:
     Attributes:
         key: parameter of the study that sets the error.
         kind: "star noise", "installation", "refraction", "horizon" or "clock".
-        sigma_arcsec: its present size.
-        share: its present fraction of the variance of the angle that uses most of its limit.
-        together_arcsec: its maximum size if all errors are scaled equally.
-        alone_arcsec: its maximum size with the other errors unchanged; infinite for any size, NaN if the requirement is
-            not met even without it.
+        sigma_arcsec: present size of the error.
+        share: present fraction of the variance due to the error, for the angle that uses most of its limit.
+        together_arcsec: maximum size of the error if all errors are scaled equally.
+        alone_arcsec: maximum size of the error with the other errors unchanged; infinite if any size is allowed, NaN
+            if the requirement is not met even without the error.
     """
 
     key: str
@@ -48,11 +49,11 @@ class Allocation:
 
 
 def requirement_use(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> FloatArray:
-    """Return sigma over limit of the worst angle, shape (...); NaN if a required angle is not known.
+    """Return the ratio of sigma to limit of the worst angle, shape (...); NaN if a required angle is not known.
 
     Args:
         sigmas_arcsec: standard deviations of heading, pitch, roll, shape (..., 3).
-        limits_arcsec: limits of the same, shape (3,); infinite where nothing is required.
+        limits_arcsec: limits of these angles, shape (3,); infinite for an angle without requirement.
     """
     is_limited = np.isfinite(limits_arcsec)
     use: FloatArray = np.max(sigmas_arcsec[..., is_limited] / limits_arcsec[is_limited], axis=-1)
@@ -65,11 +66,11 @@ def binding_angle(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> int:
 
 
 def allocate_errors(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
-    """Return the maximum sizes of a layout's errors, those with the largest share first.
+    """Return the maximum sizes of a layout's errors, the error with the largest share first.
 
     Args:
-        layout: a layout whose sigmas are known.
-        limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required.
+        layout: layout whose sigmas are known.
+        limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite for an angle without requirement.
     """
     sigmas = layout.sigmas_arcsec()
     use, angle = float(requirement_use(sigmas, limits_arcsec)), binding_angle(sigmas, limits_arcsec)

@@ -18,18 +18,18 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 MIN_ELEVATION_DEG = 5.0
-"""Minimum elevation of a boresight above the horizon: below it no refraction model is valid."""
+"""Minimum elevation of a boresight above the horizon: no refraction model is valid at lower elevations."""
 
 DEFAULT_SENSORS = {
     "fore": {"azimuth_deg": 0.0, "elevation_deg": 35.0},
     "starboard": {"azimuth_deg": 90.0, "elevation_deg": 35.0},
 }
-"""Sensors of a study whose file names none: two at right angles with the elevation and the errors of [Z14]."""
+"""Sensors of a study whose file contains no sensors: two at right angles, with elevation and errors of [Z14]."""
 
 # Names of sensors are used as names of files and headings.
 _SENSOR_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _MIN_SIGMA_ARCSEC = 0.001
-"""Least noise of a sensor: no covariance is singular with it, and it changes no printed digit."""
+"""Minimum noise of a sensor, arcseconds: it avoids singular covariances and changes no printed digit."""
 
 
 def _angle(default: Any = dataclasses.MISSING, *, doc: str, limit_deg: float = 360.0) -> Any:
@@ -147,7 +147,7 @@ class Requirement:
     roll_arcsec: float = _sigma(0.0, doc="maximum error of roll, 1 sigma; 0: no requirement")
 
     def limits_arcsec(self) -> FloatArray:
-        """Return the maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required."""
+        """Return the maximum sigma of heading, pitch, roll, shape (3,); infinite for an angle without requirement."""
         required = np.array([self.heading_arcsec, self.pitch_arcsec, self.roll_arcsec])
         return np.where(required > 0.0, required, np.inf)
 
@@ -211,10 +211,10 @@ class LayoutStudyConfig:
 
 
 def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
-    """Return the checked parameters of a study; values without sensors get :data:`DEFAULT_SENSORS`.
+    """Return the checked parameters of a study, with :data:`DEFAULT_SENSORS` if the values contain no sensors.
 
     Raises:
-        ParameterError: names the parameter and the allowed values.
+        ParameterError: a parameter is invalid; the text gives the parameter and the allowed values.
     """
     values = {**values, "sensors": values.get("sensors") or DEFAULT_SENSORS}
     config = build(LayoutStudyConfig, values)
@@ -233,10 +233,10 @@ def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
 
 
 def _check_optics(config: LayoutStudyConfig, values: Mapping[str, Any]) -> None:
-    """Check that optics belong to a sensor of the study whose noise is not given too.
+    """Check that optics belong to a sensor of the study, and that the noise of this sensor is not given.
 
     Raises:
-        ParameterError: they do not.
+        ParameterError: the sensor is unknown, or its noise is given.
     """
     for name in config.optics:
         if name not in config.sensors:
@@ -257,7 +257,7 @@ def _check_alternatives(config: LayoutStudyConfig) -> None:
     """Check that alternatives contain sensors of the study only, and that there is a requirement.
 
     Raises:
-        ParameterError: they do not, or there is none.
+        ParameterError: an alternative contains another sensor, or there is no requirement.
     """
     for name, alternative in config.alternatives.items():
         key = f"alternatives.{name}"

@@ -34,7 +34,7 @@ _STEEP_RATIO = 25.0
 
 
 def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into an existing folder; return the files by the figures' names."""
+    """Draw every figure as PNG into an existing folder; return name of the figure → file."""
     return write_figures(_figures(study), folder)
 
 
@@ -50,7 +50,7 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
 
 
 def sweep_figures(curves: list[Curve]) -> Iterator[tuple[str, Figure]]:
-    """Return the six figures of [Z14] by name, each in both conventions, from the curves of all of them."""
+    """Yield name and figure of the six figures of [Z14], each in both conventions, from the curves of all figures."""
     for sweep in SWEEPS:
         yield f"figure_{sweep.number}", _sweep_figure(sweep, [curve for curve in curves if curve.sweep is sweep])
 
@@ -174,7 +174,7 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
             moved.azimuths_deg, moved.elevations_deg, values, levels, norm=LogNorm(levels[0], levels[-1]), cmap="YlOrBr"
         )
         least, most = np.nanmin(values), np.nanmax(values)
-        # A line too near to the least value would be fragmented and is left out.
+        # A line too near to the least value would be fragmented and is not drawn.
         lines = [
             line for line in (_FEW_LINES if most > _STEEP_RATIO * least else _MORE_LINES) if 1.02 * least < line < most
         ]
@@ -204,7 +204,7 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
 
 _SYMBOLS = ("dK", "dψ", "dθ")
 _READING_TITLES = {InstallationConvention.PHYSICAL: "physical convention", InstallationConvention.PAPER: "as in [Z14]"}
-# Wide pale curves lie below narrow dark ones, so that coinciding curves are both visible. Blue: ahead or astern;
+# Wide pale curves lie below narrow dark curves, so that coinciding curves are both visible. Blue: ahead or astern;
 # orange: abeam.
 _CURVE_STYLES = {
     0.0: ("#8fbfe6", "-", 5.0),

@@ -1,13 +1,13 @@
-"""Error model of a star sensor and its installation for the ship's attitude; and the six figures of [Z14].
+"""Error model of the ship's attitude by a star sensor and its installation, and the six figures of [Z14].
 
     R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)^T         physical convention, [Z14] (4)
     R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)           as computed by [Z14] for its figures
 
 To first order the error of heading, pitch and roll is ``J_s [dAs, dEs, droll_s] + J_0 [dA0, dE0, droll_0]``. Both
-Jacobians follow from B of :mod:`ship_geometry.frames`, exactly, for every layout. Angles are arrays (..., 3) of
+Jacobians follow exactly from B of :mod:`ship_geometry.frames`, for every layout. Angles are arrays (..., 3) of
 azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. The model is
 described in docs/how-to/mount_a_sensor.md. A sweep is one of the six figures: the errors while one angle varies and the
-others stay fixed.
+other angles stay fixed.
 """
 
 import enum
@@ -34,17 +34,17 @@ class InstallationConvention(enum.Enum):
     PHYSICAL = "physical"
     """Deck from sensor: the installation angles are the direction of the boresight in the ship."""
     PAPER = "paper"
-    """Sensor from deck: use of the same angles in the factors and figures of [Z14], against its own (4)."""
+    """Sensor from deck: the same angles as used in the factors and figures of [Z14], in contradiction to its (4)."""
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """First-order errors of the ship's attitude, NaN where heading and roll cannot be separated.
+    """First-order errors of the ship's attitude; NaN if heading and roll are not separable.
 
     Attributes:
         ship_angles: heading, pitch, roll, shape (..., 3), rad.
         star: J_s, errors of the ship's angles per error of the sensor's horizon attitude, shape (..., 3, 3).
-        installation: J_0, the same per error of the installation angles, shape (..., 3, 3).
+        installation: J_0, errors of the ship's angles per error of the installation angles, shape (..., 3, 3).
     """
 
     ship_angles: FloatArray
@@ -95,7 +95,7 @@ def linearise(
 def ship_rotation(
     star_angles: FloatArray, installation_angles: FloatArray, convention: InstallationConvention
 ) -> FloatArray:
-    """Return the rotation "horizon from deck" by a sensor's horizon attitude, shape (..., 3, 3)."""
+    """Return the rotation "horizon from deck" computed from a sensor's horizon attitude, shape (..., 3, 3)."""
     installation = _rotation(np.asarray(installation_angles, dtype=float))
     if convention is InstallationConvention.PHYSICAL:
         installation = np.swapaxes(installation, -1, -2)
@@ -126,14 +126,14 @@ def combine_attitudes(
 
     Args:
         covariances: covariance of each sensor's own error, rotation vectors in one frame, rad², shape (..., N, 3, 3);
-            regular.
+            not singular.
         common_effects: effects of each of k common errors on each sensor, shape (..., N, 3, k).
         common_covariance: covariance of the common errors, shape (k, k).
     """
     *leading, count, _, _ = covariances.shape
     stacked = np.zeros((*leading, count, 3, count, 3))
     each = np.arange(count)
-    # Separated advanced indices put the sensors first.
+    # numpy puts the dimension of separated index arrays, here the sensors, first.
     stacked[..., each, :, each, :] = np.moveaxis(covariances, -3, 0)
     joint = stacked.reshape(*leading, 3 * count, 3 * count)
     if common_effects is not None and common_covariance is not None:
@@ -170,15 +170,15 @@ _STAR_AZIMUTH, _STAR_ELEVATION, _AZIMUTH, _ELEVATION, _ROLL = 0, 1, 3, 4, 5
 
 @dataclass(frozen=True)
 class Sweep:
-    """One figure.
+    """One of the six figures.
 
     Attributes:
         number: number of the figure in [Z14].
         symbol: symbol of the swept angle.
         meaning: description of the swept angle.
-        column: index of that angle in (As, Es, roll_s, A0, E0, roll_0).
-        range_deg: least and greatest angle.
-        all_errors: True for all six errors added with their signs; False for that of the star sensor's roll only.
+        column: index of the swept angle in (As, Es, roll_s, A0, E0, roll_0).
+        range_deg: least and greatest value of the swept angle.
+        all_errors: True for all six errors added with their signs; False for the error of the star sensor's roll only.
     """
 
     number: int
@@ -204,10 +204,10 @@ class Curve:
     """One curve of a figure.
 
     Attributes:
-        sweep: the figure to which the curve belongs.
+        sweep: figure to which the curve belongs.
         convention: convention of the installation angles.
-        azimuth_deg: installation azimuth A0; None where A0 itself is swept.
-        swept_deg: the swept angle, shape (n,).
+        azimuth_deg: installation azimuth A0; None if A0 is the swept angle.
+        swept_deg: values of the swept angle, shape (n,).
         errors_arcsec: signed errors of heading, pitch, roll, shape (n, 3); NaN at a pitch of ±90°.
     """
 
@@ -253,7 +253,7 @@ SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
 
 
 def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, convention: InstallationConvention) -> FloatArray:
-    """Return the signed errors of heading, pitch, roll by each of the six errors alone, shape (6, 3)."""
+    """Return the signed errors of heading, pitch, roll due to each of the six errors alone, shape (6, 3)."""
     angles = np.deg2rad(point_angles_deg(point, azimuth_deg))
     model = linearise(angles[:3], angles[3:], convention)
     factors = np.concatenate([model.star, model.installation], axis=-1)

@@ -1,4 +1,4 @@
-"""Errors of a whole layout: of all sensors combined, by error source, and as a function of one sensor's mounting."""
+"""Errors of a layout: joint error of all sensors, by error source, and as a function of one sensor's mounting."""
 
 from dataclasses import dataclass
 
@@ -32,12 +32,12 @@ class SourceError:
     """Effect of one sigma of one error source on the joint attitude.
 
     Attributes:
-        sensor: the sensor that has this error; "all" for an error that the sensors share.
+        sensor: sensor that has this error; "all" for an error that the sensors share.
         source: description of the source.
-        key: parameter of the study that sets its size, if the noise does not follow from optics.
+        key: parameter of the study that sets the size of the error, if the noise does not follow from optics.
         sigma_arcsec: standard deviation of the source.
-        errors_arcsec: errors of heading, pitch, roll by it, shape (3,); the squares of all sources add up to the
-            variance.
+        errors_arcsec: errors of heading, pitch, roll due to the source, shape (3,); the sum of their squares over all
+            sources is the variance.
     """
 
     sensor: str
@@ -148,7 +148,7 @@ class Layout:
 
 
 def _common_effects(rotations_ns: FloatArray) -> FloatArray:
-    """Return rotation vectors by rotations of the horizon about N, U, E and by refraction at 45°, (..., N, 3, 4)."""
+    """Return rotation vectors due to rotations of the horizon about N, U, E and refraction at 45°, (..., N, 3, 4)."""
     star = angles_from_rotation(rotations_ns)
     azimuth, elevation = star[..., 0], star[..., 1]
     seen = np.rad2deg(elevation) >= MIN_ELEVATION_DEG - 1e-9
@@ -163,10 +163,10 @@ class ErrorMap:
     """The joint error as a function of one sensor's mounting, with the other sensors fixed.
 
     Attributes:
-        sensor: the sensor that is moved.
-        azimuths_deg: shape (a,).
-        elevations_deg: shape (e,).
-        sigmas_arcsec: heading, pitch, roll, shape (e, a, 3); NaN where the boresight is below the least elevation.
+        sensor: sensor that is moved.
+        azimuths_deg: azimuths of the map, shape (a,).
+        elevations_deg: elevations of the map, shape (e,).
+        sigmas_arcsec: sigmas of heading, pitch, roll, shape (e, a, 3); NaN where the boresight is too low.
     """
 
     sensor: str
@@ -175,7 +175,7 @@ class ErrorMap:
     sigmas_arcsec: FloatArray
 
     def total_arcsec(self) -> FloatArray:
-        """Return the root sum of squares of the three, shape (e, a)."""
+        """Return the root sum of squares of the three sigmas, shape (e, a)."""
         return total_arcsec(self.sigmas_arcsec)
 
 

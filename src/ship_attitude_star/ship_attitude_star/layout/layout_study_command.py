@@ -39,7 +39,7 @@ class _WrappedDescription(argparse.RawDescriptionHelpFormatter):
     """Formatter that wraps the description, and keeps the lines of the table of keys."""
 
     def add_text(self, text: str | None) -> None:
-        """Wrap a text that has no lines of its own."""
+        """Add a text, wrapped if it contains no line breaks."""
         if text is not None and text is not argparse.SUPPRESS and "\n" not in text:
             text = textwrap.fill(text, max(self._width - self._current_indent, 40))
         super().add_text(text)
@@ -84,7 +84,7 @@ def _run(options: argparse.Namespace) -> int:
     computed = _study(options)
     options.out.mkdir(parents=True, exist_ok=True)
     write_tables(computed, options.out)
-    # Loading matplotlib takes longer than the study: bad input is reported before.
+    # The import of matplotlib takes longer than the study, so bad input is reported first.
     from ship_attitude_star.layout.figures import draw_figures
     from ship_attitude_star.layout.page import page_text
 
@@ -101,7 +101,8 @@ def _study(options: argparse.Namespace) -> LayoutStudy:
     """Return the study of the given file, or of the sensors of [Z14].
 
     Raises:
-        BadInput: names the file, the line, the parameter and the expected value; or what cannot be written.
+        BadInput: the input is invalid, and the text gives file, line, parameter and expected value; or a file of the
+            study cannot be written.
     """
     file = None if options.layout is None else read_nested_parameters(options.layout)
     try:

@@ -21,7 +21,7 @@ class Obstructions:
     Attributes:
         masks: obstructions on deck.
         half_fields: tangents of half the field of view to the right and up of each sensor, shape (N, 2).
-        up_d: the upward direction, in the deck, in the extreme attitudes of the ship, shape (m, 3).
+        up_d: upward direction, in the deck frame, for each extreme attitude of the ship, shape (m, 3).
         clearance: required elevation of a field above the horizon, rad.
     """
 
@@ -63,7 +63,7 @@ class Obstructions:
         return ~reached
 
     def horizon_margin(self, number: int, angles: FloatArray) -> FloatArray:
-        """Return the margin of the field's lowest point to the clearance as the ship moves, shape (n,), rad.
+        """Return the elevation of a field's lowest point above the clearance while the ship moves, shape (n,), rad.
 
         Args:
             number: number of the sensor.

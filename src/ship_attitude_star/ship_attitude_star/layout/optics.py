@@ -1,4 +1,4 @@
-"""Attitude noise of a star sensor from its optics, by the catalogue's stars and by Liebe's formulas.
+"""Attitude noise of a star sensor from its optics, with the catalogue's stars and with Liebe's formulas.
 
 C. C. Liebe, "Accuracy performance of star trackers: a tutorial", IEEE Transactions on Aerospace and Electronic Systems
 38(2), 2002, gives for N stars in a square field:
@@ -6,10 +6,11 @@ C. C. Liebe, "Accuracy performance of star trackers: a tutorial", IEEE Transacti
     across the boresight    field · centroid / (pixels · √N)
     about the boresight     atan(centroid / (0.3825 · pixels)) / √N
 
-0.3825 is the *mean* distance of a star from the middle of a square field, in sides. The attitude depends on its root
-mean square, 1/√6 = 0.4082, so with many stars the second formula is 7 % larger than the attitude's covariance. With few
-stars the covariance is larger, because the stars rotate about their own mean. The layout study uses the covariance by
-the catalogue's stars, and shows Liebe's values for comparison.
+0.3825 is the *mean* distance of a star from the middle of a square field, in sides. The attitude depends on the root
+mean square distance, 1/√6 = 0.4082. So with many stars the sigma of the second formula is 7 % larger than that of the
+attitude. With few stars the sigma of the attitude is larger, because it depends on the distances of the stars from
+their own mean. The layout study uses the covariance with the catalogue's stars, and shows Liebe's values for
+comparison.
 
 The magnitude limit is a parameter. It is not derived from aperture and exposure, because it also depends on the
 brightness of the sky, the read-out noise and the streaks of a rolling ship.
@@ -45,7 +46,7 @@ class SkyStatistics:
         field_deg: width and height of the field of view.
         star_sigma_arcsec: noise of the direction of one star, per axis.
         stars: number of stars in the field for each of many uniformly drawn directions and rolls, shape (n,).
-        sigmas_arcsec: sigma about (forward, up, right) for each of them, shape (n, 3); infinite with too few stars.
+        sigmas_arcsec: sigma about (forward, up, right) for each direction, shape (n, 3); infinite with too few stars.
         quantile_arcsec: sigma about (forward, up, right) not exceeded in the required share of the sky, shape (3,).
         liebe_arcsec: sigma about (forward, up, right) by Liebe's formulas with the mean number of stars, shape (3,).
     """
@@ -58,7 +59,7 @@ class SkyStatistics:
     liebe_arcsec: FloatArray
 
     def star_count_percentiles(self) -> dict[int, float]:
-        """Return the star count at each of the percentiles over the sky, by percentile."""
+        """Return percentile over the sky → star count."""
         return {percent: float(np.percentile(self.stars, percent, method="lower")) for percent in PERCENTILES}
 
     def share_without_attitude(self) -> float:
@@ -67,7 +68,7 @@ class SkyStatistics:
 
 
 def sky_statistics(optics: Optics) -> SkyStatistics:
-    """Return the stars in the field and the noise of the attitude over the sky, by the Hipparcos-2 catalogue.
+    """Return the stars in the field and the noise of the attitude over the sky, with the Hipparcos-2 catalogue.
 
     Directions and rolls are drawn with a fixed seed.
     """
@@ -93,7 +94,7 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
     """Return sigma about (forward, up, right) by Liebe's formulas, shape (3,), rad.
 
     Args:
-        optics: optics of the sensor. Liebe's field is square: its pixel count is the root of columns times rows.
+        optics: optics of the sensor. For Liebe's square field, the pixel count is the root of columns times rows.
         stars: number of stars in the field.
     """
     with np.errstate(divide="ignore"):
@@ -109,7 +110,7 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
 
 
 def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
-    """Return sigma about (forward, up, right) of the attitude by stars, shape (3,), rad; infinite with fewer than two.
+    """Return sigma about (forward, up, right) of the attitude from stars, (3,), rad; infinite for one star or none.
 
     The covariance is that of the best attitude, (Σ σ⁻² (I − v vᵀ))⁻¹.
 
@@ -142,7 +143,7 @@ def _stars_up_to(magnitude: float) -> FloatArray:
     """Return unit vectors of the stars up to a magnitude, shape (k, 3)."""
     catalogue = hipparcos()
     rows = catalogue.rows_brighter_than(magnitude)
-    # Their motion since the epoch is negligible compared with a field of view.
+    # The motion of the stars since the epoch is negligible compared with a field of view.
     alpha, delta = catalogue.at_epoch.right_ascension[rows], catalogue.at_epoch.declination[rows]
     return np.stack([np.cos(delta) * np.cos(alpha), np.cos(delta) * np.sin(alpha), np.sin(delta)], axis=-1)
 
@@ -150,7 +151,8 @@ def _stars_up_to(magnitude: float) -> FloatArray:
 def _draw_rotations() -> FloatArray:
     """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of normal matrices."""
     factors, triangles = np.linalg.qr(np.random.default_rng(_SEED).standard_normal((_DIRECTIONS, 3, 3)))
-    # With a positive diagonal of the triangle the factors are uniform (Mezzadri, 2007); reflections are then flipped.
+    # With a positive diagonal of the triangular factors, the orthogonal factors are uniformly distributed (Mezzadri,
+    # 2007). Then reflections are changed into rotations.
     factors *= np.sign(np.diagonal(triangles, axis1=-2, axis2=-1))[:, None, :]
     factors[:, :, 0] *= np.linalg.det(factors)[:, None]
     return factors

@@ -165,7 +165,7 @@ def _result(study: LayoutStudy) -> str:
     if count == 1:
         return f"The one sensor, “{study.layout.names[0]}”, gives {_errors(study.joint_arcsec)} (1σ)."
     totals = total_arcsec(study.alone_arcsec)
-    # Rounded, so that the first of equally good sensors is named on every processor.
+    # Totals are rounded, so that the first of equally good sensors is named on every processor.
     best = int(np.argmin(np.round(totals, 6)))
     joint = float(total_arcsec(study.joint_arcsec))
     return (

@@ -1,9 +1,11 @@
 """Evaluation of layouts by the required accuracy: admissible layouts, their ranking, and the effect of elevation.
 
 The requirement use of a layout is sigma / requirement of its worst angle. The layout is admissible if the use is at
-most 1, no mask is in a field of view, and all fields stay above the horizon while the ship moves. Evaluated are the
-layouts of the file, the recommended azimuths, each sensor moved alone over all azimuths and elevations, and all sensors
-moved together. The last is a search: two sensors at a time over a coarse grid, then one at a time over a finer one.
+most 1, no mask is in a field of view, and all fields stay above the horizon while the ship moves.
+
+The evaluated layouts are those of the file, the recommended azimuths, each sensor moved alone over all azimuths and
+elevations, and all sensors moved together. A search moves two sensors at a time over a coarse grid, then one sensor at
+a time over a fine grid.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,7 +22,7 @@ from ship_attitude_star.layout.masks import Obstructions
 from ship_geometry.rotations import FloatArray
 
 AS_GIVEN, RECOMMENDED, ALL_MOVED = "as given", "recommended azimuths", "all sensors moved"
-"""Names of the layouts that no file gives; an alternative has its own name, a sensor moved alone "<id> moved"."""
+"""Names of layouts. An alternative has the name in the file; a layout with one sensor moved is "<id> moved"."""
 
 SEARCH_STEP_DEG = 5.0
 """Final step of azimuth and elevation in the search that moves all sensors."""
@@ -37,11 +39,11 @@ class Candidate:
     """One evaluated layout.
 
     Attributes:
-        name: as in :data:`AS_GIVEN`.
+        name: name of the layout, see :data:`AS_GIVEN`.
         layout: the layout.
         sigmas_arcsec: sigmas of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
-        requirement_use: sigma over requirement of the worst angle; NaN if the sigmas are NaN.
-        obstacles: descriptions of the obstructions in the fields of view; empty if there are none.
+        requirement_use: ratio of sigma to requirement of the worst angle; NaN if the sigmas are NaN.
+        obstacles: descriptions of the obstructions in the fields of view; empty without obstructions.
     """
 
     name: str
@@ -52,19 +54,19 @@ class Candidate:
 
     @property
     def is_admissible(self) -> bool:
-        """True if it meets the requirement without obstructions; False if its sigmas are not known."""
+        """True if the layout meets the requirement without obstructions; False if its sigmas are not known."""
         return self.requirement_use <= 1.0 and not self.obstacles
 
 
 @dataclass(frozen=True)
 class AdmissibleMap:
-    """Admissible mounting directions of one sensor with the others as given, on the grid of the study's error map.
+    """Admissible mounting directions of one sensor, on the grid of the study's error map, with others as given.
 
     Attributes:
-        sensor: the sensor that is moved.
+        sensor: sensor that is moved.
         requirement_use: requirement use, shape (e, a); NaN where the boresight is too low.
-        is_clear: True where its field is clear of masks, shape (e, a).
-        is_above_horizon: True where its field stays above the horizon, shape (e, a).
+        is_clear: True where the sensor's field is clear of masks, shape (e, a).
+        is_above_horizon: True where the sensor's field stays above the horizon, shape (e, a).
     """
 
     sensor: str
@@ -83,8 +85,8 @@ class ElevationTrade:
 
     Attributes:
         elevation_deg: elevation of all sensors.
-        candidate: the layout.
-        refraction_arcsec: errors of heading, pitch, roll by refraction, shape (3,).
+        candidate: evaluated layout.
+        refraction_arcsec: errors of heading, pitch, roll due to refraction, shape (3,).
     """
 
     elevation_deg: float
@@ -97,11 +99,11 @@ class RequirementResult:
     """Results of the evaluation of a requirement.
 
     Attributes:
-        limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required.
-        ranking: the layouts, admissible ones first, then by requirement use.
+        limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite for an angle without requirement.
+        ranking: evaluated layouts, admissible layouts first, then in order of requirement use.
         maps: admissible directions of each sensor, in the order of the sensors.
-        trade: the layouts over elevation.
-        allocations: maximum error sizes, of the first layout of the ranking and of the layout as given, by name.
+        trade: layouts with all sensors at one elevation, in order of elevation.
+        allocations: name of a layout → maximum error sizes, for the layout as given and the first in the ranking.
     """
 
     limits_arcsec: FloatArray
@@ -127,10 +129,10 @@ def evaluate_layouts(
     """Evaluate the layouts of a study by its requirement.
 
     Args:
-        config: the study.
-        layout: the layout as given.
-        best: the layout at the recommended azimuths.
-        maps: the errors over each sensor's mounting direction.
+        config: parameters of the study.
+        layout: layout as given.
+        best: layout at the recommended azimuths.
+        maps: errors over each sensor's mounting direction.
         obstructions: masks and horizon.
     """
     evaluator = _LayoutEvaluator(config.requirement.limits_arcsec(), obstructions)
@@ -146,7 +148,7 @@ def evaluate_layouts(
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
         candidates += evaluator.best_of_map(layout, number, moved, allowed)
     candidates.append(evaluator.search(candidates, layout))
-    # The sort is stable, so that of equal layouts the one nearest to the given layout comes first.
+    # The sort is stable, so that of equal layouts the layout nearest to the given layout comes first.
     ranking = sorted(
         candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use))
     )
@@ -163,7 +165,7 @@ def evaluate_layouts(
 
 @dataclass(frozen=True)
 class _LayoutEvaluator:
-    """Evaluates layouts by limits, arcsec, shape (3,), and by obstructions."""
+    """Evaluation of layouts by limits (arcsec, shape (3,)) and obstructions."""
 
     limits_arcsec: FloatArray
     obstructions: Obstructions
@@ -192,7 +194,7 @@ class _LayoutEvaluator:
         )
 
     def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:
-        """Return the best unobstructed direction of one sensor moved alone; empty if there is none."""
+        """Return the layout with the best unobstructed direction of one sensor; empty if all are obstructed."""
         uses = np.where(allowed.is_clear & allowed.is_above_horizon, _or_infinite(allowed.requirement_use), np.inf)
         row, column = np.unravel_index(np.argmin(uses), uses.shape)
         if not np.isfinite(uses[row, column]):
@@ -202,11 +204,11 @@ class _LayoutEvaluator:
         return [self.candidate(f"{moved.sensor} moved", replace(layout, angles=angles))]
 
     def search(self, candidates: list[Candidate], layout: Layout) -> Candidate:
-        """Search the layout with the least requirement use, all sensors moved together.
+        """Search the layout with the least requirement use, with all sensors moved.
 
-        Two sensors at a time move to the best pair of directions of a coarse grid. From there, from the layouts already
-        evaluated and from sensors distributed around the ship, one sensor at a time moves to the best direction of a
-        fine grid.
+        Two sensors at a time move to the best pair of directions of a coarse grid. One sensor at a time then moves to
+        the best direction of a fine grid. This second search also starts from the layouts already evaluated, and from
+        layouts with the sensors distributed around the ship.
         """
         coarse = [
             self._unobstructed_placements(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))
@@ -229,12 +231,12 @@ class _LayoutEvaluator:
     def _descend(
         self, layout: Layout, places: list[FloatArray], groups: Sequence[tuple[int, ...]] | None = None
     ) -> Layout:
-        """Move sensors in turn to the best of their directions until none moves.
+        """Move sensors in turn to their best directions until no sensor moves.
 
         Args:
-            layout: the start.
-            places: installation angles of each, shape (n, 3), rad; a sensor without any stays.
-            groups: numbers of the sensors that move together; None for each by itself.
+            layout: layout at the start.
+            places: possible installation angles of each sensor, shape (n, 3), rad; with n = 0 the sensor is not moved.
+            groups: numbers of the sensors that move together; None if each sensor moves alone.
         """
         for _ in range(_MAX_ROUNDS):
             before = layout.angles
@@ -252,7 +254,7 @@ class _LayoutEvaluator:
         return layout
 
     def elevation_trades(self, layout: Layout) -> Iterator[ElevationTrade]:
-        """Return all sensors at each elevation, at the azimuths with the least requirement use."""
+        """Yield all sensors at one elevation, for each elevation, at the azimuths with the least requirement use."""
         for elevation_deg in _elevations_deg(_TRADE_STEP_DEG):
             angles = layout.angles.copy()
             angles[:, 1] = np.deg2rad(elevation_deg)
@@ -261,7 +263,7 @@ class _LayoutEvaluator:
             for number in range(len(layout.names)):
                 turned = _grid_angles(level, number, np.arange(0.0, 360.0, SEARCH_STEP_DEG), np.array([elevation_deg]))
                 clear = self.obstructions.is_clear(number, turned)
-                # If masks leave no azimuth, the sensor stays, and the candidate's obstacles name them.
+                # If masks leave no azimuth, the sensor is not moved, and the candidate's obstacles include the masks.
                 places.append(turned[clear])
             best = self._descend(level, places)
             candidate = self.candidate(f"all at {elevation_deg:g} deg", best)
@@ -273,7 +275,7 @@ class _LayoutEvaluator:
 
 
 def _spread_layouts(layout: Layout) -> Iterator[Layout]:
-    """Return the sensors at their elevations, with azimuths uniform over half and over the whole circle."""
+    """Yield layouts with azimuths evenly spaced over half a circle and over the whole circle, elevations unchanged."""
     count = len(layout.names)
     for turn_deg in _TURNS_DEG:
         for circle in (np.pi, 2.0 * np.pi):
@@ -287,12 +289,12 @@ def _elevations_deg(step_deg: float) -> FloatArray:
 
 
 def _grid_angles(layout: Layout, number: int, azimuths_deg: FloatArray, elevations_deg: FloatArray) -> FloatArray:
-    """Return installation angles of a sensor at each elevation and azimuth with its own roll, shape (e · a, 3), rad."""
+    """Return installation angles of a sensor at each elevation and azimuth, with its roll, shape (e · a, 3), rad."""
     elevation, azimuth = np.meshgrid(np.deg2rad(elevations_deg), np.deg2rad(azimuths_deg), indexing="ij")
     roll = np.full(azimuth.size, layout.angles[number, 2])
     return np.stack([azimuth.ravel(), elevation.ravel(), roll], axis=-1)
 
 
 def _or_infinite(use: FloatArray | float) -> FloatArray:
-    """Return the requirement uses, infinite where they are not known."""
+    """Return the requirement uses, with infinity in place of NaN."""
     return np.where(np.isnan(use), np.inf, use)

@@ -30,7 +30,7 @@ _MAX_USE = 3.0
 
 
 def admissible_figure(study: LayoutStudy, required: RequirementResult) -> Figure:
-    """Return the figure of each sensor's admissible directions with the others as given, with masks and horizon."""
+    """Return the figure of each sensor's admissible directions, other sensors as given, with masks and horizon."""
     count = len(required.maps)
     figure, grid = plt.subplots(count, 1, figsize=(9.5, 3.9 * count + 0.8), squeeze=False, layout="constrained")
     for number, (allowed, axes) in enumerate(zip(required.maps, grid[:, 0], strict=True)):
@@ -71,7 +71,7 @@ def _draw_admissible(axes: Axes, study: LayoutStudy, allowed: AdmissibleMap, num
 
 
 def elevation_figure(required: RequirementResult) -> Figure:
-    """Return the figure of the errors over elevation: refraction at low, parallel boresights at high elevation."""
+    """Return the figure of the errors over elevation: refraction at low elevation, parallel boresights at high."""
     elevations_deg = np.array([one.elevation_deg for one in required.trade])
     figure, axes = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
     sigmas = np.array([one.candidate.sigmas_arcsec for one in required.trade])

@@ -1,7 +1,7 @@
-"""All numbers of a layout study, with the recommended azimuths; tables, figures and page show them.
+"""Computation of all numbers of a layout study, recommended azimuths included, for tables, figures and page.
 
-The recommended azimuths have the least total error. The first sensor keeps its azimuth and the others are rotated: on a
-level ship only differences in azimuth matter.
+The recommended azimuths have the least total error. The first sensor keeps its azimuth and the other sensors are
+rotated: on a level ship only differences in azimuth matter.
 """
 
 from dataclasses import dataclass, replace
@@ -20,24 +20,24 @@ from ship_geometry.rotations import FloatArray, wrap_pi
 
 _STEP_DEG = 1.0
 _EQUAL_RATIO = 1e-9
-"""Relative difference of total errors treated as equal; of equal azimuths the one nearest to the given one is taken."""
+"""Relative difference of total errors treated as equal; of equal azimuths, the nearest to the given one is taken."""
 _MIN_GAIN_RATIO = 0.02
-"""Least gain by which another arrangement must improve on the one near the given azimuths, ratio."""
+"""Minimum relative gain of another arrangement over the arrangement near the given azimuths."""
 _ALLOWED_LOSS_RATIO = 0.1
-"""Increase of the total error above the least one that is allowed for a good azimuth, ratio."""
+"""Maximum relative increase of the total error above its minimum for an azimuth to count as good."""
 _MAX_ROUNDS = 20
 
 
 @dataclass(frozen=True)
 class AzimuthScan:
-    """The joint error over the azimuth of one sensor, with the others fixed.
+    """The joint error over the azimuth of one sensor, with the other sensors fixed.
 
     Attributes:
-        sensor: the sensor that is rotated.
-        azimuths_deg: in [0, 360), shape (n,).
-        sigmas_arcsec: heading, pitch, roll, shape (n, 3).
-        good_deg: range of azimuths (from, to), clockwise, around the sensor's own, in which the total error is at most
-            a tenth above the least; None if the own azimuth exceeds that.
+        sensor: sensor that is rotated.
+        azimuths_deg: azimuths in [0, 360), shape (n,).
+        sigmas_arcsec: sigmas of heading, pitch, roll, shape (n, 3).
+        good_deg: range of good azimuths (from, to), clockwise, around the sensor's own azimuth: the total error is at
+            most a tenth above its minimum. None if the own azimuth is not good.
     """
 
     sensor: str
@@ -52,15 +52,15 @@ class LayoutStudy:
 
     Attributes:
         config: parameters of the study.
-        layout: the layout as given.
-        alone_arcsec: sigma of heading, pitch, roll of each of its sensors alone, shape (N, 3).
-        joint_arcsec: sigma of heading, pitch, roll of all its sensors together, shape (3,).
-        best: the layout at the recommended azimuths.
+        layout: layout as given.
+        alone_arcsec: sigma of heading, pitch, roll of each sensor of ``layout`` alone, shape (N, 3).
+        joint_arcsec: sigma of heading, pitch, roll of all sensors of ``layout`` together, shape (3,).
+        best: layout at the recommended azimuths.
         best_arcsec: sigma of heading, pitch, roll of all sensors of ``best``, shape (3,).
-        scans: the error over the azimuth of each sensor of ``best`` but the first, or of the only one.
-        maps: the error of ``layout`` over the mounting direction of each sensor.
-        budget: the joint error of ``layout`` by source.
-        curves: the curves of the six figures of [Z14].
+        scans: error over the azimuth of each sensor of ``best`` except the first, or of a single sensor.
+        maps: error of ``layout`` over the mounting direction of each sensor.
+        budget: joint error of ``layout`` by source.
+        curves: curves of the six figures of [Z14].
         optics: results of the sensors' optics over the sky, by sensor name.
         obstructions: masks and horizon.
         requirement_result: results of the requirement; None without a requirement.
@@ -85,7 +85,8 @@ def compute_study(config: LayoutStudyConfig) -> LayoutStudy:
     """Compute all numbers of a study.
 
     Raises:
-        ParameterError: with the ship's pitch and roll a sensor looks too low, or its optics see too few stars.
+        ParameterError: with the ship's pitch and roll a boresight is too low, a mask is in a field of view, or the
+            field of a sensor's optics contains too few stars.
     """
     optics = {name: sky_statistics(of_sensor) for name, of_sensor in config.optics.items()}
     config = _with_optics_noise(config, optics)
@@ -121,7 +122,7 @@ def compute_study(config: LayoutStudyConfig) -> LayoutStudy:
 
 
 def _with_optics_noise(config: LayoutStudyConfig, optics: dict[str, SkyStatistics]) -> LayoutStudyConfig:
-    """Return the study in which each sensor with optics has the noise that they give.
+    """Return the study in which the noise of each sensor with optics is computed from these optics.
 
     Raises:
         ParameterError: too large a share of the sky has too few stars.
@@ -145,10 +146,10 @@ def _with_optics_noise(config: LayoutStudyConfig, optics: dict[str, SkyStatistic
 
 
 def _check_fields_of_view(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
-    """Return the obstructions, after a check that none is in the field of a sensor as given.
+    """Return the obstructions, after a check that no mask is in the field of a sensor as given.
 
     Raises:
-        ParameterError: a mask is; names it, or the masks that leave the sensor no azimuth at its elevation.
+        ParameterError: a mask is in a field; the text gives the nearest clear azimuth, if there is one.
     """
     obstructions = Obstructions.from_config(config)
     for number, name in enumerate(layout.names):
@@ -172,9 +173,9 @@ def _check_fields_of_view(config: LayoutStudyConfig, layout: Layout) -> Obstruct
 
 
 def recommend_azimuths(layout: Layout, obstructions: Obstructions | None = None) -> Layout:
-    """Return the layout with the clear azimuths of least total error; the first sensor keeps its own.
+    """Return the layout with the clear azimuths of least total error; the first sensor keeps its azimuth.
 
-    The search descends from the given azimuths and from sensors spaced evenly over half and over the whole circle.
+    The search starts from the given azimuths, and from azimuths spaced evenly over half a circle and the whole circle.
     """
     count = len(layout.names)
     first = layout.angles[0, 0]
@@ -183,20 +184,20 @@ def recommend_azimuths(layout: Layout, obstructions: Obstructions | None = None)
     layouts = [_with_azimuths(layout, azimuths) for azimuths in starts]
     # On a heeled ship a sensor of the other two starts may point below the horizon, where no error is finite.
     candidates = [_descend(start, obstructions) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
-    # Of nearly equal layouts the first is taken: it comes from the given azimuths and changes least.
+    # Of nearly equal layouts the first layout is taken, which results from the given azimuths and changes least.
     totals = np.array([total_arcsec(candidate.sigmas_arcsec()) for candidate in candidates])
     return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _MIN_GAIN_RATIO)))]
 
 
 def scan_azimuth(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
-    """Return the error over all azimuths of the sensor with that number; NaN where a mask is in its field."""
+    """Return the error over all azimuths of the sensor with a number; NaN where a mask is in its field."""
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     angles = np.tile(layout.angles, (azimuths_deg.size, 1, 1))
     angles[:, number, 0] = np.deg2rad(azimuths_deg)
     sigmas = layout.sigmas_arcsec(angles)
     if obstructions is not None:
         clear = obstructions.is_clear(number, angles[:, number])
-        # If a gap between masks is narrower than the steps, no azimuth is clear and none is set to NaN.
+        # If a gap between masks is narrower than the steps, no azimuth is clear, and no error is set to NaN.
         sigmas[~clear & clear.any()] = np.nan
     good = total_arcsec(sigmas) <= np.nanmin(total_arcsec(sigmas)) * (1.0 + _ALLOWED_LOSS_RATIO)
     own = round(np.rad2deg(layout.angles[number, 0]) / _STEP_DEG) % azimuths_deg.size
@@ -204,7 +205,7 @@ def scan_azimuth(layout: Layout, number: int, obstructions: Obstructions | None 
 
 
 def _descend(layout: Layout, obstructions: Obstructions | None) -> Layout:
-    """Rotate each sensor but the first to its best azimuth in turn, until none moves."""
+    """Rotate each sensor except the first to its best azimuth in turn, until no sensor moves."""
     for _ in range(_MAX_ROUNDS):
         before = layout.angles[:, 0].copy()
         for number in range(1, len(layout.names)):
@@ -227,7 +228,7 @@ def _with_azimuths(layout: Layout, azimuths: FloatArray) -> Layout:
 
 
 def _good_range(good: NDArray[np.bool_], own: int, azimuths_deg: FloatArray) -> tuple[float, float] | None:
-    """Return first and last azimuth of the unbroken range of good ones around index ``own``, also across the bow."""
+    """Return first and last azimuth of the unbroken range of good azimuths around index ``own``, also across 0°."""
     if not good[own]:
         return None
     if good.all():

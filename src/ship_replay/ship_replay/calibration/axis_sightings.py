@@ -1,9 +1,10 @@
 """Sightings of lights in a bag as the table that ``fit_axes`` reads: encoder angles and true directions of the axis.
 
-The node ``optical_axis`` processes the bag and decides on every exposure. For each exposure that it used with two
-lights or more, the lights alone determine the attitude of the telescope in the deck, and the configured parallelism
-relates it to the main axis. The offsets contain correlated errors: the deck's deformation, the ship's error, errors of
-baselines, levers and refraction. The table therefore lists the effect of each such error on each sighting.
+The node ``optical_axis`` processes the bag and accepts or rejects every exposure. For each accepted exposure of two
+lights or more, the attitude of the telescope on the deck is computed from the lights alone. The main axis follows from
+this attitude and the configured parallelism. The offsets contain correlated errors: the deck's deformation, the ship's
+error, errors of baselines, levers and refraction. The table therefore lists the effect of each such error on each
+sighting.
 """
 
 from dataclasses import dataclass, field
@@ -48,10 +49,10 @@ class _NullSink:
 
 @dataclass(frozen=True)
 class AxisSighting:
-    """One exposure: one row of the table.
+    """Sighting of one exposure, which is one row of the table.
 
     Attributes:
-        angles_deg: encoder azimuth, encoder elevation, offsets of the true direction from them.
+        angles_deg: encoder azimuth, encoder elevation, offsets of the true direction from these two angles.
         correlated_effects: name and correlation time (s) of a correlated error → effect of one sigma on the sighting,
             right and up, shape (2,), rad.
     """
@@ -66,7 +67,7 @@ class AxisSightings:
 
     Attributes:
         rows: sightings by stamp, ns.
-        unused_count: number of exposures that were rejected, or showed a single light.
+        unused_count: number of exposures that were rejected, or contained a single light.
     """
 
     rows: dict[int, AxisSighting] = field(default_factory=dict)
@@ -74,7 +75,7 @@ class AxisSightings:
 
     @property
     def selected_stamps(self) -> list[int]:
-        """Stamps of the rows to write, in order: all, or evenly spread as many as a fit reads."""
+        """Stamps of the rows to write, in order: all, or an even selection if there are more than a fit reads."""
         stamps = sorted(self.rows)
         if len(stamps) <= MAX_SIGHTINGS:
             return stamps
@@ -96,7 +97,7 @@ class AxisSightings:
         )
 
     def add_decision(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
-        """Add an exposure if the core used all its lights as named."""
+        """Add an exposure if the core used all its lights, with the names in the message."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return  # stars, or a target
@@ -134,9 +135,9 @@ def axis_sightings(
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
-        config_path: suite configuration; None takes the one attached to the bag.
+        config_path: suite configuration; None for the configuration attached to the bag.
         namespace: namespace of the ship in the bag.
-        progress: wraps the iteration over the bag, for a progress bar.
+        progress: function that wraps the iteration over the bag in a progress bar.
 
     Raises:
         BadInput: the bag or the configuration cannot be used, or no exposure of two lights was used.
@@ -162,12 +163,12 @@ def axis_sightings(
 
 
 def _sighting(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
-    """Return the sighting of an exposure; None if not all its lights were used, or if they are too few."""
+    """Return the sighting of an exposure; None if a light was not used, or if there are too few lights."""
     sighting = core.sighting(exposure)
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None
-    # Camera and lines of sight as configured: estimates of the filter must not enter a sighting.
+    # Camera and lines of sight are those of the configuration: estimates of the filter must not enter a sighting.
     filter_, telescope = core.filter, core.config.telescope
     prediction = filter_.sightings.predict(np.zeros(filter_.model.size), sighting)
     attitude = solve_attitude(sighting.image, prediction.camera, prediction.lines)

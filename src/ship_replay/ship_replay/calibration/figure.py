@@ -1,4 +1,4 @@
-"""Figure of the installation angles over a session. Importing matplotlib takes longer than many a session."""
+"""Figure of the installation angles over a session. The import of matplotlib takes longer than many sessions."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,16 +1,17 @@
-"""Installation angles from a session: each angle, and each combination of them.
+"""Installation angles from a session: each angle, and combinations of angles.
 
 The observability of a combination follows from the covariances before and after the session. Differences between star
-sensors are free of the INS's errors. A common rotation of all of them on the deck is observed only against an attitude
+sensors are free of the INS's errors. A common rotation of all sensors on the deck is observed only against an attitude
 of the deck. At constant heading the INS's error and a common installation error are not separable
-(docs/explanation/filter.md). So the joint error of all installations is split, e = C t + r, with C the rotation of the
-deck in the sensors' axes. The two parts are independent under the prior covariance P0:
+(docs/explanation/filter.md). So the joint error of all installations is split, e = C t + r. The vector t is a common
+rotation about the deck's axes, and C transforms t into the axes of each sensor. Under the prior covariance P0 the two
+parts are independent:
 
     relative   r, with C^T P0^-1 r = 0, of 3 (N - 1) dimensions, in its principal directions
-    common     t, as known once r is known: (C^T P^-1 C)^-1
+    common     t for known r, with the covariance (C^T P^-1 C)^-1
 
-Each is compared with its prior knowledge. For t this includes the configured errors of the INS: (C^T P0^-1 C +
-Sigma_ins^-1)^-1, the result of one observation at constant heading.
+The sigma of each part is compared with its prior sigma. For t the prior includes the configured errors of the INS:
+(C^T P0^-1 C + Sigma_ins^-1)^-1, the covariance after one observation at constant heading.
 """
 
 from dataclasses import dataclass
@@ -43,15 +44,15 @@ DECK_AXES = ("bow", "up", "starboard")
 
 @dataclass(frozen=True)
 class JointRotation:
-    """A simultaneous rotation of several sensors: one way in which all installations may be wrong together.
+    """A simultaneous rotation of several sensors, as a possible joint error of the installations.
 
     Attributes:
-        axis: axis of the deck for a common rotation of all sensors; None for a relative one.
-        rotation_s: rotation of each sensor for one sigma, rotation vector in its axes (forward, up, right), rad, shape
+        axis: axis of the deck for a common rotation of all sensors; None for a relative rotation.
+        rotation_s: rotation vector of each sensor for one sigma, in the sensor's axes (forward, up, right), rad, shape
             (N, 3).
         sigma_before: prior standard deviation, rad.
         sigma: standard deviation after the session, rad.
-        shares: shares of the sources of error in its variance, shape (n_sources,).
+        shares: share of each source of error in the variance, shape (n_sources,).
     """
 
     axis: str | None
@@ -62,7 +63,7 @@ class JointRotation:
 
     @property
     def ratio(self) -> float:
-        """Sigma after the session over sigma before."""
+        """Sigma after the session divided by the prior sigma."""
         return self.sigma / self.sigma_before
 
     @property
@@ -74,15 +75,15 @@ class JointRotation:
 def combinations(
     prior_sigma: FloatArray, covariance_by_source: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
 ) -> list[JointRotation]:
-    """Return the three common rotations of all sensors, then the relative ones that were not well observed.
+    """Return the three common rotations of all sensors, then the relative rotations that were not well observed.
 
-    The latter come worst first.
+    The relative rotations are sorted, the worst first.
 
     Args:
         prior_sigma: prior sigma of each sensor's installation about its axes, rad, not zero, shape (N, 3).
         covariance_by_source: joint covariance after the session by source of error, rad², shape (n_sources, 3 N, 3 N).
         rotations_ds: deck from sensor, shape (N, 3, 3).
-        ins_sigma_d: error of the INS about the axes of the deck, rad, shape (3,).
+        ins_sigma_d: sigma of the INS error about the axes of the deck, rad, shape (3,).
     """
     scale = prior_sigma.ravel()
     whitened = covariance_by_source / np.outer(scale, scale)
@@ -91,7 +92,7 @@ def combinations(
     turned = turn / scale[:, None]
     information = np.linalg.solve(whitened.sum(axis=0), turned)
     to_together = np.linalg.solve(turned.T @ information, information.T)
-    # An INS without errors about an axis is an exact reference: it is not part of the prior.
+    # An INS without errors about an axis is an exact reference, which is not part of the prior.
     has_errors = ins_sigma_d > 0.0
     ins_information = np.diag(np.divide(1.0, ins_sigma_d**2, out=np.zeros(3), where=has_errors))
     before = np.linalg.inv(turned.T @ turned + ins_information)
@@ -146,7 +147,7 @@ class InstalledAngle:
         installed: angle found in the session, rad.
         sigma_before: configured standard deviation, rad.
         sigma: standard deviation after the session, rad.
-        unresolved_in: labels of combinations, not well observed, that leave it unresolved.
+        unresolved_in: labels of the poorly observed combinations that leave the angle unresolved.
     """
 
     sensor: str
@@ -182,7 +183,7 @@ class InstallationCalibration:
         sources: sources of error, in the order of the shares of the combinations.
         covariance: joint covariance of all installation angles in the order of ``angles``, rad².
         prior: initial state of the next voyage.
-        session: the session.
+        session: session from which the result is computed.
     """
 
     angles: list[InstalledAngle]
@@ -235,7 +236,8 @@ def calibrate(session: Session) -> InstallationCalibration:
 def _installation_covariances(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> FloatArray:
     """Return the joint covariance of the installations by source, in the installed axes, rad², (n_sources, 3 N, 3 N).
 
-    The state vectors refer to the configured axes: a degree from there, a rotation of the deck has other components.
+    The state vectors refer to the configured axes. In installed axes that differ by a degree, a rotation of the deck
+    has other components.
     """
     blocks = [core.filter.model.slices[f"star.{id_}.installation"] for id_ in sensors]
     to_axes = np.zeros((3 * len(sensors), core.filter.model.size))
@@ -282,7 +284,7 @@ def _angle_changes(combination: JointRotation, angles: FloatArray) -> FloatArray
 
 
 def _gate_warning(source: str, count: InputCount) -> str:
-    """Return a warning if too many messages of a device were too improbable; else an empty text."""
+    """Return a warning if too many messages of a device were rejected as improbable; else an empty text."""
     total = count.used_count + count.improbable
     if count.improbable <= _EXPECTED_SHARE * total:
         return ""

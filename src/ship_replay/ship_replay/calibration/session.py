@@ -1,6 +1,6 @@
-"""A calibration session: a bag through the suite's nodes, with the installation of the star sensors to be estimated.
+"""Calibration session: the suite's nodes process a bag and estimate the installation of the star sensors.
 
-It is the filter of ``ship_attitude`` itself, as in a replay. No smoother follows: installation angles are constants (or
+The filter is that of ``ship_attitude``, as in a replay. A smoother is not needed: installation angles are constants (or
 random walks whose last value is wanted), so the last state of the filter contains all information.
 """
 
@@ -30,7 +30,7 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word
-"""Rejection reasons caused by an installation further off than its sigma."""
+"""Reasons of rejections due to an installation whose error exceeds its sigma."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class InputCount:
 
     Attributes:
         used_count: number of messages that the filter used.
-        rejected_count: number of messages that it did not use.
+        rejected_count: number of messages that the filter did not use.
         reasons: reason → count; includes messages used with a note (single stars rejected).
     """
 
@@ -65,12 +65,12 @@ class Session:
     Attributes:
         name: name of the bag.
         config: configuration with the sigmas at the beginning of the session.
-        core: the filter after the last message.
+        core: core with the state of the filter after the last message.
         counts: source (``star.<id>``, ``reference.<name>``) → counts of its messages.
-        times_s: times of the history, seconds after the first, shape (n,).
-        history: name of an installation angle → values and sigmas at those times, rad, shape (n, 2).
+        times_s: times of the history since the first entry, s, shape (n,).
+        history: name of an installation angle → values and sigmas at ``times_s``, rad, shape (n, 2).
         duration_s: length of the bag.
-        problems: what is wrong with the bag, one line each.
+        problems: problems of the bag, one line each.
     """
 
     name: str
@@ -94,11 +94,11 @@ def run_session(
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
-        config_path: suite configuration; None takes the one attached to the bag.
-        prior_sigma_arcsec: prior sigma of every star sensor's installation about each of its axes; None takes the
-            configured ones.
+        config_path: suite configuration; None for the configuration attached to the bag.
+        prior_sigma_arcsec: prior sigma of every star sensor's installation about each sensor axis; None for the
+            configured sigmas.
         namespace: namespace of the ship in the bag.
-        progress: wraps the iteration over the bag, for a progress bar.
+        progress: function that wraps the iteration over the bag in a progress bar.
 
     Raises:
         BadInput: the bag or the configuration cannot be used, or a star sensor has no usable message.
@@ -136,7 +136,7 @@ def run_session(
 def session_config(config: ShipAttitudeConfig, prior_sigma_arcsec: float | None) -> ShipAttitudeConfig:
     """Return the configuration of a session.
 
-    A saved alignment is not loaded: it may result from this very session, which must not count twice.
+    A saved alignment is not loaded: it may result from the same session, whose data must not count twice.
     """
     stars = config.star_sensors
     if prior_sigma_arcsec is not None:
@@ -210,7 +210,7 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
 
 @dataclass
 class AlignmentHistory:
-    """History of the alignment in a session; receives the outputs of its replay."""
+    """Sink that collects the history of the alignment from the outputs of a session's replay."""
 
     times_ns: list[int] = field(default_factory=list)
     names: tuple[str, ...] = ()
@@ -235,7 +235,7 @@ class AlignmentHistory:
 
     @property
     def times_s(self) -> FloatArray:
-        """Times, seconds after the first, shape (n,)."""
+        """Times since the first alignment, s, shape (n,)."""
         times_ns = np.array(self.times_ns, dtype=np.int64)
         return (times_ns - times_ns[:1]) / NS_PER_S
 

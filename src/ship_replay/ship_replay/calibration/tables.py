@@ -18,7 +18,7 @@ _JOINT_ROTATION_TEXTS = {
 }
 _SENSOR_AXES = "boresight", "up axis", "right axis"
 _MIN_ROTATION_SHARE = 0.3
-"""Minimum share of the largest component of a rotation for a component to be named."""
+"""Minimum ratio of a component of a rotation to the largest component for the component to be named."""
 
 _TILT_REMEDY = "turn the ship by 180 deg or more, or add a reference of known installation"
 _AZIMUTH_REMEDY = (
@@ -40,7 +40,7 @@ def print_calibration(calibration: InstallationCalibration, console: Console) ->
 
 
 def json_text(calibration: InstallationCalibration) -> str:
-    """Return the result as JSON; null if undefined.
+    """Return the result as JSON; an undefined value is null.
 
     Angles are in degrees, corrections and sigmas in arcseconds, the covariance in rad².
     """
@@ -168,7 +168,7 @@ def largest_error_text(calibration: InstallationCalibration, combination: JointR
 
 
 def statements(calibration: InstallationCalibration) -> list[str]:
-    """Return one line for each combination that was not well observed; a single line if there is none."""
+    """Return one line for each combination that was not well observed; a single line if all were well observed."""
     lines = []
     for label, combination in calibration.combinations.items():
         if combination.observability != "yes":

@@ -1,4 +1,4 @@
-"""Items run by the workers of a Dask cluster; only this module imports the optional dask.distributed."""
+"""Run of items by the workers of a Dask cluster. Only this module imports the optional dask.distributed."""
 
 import threading
 from collections.abc import Iterator, Sequence
@@ -11,15 +11,15 @@ from ship_replay.campaign.one_item import Result, failed_result
 from ship_replay.campaign.processes import Make
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Lock between the threads of a worker: an item uses the interpreter all the time, so parallel threads gain nothing."""
+"""Lock by which a worker runs one item at a time; parallel threads of one interpreter would not be faster."""
 
 
 def run_in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tuple[Item, Result]]:
     """Yield each item with its result on completion; the cluster repeats the items of a worker that died.
 
     Args:
-        make: runs an item in an empty folder; a function of a module that the workers have.
-        items: items whose files have the same paths for the workers as here.
+        make: function that runs an item in an empty folder; the workers import its module.
+        items: items whose files have the same paths on the machines of the workers as here.
         address: address of the scheduler, tcp://host:port.
 
     Raises:

@@ -35,20 +35,20 @@ class InputFile:
 
     @property
     def sha256(self) -> str:
-        """Hash of the contents."""
+        """Hashes of the contents, one a line."""
         return "\n".join(digest for _, digest in self.contents)
 
     @property
     def is_scenario(self) -> bool:
-        """True if this source is a scenario to be simulated, False if it is a bag."""
+        """True if the file of a source is a scenario to be simulated, False if it is a bag."""
         return self.path.suffix in _SCENARIO_SUFFIXES
 
     def check(self) -> None:
         """Check that the file is unchanged.
 
         Raises:
-            BadInput: it has changed.
-            OSError: it cannot be read.
+            BadInput: the file has changed.
+            OSError: the file cannot be read.
         """
         if any(content_sha256(path) != digest for path, digest in self.contents):
             raise BadInput("has changed since the campaign began", file=self.name)
@@ -60,12 +60,12 @@ class Item:
 
     Attributes:
         source: bag or scenario.
-        parameters: suite file; None takes the one attached to the bag, or made from the scenario.
+        parameters: suite file; None for the suite file attached to the bag or made from the scenario.
         seed: seed of the simulation; None for a bag.
-        skip_s: time after the beginning that is excluded from the evaluation.
+        skip_s: duration at the beginning of the bag that is excluded from the evaluation.
         namespace: namespace of the ship in the bag.
         remaps: topic remappings in the bag, see :class:`ship_bags.renamed_topics.TopicNames`.
-        code: hash of the code that runs it.
+        code: hash of the code that runs the item.
     """
 
     source: InputFile
@@ -78,7 +78,7 @@ class Item:
 
     @property
     def key_fields(self) -> dict[str, Any]:
-        """Everything the result depends on, without names and places of files."""
+        """Everything that the result depends on, with the hashes of files instead of their names."""
         return {
             "source_sha256": self.source.sha256,
             "parameters_sha256": None if self.parameters is None else self.parameters.sha256,
@@ -91,7 +91,7 @@ class Item:
 
     @property
     def key(self) -> str:
-        """Name of the result."""
+        """Hash of the key fields, which names the file of the result."""
         return hashlib.sha256(json.dumps(self.key_fields).encode()).hexdigest()[:_KEY_LENGTH]
 
     @property
@@ -119,11 +119,11 @@ def campaign_items(
     namespace: str = "",
     remaps: Sequence[tuple[str, str]] = (),
 ) -> list[Item]:
-    """Return all items of a campaign, sorted: each source under each parameter set, a scenario with each seed.
+    """Return the sorted items of a campaign: each source with each parameter set, a scenario also with each seed.
 
     Args:
         sources: scenarios (.yaml) and bags.
-        parameter_sets: suite files; if empty, the one of each source is used.
+        parameter_sets: suite files; if empty, each source is run with its own suite file.
         seeds: seeds of the scenarios.
         skip_s: see :class:`Item`.
         namespace: namespace of the ship in the bags.

@@ -1,4 +1,4 @@
-"""Run of one item: simulated if it is a scenario, replayed through the suite's nodes, evaluated against the truth."""
+"""Run of one item: simulation of a scenario, replay through the suite's nodes, evaluation against the truth."""
 
 import math
 from collections.abc import Mapping
@@ -20,10 +20,11 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 
 Result = dict[str, Any]
-"""Result of an item as plain data for JSON: ``error``, which is None on success, and
+"""Result of an item as plain data for JSON:
 
-- ``errors``: source of an orientation → its ``channels``, its statistics by the names of ``evaluate --json`` [arcsec],
-  ``nees_count``, the number of NEES, and ``nees_independent``, the equivalent number of independent ones;
+- ``error``: text of the error; None on success;
+- ``errors``: label of a source → its ``channels``, its statistics with the names of ``evaluate --json``,
+  ``nees_count`` (number of NEES) and ``nees_independent`` (equivalent number of independent NEES);
 - ``values``: all quantities of ``evaluate --json``;
 - ``statuses``: topic → status → number of outputs;
 - ``refused``: topic → reason → number of messages not used.
@@ -44,7 +45,7 @@ def run_item(item: Item, folder: Path) -> Result:
     except Exception as problem:
         # A software defect in one run must not stop the others.
         error = f"{type(problem).__name__}: {problem}"
-    # The same text on every machine.
+    # Without paths, the text is the same on every machine.
     error = error.replace(f"{folder}/", "").replace(str(item.source.path), item.source.name)
     if item.parameters is not None:
         error = error.replace(str(item.parameters.path), item.parameters.name)
@@ -92,5 +93,5 @@ def _statistics(errors: AttitudeErrors) -> dict[str, Any]:
 
 
 def _json_values(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return values for JSON: null for NaN."""
+    """Return values for JSON, with None in place of NaN and infinity."""
     return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}

@@ -16,12 +16,12 @@ MAX_WORST_ITEMS = 10
 
 @dataclass(frozen=True)
 class PooledChannel:
-    """One channel of a source of an orientation, over all samples of several items.
+    """Statistics of one channel of one source, over all samples of several items.
 
     Attributes:
         name: name of the channel.
         rms_arcsec: root mean square of the errors.
-        sigma_arcsec: root of the mean predicted variance; NaN if an item states none.
+        sigma_arcsec: root of the mean predicted variance; NaN if an item has no predicted variance.
     """
 
     name: str
@@ -30,19 +30,19 @@ class PooledChannel:
 
     @property
     def ratio(self) -> float:
-        """RMS over sigma."""
+        """RMS of the errors divided by sigma."""
         return self.rms_arcsec / self.sigma_arcsec
 
 
 @dataclass(frozen=True)
 class PooledErrors:
-    """One source of an orientation over several items.
+    """Statistics of the errors of one source over several items.
 
     Attributes:
         label: label as in an evaluation: ``fused``, ``ins``, ``star.<id>``, ``pointing``.
         items: number of items with this source.
         samples: total number of samples.
-        channels: its three errors.
+        channels: statistics of the source's three channels.
         fit: result of the consistency test of the mean NEES.
         band: 99.9 % band of the mean NEES.
     """
@@ -57,14 +57,14 @@ class PooledErrors:
 
 @dataclass(frozen=True)
 class Pool:
-    """Several items with common statistics.
+    """Common statistics of several items.
 
     Attributes:
-        name: common name.
+        name: name that the items share.
         items: number of completed items.
         failed: number of failed items.
-        errors: errors by source of an orientation, in the order of the items.
-        shares: topic → status → share of its outputs.
+        errors: statistics of the errors of each source, in the order of the items.
+        shares: topic → status → share of the topic's outputs with this status.
         refused: number of messages that were not used.
     """
 
@@ -78,7 +78,7 @@ class Pool:
 
 @dataclass(frozen=True)
 class WorstItem:
-    """The channel of an item with the largest error relative to its sigma."""
+    """An item with its worst channel, whose ratio of RMS error to sigma is the largest."""
 
     item: Item
     label: str
@@ -89,7 +89,7 @@ class WorstItem:
 
 
 def pools(results: Sequence[ItemResult], name: Callable[[Item], str]) -> list[Pool]:
-    """Return the items pooled by a common name, in the order of the names."""
+    """Return one pool for all items with the same name, sorted by name."""
     by_name = sorted(results, key=lambda each: (name(each[0]), each[0].sort_key))
     return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
 
@@ -148,7 +148,7 @@ def _pooled_errors(label: str, parts: list[dict[str, Any]]) -> PooledErrors:
         )
         for channel in parts[0]["channels"]
     ]
-    # Errors are correlated within a run: weight by the number of independent ones.
+    # Errors are correlated within a run: the weight of a run is its equivalent number of independent errors.
     with_nees = [part for part in parts if part["nees_mean"] is not None]
     independent = math.fsum(part["nees_independent"] for part in with_nees)
     mean = (

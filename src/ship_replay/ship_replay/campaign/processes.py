@@ -1,6 +1,6 @@
-"""Items run in processes of this machine, each in a new one: if a worker is killed, only its item is repeated.
+"""Run of items on this machine, each in a new process: if a process is killed, only its item is repeated.
 
-A pool of the standard library breaks completely if one of its processes is killed.
+A process pool of the standard library fails completely if one of its processes is killed.
 """
 
 import json
@@ -29,7 +29,7 @@ def run_in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterato
     """Yield each item with its result on completion.
 
     Args:
-        make: runs an item in an empty folder; a function of a module.
+        make: function of a module that runs an item in an empty folder.
         items: items in any order.
         workers: number of parallel processes.
     """
@@ -64,9 +64,9 @@ def run_in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterato
 
 
 def _start_server() -> None:
-    """Start the fork server with SIGINT ignored, which its processes inherit.
+    """Start the fork server with SIGINT ignored; its processes inherit this setting.
 
-    Ctrl-C is handled by the command. A process interrupted before serve_a_command() would print a traceback.
+    Ctrl-C is handled by the command. A process interrupted before start_worker_process() would print a traceback.
     """
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -86,7 +86,7 @@ class _Worker:
             target=_serve, args=(make, item, Path(self._folder.name), write_end), daemon=True
         )
         self._process.start()
-        # With this end closed here, the pipe ends if the process dies.
+        # The write end is closed here, so that the read end reports EOF if the process dies.
         write_end.close()
 
     def result(self) -> Result | None:

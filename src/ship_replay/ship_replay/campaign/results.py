@@ -1,4 +1,4 @@
-"""Folder of a campaign: a file for each result, named by its key, and one table of all."""
+"""Folder of a campaign: one file for each result, named by the key of its item, and one table of all results."""
 
 import csv
 import io
@@ -21,10 +21,10 @@ class ResultFolder:
     """Results stored on the disk.
 
     Args:
-        folder: created if it does not exist.
+        folder: folder of the campaign, created if it does not exist.
 
     Raises:
-        BadInput: it cannot be created or written to.
+        BadInput: the folder cannot be created or written to.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -37,7 +37,7 @@ class ResultFolder:
         return self.folder / "results" / f"{item.key}.json"
 
     def result(self, item: Item) -> Result | None:
-        """Return the result of an item; None if it was not yet run.
+        """Return the stored result of an item; None if no result is stored.
 
         Raises:
             BadInput: the file is not a result.
@@ -56,9 +56,9 @@ class ResultFolder:
         return item_result
 
     def save(self, item: Item, result: Result) -> None:
-        """Write a result; it is completely on the disk on return.
+        """Write a result to the disk completely before returning.
 
-        A failed one is not stored: a killed worker or a full disk may be a temporary problem.
+        A failed result is not stored: a killed worker or a full disk may be a temporary problem.
         """
         if result["error"] is None:
             text = json.dumps({"item": item.key_fields, "result": result}, indent=1)
@@ -66,10 +66,10 @@ class ResultFolder:
 
 
 def csv_table(results: Sequence[ItemResult]) -> str:
-    """Return all results as CSV, one line each in the order of the items.
+    """Return all results as CSV, one line for each item, in the order of the items.
 
-    The columns are those of ``evaluate --json``, then ``status.<topic>.<status>``, outputs, and
-    ``refused.<topic>.<reason>``, messages.
+    The columns after the item and its error are the quantities of ``evaluate --json``, then the numbers of outputs
+    ``status.<topic>.<status>`` and of messages that were not used ``refused.<topic>.<reason>``.
     """
     in_order = sorted(results, key=lambda each: each[0].sort_key)
     rows = [_flat(result) for _, result in in_order]

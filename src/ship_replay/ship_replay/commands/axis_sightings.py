@@ -1,4 +1,4 @@
-"""``axis_sightings``: from a bag with lights to the table of sightings that ``fit_axes`` reads."""
+"""``axis_sightings``: table of sightings for ``fit_axes``, from a bag with lights."""
 
 import argparse
 import sys

@@ -21,7 +21,7 @@ from ship_replay.evaluation.tables import table_console
 _MAX_FAILURES_PRINTED = 10
 
 Maker = Callable[[list[Item]], Iterator[tuple[Item, Result]]]
-"""Runs items and yields their results, in any order."""
+"""Function that runs items and yields each item with its result, in any order."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,7 +84,7 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInput(f"--skip {options.skip:g}: expected 0 s or more")
     folder = ResultFolder(options.out)
     results = _run_missing_items(items, folder, _maker(options))
-    # Importing the page libraries is slow: check the arguments first.
+    # The import of the page libraries is slow, so the arguments are checked first.
     from ship_replay.campaign.page import page
 
     for name, text in ((TABLE, csv_table(results)), (PAGE, page(results))):

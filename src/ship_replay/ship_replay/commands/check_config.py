@@ -1,4 +1,4 @@
-"""``check_config``: missing or wrong parameters of a suite configuration, and contradictions to a bag."""
+"""``check_config``: missing or wrong parameters of a suite configuration, and contradictions between it and a bag."""
 
 import argparse
 import sys
@@ -60,7 +60,7 @@ def _run(options: argparse.Namespace) -> int:
             for check_part in _CHECKS:
                 check_part(check)
             if not findings.errors:
-                # Known errors would only be reported a second time by their effects.
+                # With known errors, the trial would only report their effects.
                 check_trial(check)
     for line in findings.errors:
         print(f"error: {one_line(line)}", file=sys.stderr)

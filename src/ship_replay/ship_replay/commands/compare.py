@@ -34,7 +34,7 @@ def _run(options: argparse.Namespace) -> int:
     path = options.out or Path(f"{options.a.stem}_{options.b.stem}.html")
     check_file(path, options.force)
     limits = limits_of(options)
-    # Importing the figure libraries is slow: check the arguments first.
+    # The import of the figure libraries is slow, so the arguments are checked first.
     from ship_replay.report.pair import read_pair
     from ship_replay.report.pair_page import pair_page
 

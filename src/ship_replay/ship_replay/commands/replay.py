@@ -1,4 +1,4 @@
-"""``replay``: a bag through the adapters of the suite's nodes, offline; or a black box, exactly as recorded."""
+"""``replay``: offline replay of a bag through the adapters of the suite's nodes, or of a black box as recorded."""
 
 import argparse
 from collections.abc import Mapping, Sequence

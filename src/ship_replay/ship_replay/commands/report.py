@@ -20,7 +20,7 @@ def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str)
     """Add the options of a page: truth, file, limits of the ship, namespace.
 
     Args:
-        parser: the parser.
+        parser: parser to which the options are added.
         bags: names of the bags that may be without truth, for the help.
         page_name: default name of the page, for the help.
     """
@@ -35,7 +35,7 @@ def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str)
 
 
 def limits_of(options: argparse.Namespace) -> Limits:
-    """Return the limits of the options; defaults if none are given."""
+    """Return the limits in the file given by the options; the default limits without a file."""
     return Limits() if options.limits is None else read_limits(options.limits)
 
 
@@ -61,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     path = options.out or Path(f"{options.bag.resolve().stem}.html")
     check_file(path, options.force)
     limits = limits_of(options)
-    # Importing the figure libraries is slow: check the arguments first.
+    # The import of the figure libraries is slow, so the arguments are checked first.
     from ship_replay.report.folder import bags_in
 
     if bags := bags_in(options.bag):
@@ -78,7 +78,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path, limits: Limits) -> int:
-    """Write the report of each bag of a folder, and the page with a row for each."""
+    """Write the report of each bag of a folder, and the page with a row for each bag."""
     from ship_replay.report.folder import SessionRow, index_page, session_reports
     from ship_replay.report.report_data import read_report_data
 

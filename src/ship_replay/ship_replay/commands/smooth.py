@@ -1,4 +1,4 @@
-"""``smooth``: smoothed attitudes and pointings of a bag, each from all measurements before and after it."""
+"""``smooth``: smoothed attitudes and pointings of a bag, each from all measurements before and after its stamp."""
 
 import argparse
 from collections.abc import Sequence

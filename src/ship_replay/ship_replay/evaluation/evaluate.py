@@ -1,4 +1,4 @@
-"""Evaluation of one run: errors where the truth is known, innovations and alignment in any case."""
+"""Evaluation of one run: innovations, last estimates and, if the truth is known, errors."""
 
 import json
 import math
@@ -38,7 +38,7 @@ _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _SMOOTHED = (SMOOTHED_TOPIC, SMOOTHED_POINTING_TOPIC)
 _PUBLISHED = (*(orientation.topic for orientation in ORIENTATIONS), *_SMOOTHED, JOINT_SOLUTION, TARGET_DIRECTION)
 _RUN_TOPICS = (*_PUBLISHED, *_RESULTS)
-"""Topics taken from the run's own bag only: in another bag they are inputs of this run, or results of another run."""
+"""Topics read from the run's own bag only: messages in another bag are inputs of this run or results of another run."""
 
 _INSTALLATION_PREFIXES = "star.", "reference."
 """Prefixes of the names of installation angles."""
@@ -67,13 +67,13 @@ class Evaluation:
     """Results of one run.
 
     Attributes:
-        errors: errors by source of an orientation: for the ship's attitude the fused one first, then pointings; empty
-            without truth.
+        errors: errors of each source: the fused attitude first, then other attitudes, then pointings; empty if no
+            truth is known.
         innovations: innovations by name of the source.
-        targets: errors of directions and positions by target_id; empty without truth.
+        targets: errors of directions and positions by target_id; empty if no truth is known.
         estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
-        invalid_counts: published orientation → number of INVALID messages, if there is truth.
-        problems: what is wrong with the bags, one line each.
+        invalid_counts: label of a published orientation whose truth is known → number of INVALID messages.
+        problems: problems of the bags and of their messages, one line each.
         start_ns: log time at which the bag begins.
     """
 
@@ -113,14 +113,14 @@ class MalformedMessages:
         self._texts: dict[str, list[str]] = {}
 
     def try_add(self, topic: str, add: Callable[[Any], None], message: Any) -> None:
-        """Add a message to the collector of its topic; record it if it is malformed."""
+        """Add a message to the collector of its topic, or record the message as malformed."""
         try:
             add(message)
         except MessageRejected as refused:
             self._texts.setdefault(topic, []).append(str(refused))
 
     def lines(self) -> list[str]:
-        """Return one line for each topic: number of messages, and the reason for the first."""
+        """Return one line for each topic: number of excluded messages, and the reason for the first exclusion."""
         return [
             f"topic '{topic}': messages excluded: {len(texts)}, the first because {texts[0]}"
             for topic, texts in self._texts.items()
@@ -133,7 +133,7 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
     Args:
         bag_path: bag with ``ship/attitude``, ``theodolite/pointing`` and other outputs.
         against: bag with the truth and the inputs, if they are not in ``bag_path``.
-        skip_s: exclude messages stamped less than this after the beginning of the bag.
+        skip_s: duration at the beginning of the bag whose messages are excluded.
         namespace: namespace of the ship in the bags; bags written by a replay may have none.
 
     Raises:
@@ -211,14 +211,14 @@ def _missing_source_lines(collectors: Mapping[str, AttitudeSource], errors: list
 
 
 _TopicNames = Mapping[Bag, Mapping[str, str]]
-"""Bag → relative topic → its name there; the run's own bag last."""
+"""Bag → relative topic → name of the topic in the bag; the run's own bag is the last."""
 
 
 def _reading_plan(named: _TopicNames, own: Bag, topics: list[str]) -> list[tuple[Bag, dict[str, str]]]:
-    """Return which topics to read from which bag (name in the bag → relative name).
+    """Return the topics to read from each bag: name in the bag → relative name.
 
-    Results come from the run's own bag, inputs from the bag given by ``against`` if it has them. A sensor's solutions
-    may be either: those of the run take precedence.
+    Results are read from the run's own bag, inputs from the bag given by ``against`` if it contains them. A sensor's
+    solutions may be results or inputs: solutions in the run's own bag take precedence.
     """
     plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in named]
     for topic in topics:
@@ -231,7 +231,7 @@ def _reading_plan(named: _TopicNames, own: Bag, topics: list[str]) -> list[tuple
 
 
 def _truths(named: _TopicNames) -> dict[str, Truth]:
-    """Return topic → truth of the first bag that contains any."""
+    """Return topic of the truth → truth, read from the first bag that contains messages of this topic."""
     truths: dict[str, Truth] = {}
     for bag, names in named.items():
         wanted = {
@@ -246,7 +246,7 @@ def _truths(named: _TopicNames) -> dict[str, Truth]:
 
 
 def _true_targets(named: _TopicNames, malformed: MalformedMessages) -> TargetDirections:
-    """Return targets with the truth of the first bag that contains any."""
+    """Return the targets with their truth, read from the first bag that contains true targets."""
     targets = TargetDirections()
     for bag, names in named.items():
         if TARGET_TRUTH in names and not len(targets):
@@ -256,7 +256,7 @@ def _true_targets(named: _TopicNames, malformed: MalformedMessages) -> TargetDir
 
 
 def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
-    """Return a node's configuration from the suite file attached to one of the bags; None if there is none."""
+    """Return a node's configuration from the suite file attached to a bag; None if no suite file is attached."""
     for bag in reversed(bags):
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
@@ -268,7 +268,7 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
 
 
 def named_config(text: str, kind: type[Config], node_name: str) -> Config | None:
-    """Return a node's configuration from the text of a suite file, in any namespace; None if it has no section for it.
+    """Return a node's configuration from a suite file, in any namespace; None if no section is for the node.
 
     Raises:
         BadInput: a parameter is unknown or out of range.

@@ -55,10 +55,10 @@ def attitude_error_figure(
     """Return a figure of errors over time, one row per channel.
 
     Args:
-        series: errors by source. The first of each orientation is drawn with its ±3σ band on its own scale. If there
-            are others, all are drawn together in a further column, except parts (``pointing.encoder``).
+        series: errors by source. The first source of each orientation is drawn with its ±3σ band on its own scale. If
+            there are other sources, a further column shows all together, except parts such as ``pointing.encoder``.
         title: title of the figure.
-        colours: colour of each source; None uses the default order.
+        colours: colour of each source; None for the default colours.
     """
     panels = [(group, together) for group in _by_orientation(series) for together in (False, True)[: len(group)]]
     start_ns = min(int(errors.time_ns[0]) for errors in series)
@@ -87,8 +87,8 @@ def innovation_figure(
 ) -> Figure:
     """Return a figure of the residuals of accepted measurements with their predicted ±3σ, a row per component.
 
-    Dots and band refer to the same quantity: for single stars or lights one dot each, with the σ of that residual. A
-    source without accepted measurements has no row; the title names it.
+    Each residual, also of a single star or light, is one dot, and the band shows the predicted ±3σ of this residual. A
+    source without accepted measurements has no row; the title names the source.
     """
     rows = [(source, part, component) for source, part in innovations.items() for component in part.components()]
     if not rows:
@@ -112,7 +112,7 @@ def innovation_figure(
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
             colour = (colours or {}).get(source, _LINE_COLOUR)
             axes.plot(time_s, residuals / ARCSEC, ".", color=colour, ms=3, label="residual")
-            # Horizontal: a source's name may be longer than its row is high.
+            # The label is horizontal, because a source's name may be longer than its row is high.
             label = f"{short_name(source)}\n{short_name(component)} [arcsec]"
             axes.set_ylabel(label, rotation="horizontal", ha="right", va="center")
             later = settled_slice(sigmas)
@@ -140,7 +140,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:
-    """Return groups of series with the same channels, without parts of a group's first series."""
+    """Return groups of series with the same channels, without parts of a first series such as ``pointing.encoder``."""
     groups: dict[tuple[str, str, str], list[AttitudeErrors]] = {}
     for errors in series:
         group = groups.setdefault(errors.channels, [])
@@ -173,7 +173,7 @@ def _draw_together(
         time_s = (errors.time_ns - start_ns) / NS_PER_S
         by_order = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
         colour = colours.get(errors.label, by_order)
-        # Points, because sources have gaps; the first source is drawn on top of the noisier ones.
+        # Points, not lines, because sources have gaps. The first source is drawn on top of the noisier sources.
         axes.plot(
             time_s, errors.error_arcsec[:, column], ".", color=colour, ms=2.5, label=errors.label, zorder=3 - number
         )

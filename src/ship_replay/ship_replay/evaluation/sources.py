@@ -40,7 +40,7 @@ class Truth:
         self._has_rates = True
 
     def add(self, message: Any) -> None:
-        """Add a message of the truth; one without an orientation is ignored."""
+        """Add a message of the truth; a message without orientation is ignored."""
         sample = self.orientation.sample(message)
         if sample is None:
             return
@@ -52,11 +52,11 @@ class Truth:
         return len(self._rotations)
 
     def rotation_at_stamp(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck, shape (3, 3), at a stamp of the truth."""
+        """Return the rotation horizon from deck, shape (3, 3), at a stamp of the truth; None at another stamp."""
         return self._rotations.get(stamp_ns)
 
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck, shape (3, 3), at a stamp, or interpolated if the truth has rates."""
+        """Return the rotation horizon from deck, shape (3, 3), interpolated between stamps if the truth has rates."""
         exact = self.rotation_at_stamp(stamp_ns)
         return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
 
@@ -67,13 +67,13 @@ class Truth:
 
 
 class AttitudeSource(ABC):
-    """Attitudes of one source at times where the truth is known.
+    """Attitudes of one source at times at which the truth is known.
 
     A subclass defines in :meth:`add_message` how a message gives a rotation and its covariance.
 
     Attributes:
         label: name of the source.
-        is_configured: True if the configuration names it, so that missing data are reported.
+        is_configured: True if the configuration names the source; missing data are then reported.
     """
 
     def __init__(self, label: str, truth: Truth, is_configured: bool = False) -> None:
@@ -87,14 +87,14 @@ class AttitudeSource(ABC):
 
     @abstractmethod
     def add_message(self, message: Any) -> None:
-        """Add a message's attitude if the truth is known.
+        """Add a message's attitude if the truth is known at its stamp.
 
         Raises:
             MessageRejected: the message contains an infinite attitude or covariance.
         """
 
     def errors(self) -> list[AttitudeErrors]:
-        """Return the errors in order of stamps; empty if nothing could be compared."""
+        """Return the errors in order of stamps; empty if no attitude has a known truth."""
         if not self._time_ns:
             return []
         order = np.argsort(self._time_ns, kind="stable")
@@ -114,10 +114,10 @@ class AttitudeSource(ABC):
 
 
 class PublishedAttitude(AttitudeSource):
-    """Attitudes published by the suite, at the stamps of the truth; INVALID ones are only counted.
+    """Attitudes published by the suite, at the stamps of the truth; INVALID attitudes are only counted.
 
     Attributes:
-        has_messages: True if there was any message.
+        has_messages: True if a message was added.
         invalid_count: number of INVALID messages.
     """
 
@@ -147,10 +147,10 @@ class PublishedAttitude(AttitudeSource):
 
 
 class InsAttitude(AttitudeSource):
-    """``ins/imu`` alone, at the stamps of the truth, without correction of its time offset.
+    """Attitudes of the deck by ``ins/imu`` alone, at the stamps of the truth, without correction of its time offset.
 
     Attributes:
-        track: all its attitudes of the deck.
+        track: all attitudes of the deck by the INS.
     """
 
     def __init__(self, truth: Truth, config: InsInputConfig) -> None:
@@ -178,13 +178,13 @@ class InsAttitude(AttitudeSource):
 
 
 class StarAttitude(AttitudeSource):
-    """Attitude of the deck from one star sensor by its configured installation, or from all sensors.
+    """Attitudes of the deck from one star sensor with its configured installation, or from all sensors.
 
     Args:
         sensor_id: name of the source.
         truth: true attitude of the deck.
-        mounting: installation of the sensor; None if the messages are attitudes of the deck, installation errors
-            included.
+        mounting: installation of the sensor; None if the messages are attitudes of the deck, with installation errors
+            in their covariance.
     """
 
     def __init__(self, sensor_id: str, truth: Truth, mounting: MountingConfig | None) -> None:
@@ -196,7 +196,7 @@ class StarAttitude(AttitudeSource):
             self._installation_covariance_v = np.diag(np.square(mounting.installation_sigma_s))
 
     def add_message(self, message: Any) -> None:
-        """Add a StarHorizonAttitude; one without an attitude (NaN) is ignored."""
+        """Add a StarHorizonAttitude; a message without attitude (NaN) is ignored."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         truth_nd = self._truth.interpolated_rotation(stamp_ns)
         angles = (message.azimuth, message.elevation, message.roll)
@@ -223,7 +223,7 @@ class PublishedPointing(PublishedAttitude):
         self._modes[ns_from_stamp(message.header.stamp)] = message.mode
 
     def errors(self) -> list[AttitudeErrors]:
-        """Return the errors of all, then of each mode that occurred."""
+        """Return the errors of all pointings, then the errors in each mode that occurred."""
         every = super().errors()
         for errors in every[:1]:
             modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])
@@ -236,7 +236,7 @@ class PublishedPointing(PublishedAttitude):
 
 
 class InsEncoderPointing(AttitudeSource):
-    """``theodolite/encoder`` with the configured axis errors, transformed to the horizon by the INS alone."""
+    """Pointings by ``theodolite/encoder`` and configured axis errors, transformed to the horizon by the INS alone."""
 
     def __init__(self, truth: Truth, ins: AttitudeTrack, config: AxesConfig) -> None:
         super().__init__("ins_encoder", truth)
@@ -249,7 +249,7 @@ class InsEncoderPointing(AttitudeSource):
         self._readings[ns_from_stamp(message.header.stamp)] = message.azimuth, message.elevation
 
     def errors(self) -> list[AttitudeErrors]:
-        """Return the errors in order of stamps, without covariance; all of ``ins/imu`` must have been added."""
+        """Return the errors in order of stamps, without covariance; all ``ins/imu`` messages must have been added."""
         for stamp_ns, (azimuth, elevation) in self._readings.items():
             truth_nm, ship = self._truth.rotation_at_stamp(stamp_ns), self._ins.at(stamp_ns)
             if truth_nm is not None and ship is not None and np.isfinite(azimuth) and np.isfinite(elevation):
@@ -266,13 +266,13 @@ def attitude_sources(
 ) -> dict[str, AttitudeSource]:
     """Return relative topic → the source that collects its attitudes.
 
-    A star sensor is one source: its horizon attitudes if those feed ``ship_attitude``, else its solutions.
+    A star sensor is one source: of its horizon attitudes if ``ship_attitude`` uses them, else of its solutions.
 
     Args:
         truths: known truths by topic.
         ship: configuration of ``ship_attitude``; None if not known.
-        star: configuration of ``star_attitude``; likewise.
-        theodolite: configuration of ``optical_axis``; likewise.
+        star: configuration of ``star_attitude``; None if not known.
+        theodolite: configuration of ``optical_axis``; None if not known.
     """
     collectors: dict[str, AttitudeSource] = {}
     ins_config = ship.ins if ship else theodolite.ins if theodolite else InsInputConfig()
@@ -297,7 +297,7 @@ def attitude_sources(
 
 
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
-    """Return the covariance of the rotation vector (North, Up, East), rad²; from that of the angles if not given."""
+    """Return the covariance of the rotation vector (North, Up, East), rad²; computed from the angles if not given."""
     rotation_covariance = message.rotation_covariance.reshape(3, 3)
     if rotation_covariance.any():
         return horizon_covariance(rotation_covariance)

@@ -1,7 +1,7 @@
-"""Errors against protection levels by epoch: nominal, misleading, hazardously misleading or unavailable.
+"""Comparison of errors with protection levels: nominal, misleading, hazardously misleading or unavailable.
 
 An epoch is one published attitude or pointing whose truth is known, with the protection level valid at its stamp. Each
-of its three angles falls into one region of a Stanford diagram (:class:`Region`).
+of the three angles of an epoch falls into one region of a Stanford diagram (:class:`Region`).
 """
 
 import bisect
@@ -28,7 +28,7 @@ ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class Region(enum.IntEnum):
-    """Region of an epoch, by error, protection level and alert limit."""
+    """Region of an angle of an epoch, by error, protection level and alert limit."""
 
     NOMINAL = 0
     """Error within the level, level within the alert limit."""
@@ -50,10 +50,10 @@ class Epochs:
     """Errors and levels of one orientation.
 
     Attributes:
-        orientation: the orientation.
-        error_arcsec: size of the error of each angle, shape (n, 3); NaN for INVALID outputs.
-        level_arcsec: protection level of each, shape (n, 3); NaN if there was none.
-        limit_arcsec: alert limit of each, shape (n, 3); infinite if there was none.
+        orientation: ship's attitude or pointing.
+        error_arcsec: absolute error of each angle, shape (n, 3); NaN for INVALID outputs.
+        level_arcsec: protection level of each angle, shape (n, 3); NaN if no level was published.
+        limit_arcsec: alert limit of each angle, shape (n, 3); infinite if no limit was published.
         is_usable: True if the output was VALID or COASTING, shape (n,).
     """
 
@@ -66,7 +66,7 @@ class Epochs:
     def regions(self) -> NDArray[np.intp]:
         """Return the :class:`Region` of each angle of each epoch, shape (n, 3)."""
         error, level, limit = self.error_arcsec, self.level_arcsec, self.limit_arcsec
-        # A level that is NaN is unavailable, and an error that is NaN is misleading.
+        # A level of NaN counts as unavailable, an error of NaN as above level and limit.
         available = self.is_usable[:, None] & (level <= limit)
         regions = np.where(error <= level, Region.NOMINAL, Region.MISLEADING)
         regions = np.where((regions == Region.MISLEADING) & ~(error <= limit), Region.HAZARDOUS, regions)
@@ -81,7 +81,7 @@ class Epochs:
         }
 
     def statistics(self) -> dict[str, float]:
-        """Return quantity → value: epochs and, by channel, counts by region, availability, largest error/level."""
+        """Return quantity → value: epochs; by channel, regions, availability, largest error/level and median level."""
         values = {"epochs": float(len(self.is_usable))}
         regions = self.regions()
         for axis, (channel, counts) in enumerate(self.counts().items()):
@@ -107,11 +107,11 @@ def read_epochs(
     Args:
         bags: bags with outputs, levels and truth.
         namespace: namespace of the ship's topics in the bags.
-        limits_arcsec: label of an orientation → alert limits of its angles, in place of those in the bags.
-        progress: wraps the iteration over a bag, for a progress bar.
+        limits_arcsec: label of an orientation → alert limits of its angles, used instead of the limits in the bags.
+        progress: function that wraps the iteration over a bag in a progress bar.
 
     Raises:
-        BadInput: a bag cannot be read, or none has an epoch.
+        BadInput: a bag cannot be read, or no bag contains an epoch.
     """
     found: dict[str, list[Epochs]] = {}
     for path in bags:
@@ -167,15 +167,15 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, progress:
 
 
 def _error_arcsec(orientation: Orientation, angles: FloatArray, truth_nd: FloatArray) -> FloatArray:
-    """Return the size of the error of each angle, shape (3,); NaN for an INVALID output."""
+    """Return the absolute error of each angle, shape (3,); NaN for an INVALID output."""
     return np.abs(orientation.errors_arcsec(angles, truth_nd))
 
 
 class _PublishedLevels:
-    """Published levels and limits, once a second and at changes: each holds until the next.
+    """Published protection levels and alert limits; the values of a message are valid until the next message.
 
     Args:
-        channels: the angles, in the order of the results.
+        channels: names of the angles, in the order of the results.
     """
 
     def __init__(self, channels: tuple[str, str, str]) -> None:

@@ -58,7 +58,7 @@ def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
     error, level = epochs.error_arcsec[:, axis], epochs.level_arcsec[:, axis]
     limits = epochs.limit_arcsec[:, axis]
     limit = _common_limit(limits[np.isfinite(level)], name)
-    # Outputs DEGRADED for another reason than the level are not drawn.
+    # An output that is unusable although its level is within the limit is not drawn.
     drawn = np.isfinite(error) & np.isfinite(level) & (epochs.is_usable | (level > limits))
     axes.set(xscale="log", yscale="log", xlabel="size of the error [arcsec]", ylabel="protection level [arcsec]")
     axes.set_title(_title(name, epochs, channel))
@@ -130,7 +130,7 @@ def _draw_counts(
     misleading: NDArray[np.bool_],
     bounds: tuple[float, float, float, float],
 ) -> None:
-    """Draw the counts by cell, dark for many, and a mark on each cell with a misleading epoch."""
+    """Draw the number of epochs in each cell, darker for more, and a mark on each cell with a misleading epoch."""
     left, right, bottom, top = bounds
     edges = [
         np.geomspace(least, most, max(round(_BINS_PER_DECADE * math.log10(most / least)), 2))
@@ -138,7 +138,7 @@ def _draw_counts(
     ]
     error = np.maximum(error, left * _IN_FIRST_CELL)
     counts, *_ = np.histogram2d(error[~misleading], level[~misleading], bins=edges)
-    # The colour order is kept in grey; the lightest colours would vanish on white paper.
+    # The order of the colours is kept in grey print. The lightest colours, invisible on white paper, are not used.
     colours = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.12, 1.0, 256)))
     norm = LogNorm(1, max(counts.max(), 10))
     mesh = axes.pcolormesh(*edges, np.ma.masked_equal(counts.T, 0), cmap=colours, norm=norm, zorder=2)

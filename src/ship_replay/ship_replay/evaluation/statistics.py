@@ -1,7 +1,7 @@
 """Statistics of errors against the truth and of innovations, by source, with their predicted covariance.
 
-An error is estimate minus truth of the three channels of an orientation. The normalised error squared uses the small
-rotation vector in the horizon frame, like its covariance (ship_geometry's glossary).
+An error is estimate minus truth of the three channels of an orientation. The normalised error squared is computed from
+the small rotation vector in the horizon frame and its covariance (ship_geometry's glossary).
 """
 
 from collections import Counter
@@ -39,7 +39,7 @@ class AttitudeErrors:
         time_ns: stamps, shape (n,).
         error_arcsec: estimate - truth of the channels, shape (n, 3).
         sigma_arcsec: predicted standard deviations, shape (n, 3); NaN if not given.
-        nees: normalised error squared of the rotation vector (3 degrees of freedom), shape (n,); NaN likewise.
+        nees: normalised error squared of the rotation vector (3 degrees of freedom), shape (n,); NaN without sigma.
     """
 
     label: str
@@ -77,26 +77,26 @@ class AttitudeErrors:
         return values
 
     def independent_count(self) -> float:
-        """Return the equivalent number of independent errors: :func:`independent_count`."""
+        """Return the equivalent number of independent errors, see :func:`independent_count`."""
         known = np.isfinite(self.nees)
         return independent_count((self.error_arcsec / self.sigma_arcsec)[known])
 
 
 def independent_count(normalised: FloatArray) -> float:
-    """Return the number of independent samples whose mean square is known as well as that of these correlated ones.
+    """Return the equivalent number of independent errors in a series of correlated errors.
 
-    The mean of n squares has the variance of n / τ independent ones, τ = 1 + 2 Σ r_k their integrated autocorrelation
-    time. The autocorrelation of a squared Gaussian is the square of its own (Isserlis 1918). The latter is estimated
-    far better, because the mean of the errors is known to be zero. The autocorrelation of the squares would be taken
-    about a mean of few. It comes out too short if errors last for minutes, and rejects one correct sigma in fifty. The
-    sum ends at the first lag that is five times the τ so far (automatic windowing, Sokal 1997, "Monte Carlo methods in
-    statistical mechanics", section 3).
+    The mean of n correlated squares has the variance of a mean of n / τ independent squares. Here τ = 1 + 2 Σ r_k is
+    the integrated autocorrelation time, and r_k the autocorrelation of the squares. For Gaussian errors r_k is the
+    square of the autocorrelation of the errors (Isserlis 1918). This autocorrelation is estimated far better than r_k
+    itself, because the mean of the errors is known to be zero. With r_k estimated from the squares, τ is too short if
+    errors last for minutes, and one correct sigma in fifty is rejected. The sum ends at the first lag of five times the
+    τ up to this lag (automatic windowing, Sokal 1997, "Monte Carlo methods in statistical mechanics", section 3).
 
     Args:
         normalised: errors over their sigmas, equally spaced in time, shape (n, k).
 
     Returns:
-        From 1 to n; 0 without samples. Nearly constant errors count as one or two.
+        Number from 1 to n; 0 without samples. Nearly constant errors count as one or two independent errors.
     """
     count = len(normalised)
     if count < 2:
@@ -126,8 +126,8 @@ def attitude_errors(
         label: name of the source.
         orientation: the orientation.
         time_ns: stamps, shape (n,).
-        estimate_nd: horizon from deck, shape (n, 3, 3).
-        truth_nd: horizon from deck, shape (n, 3, 3).
+        estimate_nd: estimated rotation horizon from deck, shape (n, 3, 3).
+        truth_nd: true rotation horizon from deck, shape (n, 3, 3).
         covariance_n: covariance of the rotation vector (North, Up, East), rad², shape (n, 3, 3); NaN or zero if
             unknown.
     """
@@ -146,7 +146,7 @@ def attitude_errors(
 
 
 def _is_covariance(matrices: FloatArray) -> np.ndarray:
-    """Return True for the matrices, shape (n, 3, 3), that are finite and positive definite; shape (n,)."""
+    """Return the mask, shape (n,), of the matrices, shape (n, 3, 3), that are finite and positive definite."""
     finite = np.all(np.isfinite(matrices), axis=(-2, -1))
     eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, 0.0))
     positive: np.ndarray = finite & (eigenvalues[:, 0] > 0.0)
@@ -162,9 +162,9 @@ class AcceptedInnovation:
     """Innovation of an accepted measurement.
 
     Attributes:
-        components: components of the residual; for single stars only the axis, whichever star it was.
-        residual: residual by component, rad; NaN if not measured.
-        sigma: predicted standard deviation, rad.
+        components: names of the residual's components; for single stars the axis only, without the star's name.
+        residual: residual of each component, rad; NaN if not measured.
+        sigma: predicted standard deviation of each residual, rad.
         nis: normalised innovation squared.
     """
 
@@ -176,7 +176,7 @@ class AcceptedInnovation:
 
 @dataclass
 class SourceInnovations:
-    """Innovations of one source. If a measurement has several decisions, the last one counts.
+    """Innovations of one source. If a measurement has several decisions, the last decision counts.
 
     Attributes:
         accepted: stamp → innovation of the accepted measurement.
@@ -187,7 +187,7 @@ class SourceInnovations:
     rejected: Counter[str] = field(default_factory=Counter)
 
     def since(self, start_ns: int) -> "SourceInnovations":
-        """Return the innovations stamped at or after a time; the rejections remain those of the whole run."""
+        """Return the innovations stamped at or after a time, with the rejections of the whole run."""
         kept = {stamp_ns: value for stamp_ns, value in self.accepted.items() if stamp_ns >= start_ns}
         return SourceInnovations(kept, self.rejected)
 
@@ -196,7 +196,7 @@ class SourceInnovations:
         return list(dict.fromkeys(name for innovation in self.accepted.values() for name in innovation.components))
 
     def series(self, component: str) -> tuple[np.ndarray, FloatArray, FloatArray]:
-        """Return stamps (ns), residuals and sigmas (rad) of a component, in order of stamps, if measured."""
+        """Return stamps (ns), measured residuals and sigmas (rad) of a component, in order of stamps."""
         rows = [
             (stamp_ns, residual, sigma)
             for stamp_ns, innovation in sorted(self.accepted.items())
@@ -245,7 +245,7 @@ class InnovationCollector:
         if not message.accepted:
             source.rejected[reason_name(message)] += 1
             if message.reason == message.GATE or message.reason == message.REVISED:
-                # A later decision on a measurement that was accepted at first.
+                # This later decision rejects a measurement that was accepted at first.
                 source.accepted.pop(stamp_ns, None)
 
 
@@ -256,7 +256,7 @@ def reason_name(message: Any) -> str:
 
 
 def windows_in_band(time_ns: np.ndarray, nis: FloatArray, degrees: np.ndarray) -> float | None:
-    """Return the share of one-minute windows whose mean NIS lies in its 99.9 % band; None if all are too short."""
+    """Return the share of one-minute windows whose mean NIS lies in its 99.9 % band; None if all have few samples."""
     window = (time_ns - time_ns[0]) // (WINDOW_S * NS_PER_S)
     inside = []
     for number in np.unique(window):

@@ -15,7 +15,7 @@ _WIDTH_WITHOUT_TERMINAL = 130
 
 
 def table_console() -> Console:
-    """Return the console for tables: as wide as the terminal, or wide enough for all columns without one."""
+    """Return the console for tables: as wide as the terminal, or without a terminal wide enough for all columns."""
     console = Console()
     return console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL)
 
@@ -61,7 +61,7 @@ def attitude_table(evaluation: Evaluation) -> Table:
 
 
 def target_table(evaluation: Evaluation) -> Table:
-    """Return errors of directions, per transverse axis, and of positions, with their predicted sigmas, by target."""
+    """Return RMS errors of directions (per transverse axis) and positions, predicted sigmas and NEES, by target."""
     table = Table(title="Targets against the truth")
     table.add_column("target")
     for what, unit, degrees in (("direction", "arcsec", 2), ("position", "m", 3)):
@@ -84,8 +84,7 @@ def target_table(evaluation: Evaluation) -> Table:
 def innovation_table(evaluation: Evaluation) -> Table:
     """Return mean, deviation and predicted sigma by source and component; NIS and counts by source.
 
-    The counts refer to different things: an exposure is one measurement, but each excluded star counts as one
-    rejection.
+    An accepted exposure counts as one measurement, but each of its excluded stars counts as one rejection.
     """
     table = Table(title="Measurement - prediction, arcseconds")
     for column in ("source", "component"):

@@ -1,7 +1,7 @@
 """Errors of directions and positions of targets against the truth, by target.
 
-The error of a direction has two components across it, that of a position three; each is compared with its own
-covariance. A target of the truth without any published direction is also listed, with the number of missing answers.
+The error of a direction has two components across the direction; the error of a position has three. Each error is
+compared with its own covariance. A target in the truth is listed even if no direction to it was published.
 """
 
 from dataclasses import dataclass, field
@@ -23,12 +23,12 @@ class TargetErrors:
     """Errors of one target's directions and positions, one for each stamp of the truth with a valid direction.
 
     Attributes:
-        unavailable_ns: stamps of the truth at which the answer was INVALID or missing.
+        unavailable_ns: stamps of the truth at which the published direction was INVALID or missing.
         time_ns: stamps of valid directions.
         direction_error_arcsec: estimate minus truth across the true direction, shape (2,) each.
         sigma_arcsec: predicted standard deviation, root mean square of the two components.
         nees: normalised error squared of the direction (2 degrees of freedom).
-        position_error_m: distance of the position from the true one; NaN if none was published.
+        position_error_m: distance of the published position from the true position; NaN if no position was published.
         position_sigma_m: predicted standard deviation, root sum square of the three axes.
         position_nees: normalised error squared of the position (3 degrees of freedom).
     """
@@ -50,7 +50,7 @@ class TargetErrors:
         return TargetErrors(unavailable_ns, *([values[row] for row in kept] for values in columns))
 
     def statistics(self) -> dict[str, float]:
-        """Return quantity → value; for directions and positions only if some were published."""
+        """Return quantity → value; quantities of directions and of positions only if some were published."""
         values = {"samples": float(len(self.time_ns)), "not_claimed": float(len(self.unavailable_ns))}
         if not self.time_ns:
             return values
@@ -71,7 +71,7 @@ class TargetErrors:
 
 
 class TargetDirections:
-    """Collector of target directions published at the stamps of the truth; INVALID ones count as missing."""
+    """Collector of target directions published at the stamps of the truth; INVALID directions count as missing."""
 
     def __init__(self) -> None:
         self._truths: dict[tuple[str, int], Any] = {}
@@ -79,7 +79,7 @@ class TargetDirections:
         self._available: set[tuple[str, int]] = set()
 
     def since(self, start_ns: int) -> dict[str, TargetErrors]:
-        """Return the errors stamped at or after a time, by target_id, for all targets in the truth of that time."""
+        """Return target_id → errors stamped at or after a time, for each target with truth in this time."""
         errors = {target_id: TargetErrors() for target_id, _ in sorted(self._truths)} | self._errors
         for target_id, time_ns in sorted(self._truths):
             if (target_id, time_ns) not in self._available:
@@ -94,7 +94,7 @@ class TargetDirections:
         """Add a TargetDirection of the truth.
 
         Raises:
-            MessageRejected: its direction is not finite.
+            MessageRejected: the direction is not finite.
         """
         finite_vector(message.direction, "direction of the truth")
         self._truths[message.target_id, ns_from_stamp(message.header.stamp)] = message
@@ -134,7 +134,7 @@ def _covariance(values: Any, what: str) -> FloatArray:
     """Return a covariance, shape (3, 3); NaN if not given.
 
     Raises:
-        MessageRejected: it is not a valid covariance.
+        MessageRejected: the values are not a valid covariance.
     """
     covariance = covariance_3x3(values, what)
     return _UNKNOWN if covariance is None else covariance
@@ -145,7 +145,7 @@ def _vector(of: Any) -> FloatArray:
 
 
 def _square(error: FloatArray, covariance: FloatArray) -> float:
-    """Return the error squared over its covariance; NaN if either is unknown."""
+    """Return the normalised error squared; NaN if error or covariance is unknown."""
     if not np.all(np.isfinite(covariance)) or not np.linalg.eigvalsh(covariance)[0] > 0.0:
         return float("nan")
     return float(error @ np.linalg.solve(covariance, error))

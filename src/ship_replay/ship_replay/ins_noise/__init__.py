@@ -2,13 +2,13 @@
 
 Data flow from the bag:
 
-1. :mod:`session`: the suite's own node compares each star measurement with the INS.
-2. :mod:`star_record`: these comparisons, condensed.
-3. :mod:`likelihood` of a process of :mod:`processes`.
-4. :mod:`fit`: the parameters of the process with their covariance, times by :mod:`correlation_time`.
+1. :mod:`session`: comparison of each star measurement with the INS by the suite's own node.
+2. :mod:`star_record`: record of these comparisons, with one information matrix for each epoch.
+3. :mod:`likelihood`: likelihood of the record for a process of :mod:`processes`.
+4. :mod:`fit`: parameters of the process with their covariance; correlation times by :mod:`correlation_time`.
 5. :mod:`outage`: predictions of the fitted model without stars.
-6. :mod:`identification`: model selection, warnings.
-7. :mod:`parameter_output`: the parameter file, the text.
+6. :mod:`identification`: model selection and warnings.
+7. :mod:`parameter_output`: parameter file and text of the result.
 
 The folder imports only ``offline/``.
 """

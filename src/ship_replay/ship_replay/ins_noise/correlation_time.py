@@ -1,10 +1,10 @@
 """Estimate of a correlation time from its whole likelihood, with its uncertainty.
 
-The likelihood of the time is skewed for a record of few correlation times: it falls off fast towards short times and
-slowly towards long ones. Its maximum is at too short a time, on average by half the variance of the logarithm. The
-curvature there is larger for shorter times, so the stated sigma is too small when the error is large. Over 200 records
-of six times the errors were 1.1 to 1.4 of the sigma from the curvature. So the likelihood is integrated, with Jeffreys'
-prior (1946), the square root of the Fisher information.
+For a record of few correlation times, the likelihood of the time is skewed: it falls off fast towards short times and
+slowly towards long times. The maximum of the likelihood is at too short a time, on average by half the variance of the
+logarithm. The curvature at the maximum is larger for shorter times, so the stated sigma is too small when the error is
+large. In 200 records of six correlation times, the errors were 1.1 to 1.4 of the sigma from the curvature. So the
+likelihood is integrated, with Jeffreys' prior (1946): the square root of the Fisher information.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ from ship_geometry.rotations import FloatArray
 
 _GRID = 2001
 _POWER = 0.25
-"""Power of the rate 1/τ whose mean is taken.
+"""Exponent of the rate 1/τ: the estimate is the mean of this power.
 
-Its RMS error over its sigma is nearest to 1 over simulated records of one time to 200. The logarithm itself has a long
-tail towards long times, and its sigma is too large by a fifth.
+With this exponent, the ratio of RMS error to sigma is nearest to 1 in simulated records of 1 to 200 correlation times.
+The mean of the logarithm has a sigma that is too large by a fifth, due to a long tail towards long times.
 """
 
 
@@ -29,14 +29,14 @@ def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: flo
 
     Args:
         logs: increasing logarithms of times (s), shape (N,).
-        log_likelihoods: log likelihoods at these, shape (N,).
+        log_likelihoods: log likelihoods at these times, shape (N,).
         duration_s: length of the record.
 
     Example:
         A long record, whose likelihood is that of a normal distribution of the logarithm:
 
-        >>> logs = np.log_text(60.0) + 0.05 * np.linspace(-8.0, 8.0, 41)
-        >>> mean, variance = mean_log_time(logs, -0.5 * ((logs - np.log_text(60.0)) / 0.05) ** 2, 24_000.0)
+        >>> logs = np.log(60.0) + 0.05 * np.linspace(-8.0, 8.0, 41)
+        >>> mean, variance = mean_log_time(logs, -0.5 * ((logs - np.log(60.0)) / 0.05) ** 2, 24_000.0)
         >>> print(round(float(np.exp(mean)), 1), round(variance**0.5, 3))
         59.9 0.05
     """

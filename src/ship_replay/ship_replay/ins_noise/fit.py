@@ -1,10 +1,10 @@
 """Parameters of a model by maximum likelihood, with their covariance from the observed information.
 
-The search uses logarithms: first with few epochs, which is fast and sufficiently close, then with all. Gradients and
-second derivatives are differences of likelihoods computed together.
+The search varies the logarithms of the parameters, first with few epochs, which is fast and sufficiently close, then
+with all epochs. Gradients and second derivatives are differences of likelihoods computed together.
 
 Correlation times are an exception (:mod:`ship_replay.ins_noise.correlation_time`): a maximum and its curvature describe
-their likelihood only in records of many times.
+their likelihood only in records of many correlation times.
 """
 
 from dataclasses import dataclass
@@ -22,22 +22,22 @@ from ship_replay.ins_noise.star_record import StarRecord
 _FIRST_EPOCHS = 300
 _GRADIENT_STEP, _CURVATURE_STEP = 1e-4, 0.02
 _LEAST_GAIN = 0.01
-"""Gain in log likelihood per step at which a search ends. One sigma off the maximum costs 0.5."""
+"""Gain in log likelihood per step below which a search ends. One sigma off the maximum, the loss is 0.5."""
 
 _MAX_BATCH = 12
-"""Maximum number of parameter sets computed together: more need more memory and gain little."""
+"""Maximum number of parameter sets computed together; more sets need more memory and are hardly faster."""
 
 _UNKNOWN_LOG_SIGMA = 10.0
 """Sigma of the logarithm of a parameter that a record does not determine."""
 
 _SECOND_START_FACTOR = 0.03
-"""Factor on the configured correlation times at the start of a second search: a single one may stop near a saddle."""
+"""Factor on the configured correlation times at the start of a second search, as one search may stop near a saddle."""
 
 _STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
-"""Points of the likelihood of a correlation time on each side of its maximum, in sigmas from the curvature."""
+"""Distances from its maximum at which a correlation time's likelihood is computed, in sigmas from the curvature."""
 
 _WIDEST_STEP = 1.0
-"""Maximum sigma of the logarithm for these steps: a larger one from the curvature does not describe the likelihood."""
+"""Maximum sigma of the logarithm for these distances; a larger sigma does not describe the likelihood."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class FittedModel:
     Attributes:
         model: model of the INS's error.
         values: parameter values, shape (p,).
-        covariance: covariance of their logarithms, shape (p, p); `_UNKNOWN_LOG_SIGMA` squared for one at a bound,
-            unless it is a time.
-        log_likelihood: log likelihood of the record at its maximum.
+        covariance: covariance of the logarithms of the parameters, shape (p, p); the variance of a parameter at a bound
+            is `_UNKNOWN_LOG_SIGMA` squared, unless it is a correlation time.
+        log_likelihood: maximum log likelihood of the record.
     """
 
     model: InsErrorModel
@@ -87,9 +87,9 @@ def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
 
 
 def _use_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return parameter logarithms and covariance with the mean and variance of each correlation time.
+    """Return logarithms and covariance of the parameters, with mean and variance of each correlation time.
 
-    The other parameters are shifted by their correlation with the time.
+    The other parameters are shifted according to their correlation with the time.
     """
     point = best.copy()
     for row in np.flatnonzero(_is_time(search.model)):

@@ -28,9 +28,9 @@ class Identification:
     """Result of an identification.
 
     Attributes:
-        session: the session.
-        record: its record.
-        fitted: fitted models, the best first.
+        session: session that is evaluated.
+        record: record of the session.
+        fitted: fitted models, the best model first.
         outages: model → checks of its predictions.
     """
 
@@ -70,7 +70,7 @@ class Identification:
         ]
 
     def _inconsistent_predictions(self, model: str) -> list[str]:
-        """Return warnings for predictions of a model with too large errors; the worst of tilt and of heading."""
+        """Return a warning for tilt and for heading if the errors of predictions are too large, with the worst case."""
         if model not in (GAUSS_MARKOV, self.best.model.name):
             return []
         lines = []

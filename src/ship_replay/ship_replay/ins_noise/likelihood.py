@@ -1,15 +1,15 @@
 """Likelihood of a record for a process of the INS's error: a Kalman filter over its epochs.
 
 The filter uses the information (matrix L, vector h) of each epoch, which has the same form for any number and kind of
-measurements. The likelihood is the density of the innovations (Schweppe 1965), and exact:
+measurements. The exact likelihood is the density of the innovations (Schweppe 1965):
 
     log p = -1/2 log det(I + L P) + h·m - 1/2 m·L m + 1/2 r·(P' r)
 
 with r = h - L m and P' = P - P (I + L P)^-1 L P.
 
-Constants (installations, clocks) are not states: the mean is propagated as a linear function of them, and they are
-integrated out at the end (de Jong 1991). Several parameter sets are computed together: a gradient by differences costs
-little more than one likelihood.
+Constants (installations, clocks) are not states: the mean is propagated as a linear function of the constants, which
+are integrated out at the end (de Jong 1991). Several parameter sets are computed together, so that a gradient by
+differences takes little longer than one likelihood.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from ship_replay.ins_noise.star_record import StarRecord, marginalise_white_nois
 
 
 class ProcessSteps(NamedTuple):
-    """An INS's error along E epochs, for k parameter sets; n states of which the first three are u, in arcseconds.
+    """Process of an INS's error along E epochs, for k parameter sets and n states; the first three are u in arcseconds.
 
     Attributes:
         start: covariance at the first epoch, shape (k, n, n).
@@ -40,8 +40,8 @@ class StateEstimate(NamedTuple):
     """Estimate of states and constants together.
 
     Attributes:
-        mean: shape (n + c,).
-        covariance: shape (n + c, n + c).
+        mean: mean of n states and c constants, shape (n + c,).
+        covariance: covariance of states and constants, shape (n + c, n + c).
     """
 
     mean: FloatArray
@@ -51,11 +51,11 @@ class StateEstimate(NamedTuple):
 class EpochFilter:
     """Kalman filter over a record for k parameter sets of a process.
 
-    The states are u, the other time-varying states, then the rest of the process.
+    The states are u (attitude error of the INS), the other time-varying states, then the other states of the process.
 
     Args:
-        record: the record.
-        steps: the process along it.
+        record: record of star measurements.
+        steps: process along the record.
 
     Attributes:
         times_s: times of the epochs, shape (E,).
@@ -101,7 +101,7 @@ class EpochFilter:
             covariance = covariance - observed_covariance @ solved[:, :, :observed_size] @ np.swapaxes(
                 observed_covariance, -1, -2
             )
-            # Without this, asymmetry by rounding grows from step to step.
+            # Without this step, asymmetry due to rounding would grow.
             covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
             self._means[:, epoch], self._covariances[:, epoch] = mean, covariance
         after = self._means[:, :, :observed_size]
@@ -138,7 +138,7 @@ class EpochFilter:
         )
 
     def predict(self, estimate: StateEstimate, epoch: int, later: int) -> StateEstimate:
-        """Propagate an estimate from an epoch to a later one."""
+        """Propagate an estimate from an epoch to a later epoch."""
         size = self._start.shape[-1]
         mean, covariance = estimate.mean.copy(), estimate.covariance.copy()
         for step in range(epoch, later):

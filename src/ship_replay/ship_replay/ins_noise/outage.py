@@ -1,9 +1,10 @@
 """Consistency of a fitted model without stars: predictions over parts of the record, compared with later stars.
 
-The record is cut into equal intervals. At the beginning of each but the first the filter has used all stars so far. It
-predicts the INS's error to the end of the interval without stars, and the last stars of the interval determine the
-prediction error. Under the model the errors of successive intervals are independent, because each prediction uses
-all stars before it. So the sum of their normalised squares follows chi², and its mean has a band.
+The record is cut into equal intervals. At the beginning of each interval except the first, the filter has used all
+earlier stars. The filter predicts the INS's error to the end of the interval without stars, and the last stars of the
+interval determine the prediction error. Under the model the errors of successive intervals are independent, because
+each prediction uses all earlier stars. So the sum of the normalised squared errors follows chi², and their mean has a
+known band.
 """
 
 from typing import NamedTuple
@@ -20,13 +21,13 @@ SHARES = (2, 4, 8, 16)
 """Numbers of intervals in a record: longer horizons are too rare to test, and much shorter ones are not outages."""
 
 _MAX_INTERVAL_RATIO = 1.25
-"""Maximum length of an interval, in horizons: if stars return later, it is excluded."""
+"""Maximum ratio of the length of an interval to the horizon; an interval is excluded if stars return later."""
 
 _CHECKED_SHARE = 0.125
 """Share of an interval at its end whose stars determine the prediction error."""
 
 _MAX_CHECKED_EPOCHS = 50
-"""Maximum number of epochs of it: more do not improve the comparison."""
+"""Maximum number of epochs in this share; more epochs do not improve the comparison."""
 
 _PARTS = {"tilt": [0, 2], "heading": [1]}
 
@@ -35,10 +36,10 @@ class PredictionError(NamedTuple):
     """Error of predictions of tilt or heading.
 
     Attributes:
-        rms_arcsec: RMS of each axis.
+        rms_arcsec: RMS error of each axis.
         sigma_arcsec: predicted sigma of each axis, without the part that the stars at the end do not observe.
         nees: mean normalised error squared; two degrees of freedom for tilt, one for heading.
-        nees_limit: upper limit of its 99.9 % band.
+        nees_limit: upper limit of the 99.9 % band of ``nees``.
     """
 
     rms_arcsec: float
@@ -58,7 +59,7 @@ class OutageCheck(NamedTuple):
     Attributes:
         horizon_s: length of the intervals without stars.
         intervals: number of intervals.
-        parts: tilt and heading.
+        parts: ``tilt`` and ``heading`` → error of the predictions.
     """
 
     horizon_s: float

@@ -1,4 +1,4 @@
-"""An identification as a parameter file of the suite, and as text for people."""
+"""Result of an identification as a parameter file of the suite, and as text for people."""
 
 import math
 from collections.abc import Iterator
@@ -52,7 +52,7 @@ def _number(value: float) -> str:
 
 
 def _sigma_text(value: float, log_sigma: float) -> str:
-    """Return the sigma of a value as text, or that it is hardly known."""
+    """Return the sigma of a value as text; if the sigma is large, as a factor."""
     known = uncertainty_text(log_sigma)
     return f"± {value * log_sigma:.2g}, 1 sigma" if known.startswith("±") else f"{known}, 1 sigma"
 

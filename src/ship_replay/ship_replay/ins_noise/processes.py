@@ -1,9 +1,10 @@
 """The two models of an INS's error as processes with parameters, and the corresponding suite parameters.
 
-A fit uses logarithms of the quantities that a record determines best. For a Gauss-Markov process that is 2 sigma² /
-time, the change per second, which even a record much shorter than the time determines; sigma and time separately need
-many times. For Schuler's it is the noise of the sensors and the errors at the start; time constants of drift and bias,
-the latitude error at the start, and the damping are taken as configured.
+A fit uses logarithms of the quantities that a record determines best. For a Gauss-Markov process this quantity is
+2 sigma² / time, the change per second: even a record much shorter than the time determines it. To determine sigma and
+time separately, many correlation times are needed. For the Schuler process these quantities are the noise of the
+sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
+damping are taken from the configuration.
 """
 
 import math
@@ -44,13 +45,13 @@ class Parameter(NamedTuple):
 
 
 class SuiteParameter(NamedTuple):
-    """A parameter of ``ship_attitude`` from those of the fit: log value = constant + weights · log parameters.
+    """A parameter of ``ship_attitude`` from parameters of the fit: log value = constant + weights · log parameters.
 
     Attributes:
         name: name in the parameter file, after ``ins.``.
-        unit: its unit.
-        constant: constant part of its logarithm.
-        weights: weights, shape (p,).
+        unit: unit of the parameter.
+        constant: constant part of the logarithm.
+        weights: weights of the logarithms of the fit's parameters, shape (p,).
     """
 
     name: str
@@ -86,7 +87,7 @@ class GaussMarkovModel:
     """Gauss-Markov error of each axis: sigma² exp(-t / time); tilt about North and East has the same parameters.
 
     Args:
-        ins: start values of the search.
+        ins: configuration with the start values of the search.
     """
 
     name = GAUSS_MARKOV
@@ -126,10 +127,10 @@ class GaussMarkovModel:
 
 
 class SchulerModel:
-    """Error of an INS with free gyroscopes and accelerometers, which oscillates: the filter's own process.
+    """Oscillating error of an INS with free gyroscopes and accelerometers, with the same process as in the filter.
 
     Args:
-        ins: start values of the search, and configured values.
+        ins: configuration with the start values of the search and the values that are not fitted.
         here: mean latitude and velocity of the ship.
     """
 
@@ -199,7 +200,7 @@ class SchulerModel:
 
     @cached_property
     def _scale(self) -> FloatArray:
-        """Units of the states: the effect of an arcsecond of tilt on each over about one oscillation."""
+        """Units of the states: effect of an arcsecond of tilt on each state over about one oscillation."""
         return np.array([ARCSEC] * 3 + [0.04] * 2 + [ARCSEC] + [1e-3 * ARCSEC] * 3 + [10.0 * ARCSEC] * 2)
 
     def _discrete_process(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -262,6 +263,6 @@ def _unit(name: str) -> str:
 
 
 def candidate_models(ins: InsConfig, here: LocalVertical | None) -> Sequence[InsErrorModel]:
-    """Return the models to be fitted; Schuler's only if the latitude is known."""
+    """Return the models to be fitted; the Schuler model only if the latitude is known."""
     gauss_markov = GaussMarkovModel(ins)
     return (gauss_markov,) if here is None else (gauss_markov, SchulerModel(ins, here))

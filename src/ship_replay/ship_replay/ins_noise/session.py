@@ -2,7 +2,7 @@
 
 The suite's own node processes the bag, so axes, clocks, sky and rejections are those of a voyage. The node's gate uses
 larger sigmas than configured, because these sigmas are to be identified. The comparison of each used measurement is
-stored, linearised at its estimate and relative to zero errors.
+stored, linearised at the filter's estimate and relative to zero errors.
 """
 
 import functools
@@ -98,16 +98,16 @@ class StarComparisons:
 
 @dataclass(frozen=True)
 class NoiseSession:
-    """Comparisons of a bag, with the model they refer to.
+    """Comparisons of a bag, with the model to which they refer.
 
     Attributes:
         name: name of the bag.
         config: configuration of the node.
-        model: states of the comparisons.
+        model: model with the states of the comparisons.
         comparisons: comparisons in order of stamps.
         common_n: source → steady covariance of the errors that its messages share, rad², shape (3, 3).
         rejected_count: number of star measurements that were not used.
-        problems: what is wrong with the bag, one line each.
+        problems: problems of the bag, one line each.
     """
 
     name: str
@@ -139,9 +139,9 @@ def run_session(
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
-        config_path: suite configuration; None takes the one attached to the bag.
+        config_path: suite configuration; None for the configuration attached to the bag.
         namespace: namespace of the ship in the bag.
-        progress: wraps the iteration over the bag, for a progress bar.
+        progress: function that wraps the iteration over the bag in a progress bar.
 
     Raises:
         BadInput: the bag or the configuration cannot be used, or no star measurement was used.
@@ -157,7 +157,7 @@ def run_session(
         def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
             for feed in super().table(config, core):
                 if feed.source == INS:
-                    # Attitudes are not requested: they would double the time.
+                    # Attitudes are not requested, because their computation would double the time.
                     feed = replace(feed, process=functools.partial(core.add_ins, estimate=False), batch=None)
                 yield feed
 
@@ -189,7 +189,7 @@ def run_session(
 def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
     """Return the configuration of a session: only star sensors and the INS, with larger INS sigmas.
 
-    A saved alignment is not loaded, because it may result from this very bag. The deflection of the vertical is always
+    A saved alignment is not loaded, because it may result from the same bag. The deflection of the vertical is always
     modelled, whether it is relevant or not.
     """
     gravity = config.gravity if config.gravity.is_modelled else GravityConfig(deflection=UNKNOWN)

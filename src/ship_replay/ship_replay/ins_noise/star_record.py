@@ -1,9 +1,9 @@
-"""A record of star measurements compared with the INS, condensed for the likelihood.
+"""Record of star measurements compared with the INS, condensed for the likelihood.
 
 Let u be the error of the INS's attitude, c all other correlated errors (installations, clocks, errors shared by
-messages) and w the INS's white noise. A measurement is z = J_u (u + g w) + J_c c + noise, the filter's own
-linearisation. For all measurements of one stamp, an epoch, the information matrix of (u, c, z) is stored. In this form
-w, common to all of them, can be integrated out for any sigma, without loss of information about white noise.
+messages) and w the INS's white noise, with a gain g. As linearised by the filter, a measurement is z = J_u (u + g w) +
+J_c c + noise. An epoch consists of all measurements of one stamp, stored as the information matrix of (u, c, z). In
+this form w, which all measurements of an epoch share, can be integrated out for any sigma without loss of information.
 
 A record with too many epochs is thinned, which loses precision but causes no bias.
 """
@@ -23,7 +23,7 @@ MOST_EPOCHS = 6000
 """Maximum number of epochs of a record, more than three hours at 0.5 Hz; longer records are thinned."""
 
 _INS_BLOCKS = ("ins.attitude", "ins.noise", "gravity.deflection")
-"""States to be identified, or part of them."""
+"""Blocks of states that belong to the error to be identified."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class TimeVaryingStates:
     """Time-varying states other than the INS's error, in units of their own sigmas at the start.
 
     Attributes:
-        covariance: at the start, also the steady covariance of Gauss-Markov states, shape (c, c).
-        time_s: correlation times; infinite for random walks, shape (c,).
+        covariance: covariance at the start, which is the steady covariance of Gauss-Markov states, shape (c, c).
+        time_s: correlation times, shape (c,); infinite for random walks.
         walk: random walk per square root of a second, shape (c,).
     """
 
@@ -42,7 +42,7 @@ class TimeVaryingStates:
 
     @property
     def count(self) -> int:
-        """Number of the states."""
+        """Number of states."""
         return len(self.time_s)
 
     def propagation(self, dt_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -61,11 +61,11 @@ class StarRecord:
     Attributes:
         times_s: times of the epochs since the first, shape (E,).
         information: information of (u in arcseconds, time-varying states, constants, z), shape (E, s, s).
-        white_gain: variance of the INS's white noise in an epoch over that of a sample, shape (E,).
+        white_gain: ratio of the INS's white-noise variance in an epoch to that in a sample, shape (E,).
         log_constant: part of the log likelihood that does not depend on parameters.
         time_varying: time-varying states, in the columns after u.
         constants: prior covariance of the constants, in units of their sigmas, shape (c, c).
-        names: names of the blocks of all these columns.
+        names: name of the block of each column after u, z excepted.
         epoch_step: thinning factor of the epochs.
     """
 
@@ -84,7 +84,7 @@ class StarRecord:
         return float(self.times_s[-1])
 
     def with_every_nth_epoch(self, step: int) -> "StarRecord":
-        """Return the record with every nth epoch; its likelihood lacks a constant."""
+        """Return the record with every nth epoch; its log likelihood differs by a constant."""
         kept = slice(None, None, step)
         return replace(
             self,
@@ -119,19 +119,19 @@ def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRe
 
 
 def _columns(pair: StarInnovation, model: StateModel, others: "_OtherStates") -> FloatArray:
-    """Return the Jacobian by u and the other states, in their units, and the value, shape (m, s)."""
+    """Return Jacobian with respect to u and the other states, in their units, and value, together of shape (m, s)."""
     by_attitude = ARCSEC * pair.jacobian[:, model.slices["ins.attitude"]]
     return np.column_stack([by_attitude, pair.jacobian[:, others.rows] * others.scale, pair.value])
 
 
 def _white_gain(pair: StarInnovation, model: StateModel) -> float:
-    """Return the variance of the white noise in a comparison over that of a sample; interpolation reduces it."""
+    """Return the ratio of white-noise variance in a comparison to that in a sample; interpolation reduces the noise."""
     by_white, by_slow = (pair.jacobian[:, model.slices[name]] for name in ("ins.noise", "ins.attitude"))
     return float((np.sum(by_white * by_slow) / np.sum(by_slow**2)) ** 2)
 
 
 class _OtherStates(NamedTuple):
-    """States other than the INS's error, time-varying ones first: indices, sigmas and models."""
+    """Indices, sigmas and models of the states other than the INS's error, time-varying states first."""
 
     rows: NDArray[np.intp]
     scale: FloatArray
@@ -141,7 +141,7 @@ class _OtherStates(NamedTuple):
 
 
 def _other_states(session: NoiseSession) -> _OtherStates:
-    """Return the states with a non-zero sigma that some comparison depends on."""
+    """Return the states with a non-zero sigma on which a comparison depends."""
     model = session.model
     covariance, time_s, walk = np.zeros((model.size, model.size)), np.zeros(model.size), np.zeros(model.size)
     names = np.empty(model.size, dtype=object)

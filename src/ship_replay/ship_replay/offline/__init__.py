@@ -1,4 +1,4 @@
-"""A bag through the suite's nodes, in process: the chain of adapters, its outputs, black boxes, comparison to the bit.
+"""Replay of a bag through the suite's nodes in one process: adapter chain, outputs, black boxes, bitwise comparison.
 
-The folder imports the nodes' adapters and configurations, and no other folder of the package.
+The folder imports the nodes' adapters and configurations, but no other folder of the package.
 """

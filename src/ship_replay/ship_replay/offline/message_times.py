@@ -19,7 +19,7 @@ from ship_estimation.parameters import flatten
 from theodolite_calib.config import OpticalAxisConfig
 
 _MAJORITY_SHARE = 0.5
-"""Share of the time in gaps longer than a limit from which on the configuration is an error."""
+"""Share of the time in gaps longer than a limit above which the limit counts as a configuration error."""
 
 _MIN_REPORTED_SHARE = 0.01
 _MARGIN_SHARE = 0.5
@@ -31,10 +31,10 @@ _REORDER_DEPTH = 1000
 _GAP_RESOLUTION_NS = 100_000
 
 LATE_NS = NS_PER_S // 2
-"""Delay, beyond its topic's median, above which a message counts as logged late, ns."""
+"""Excess of a delay over the median of its topic above which a message counts as logged late, ns."""
 
 MAX_STAMP_OFFSET_NS = 60 * NS_PER_S
-"""Maximum difference between a stamp and the time expected from the log time, ns; beyond it the stamp is not used."""
+"""Maximum difference between a stamp and the time expected from the log time, ns; a stamp beyond is not used."""
 
 _DELAY_RESOLUTION_NS = 1_000_000
 
@@ -44,8 +44,8 @@ class GapLimit:
     """A parameter that limits the time between two messages of a topic.
 
     Attributes:
-        topic: relative name.
-        parameter: dotted name; its value is in seconds.
+        topic: relative name of the topic.
+        parameter: dotted name of the parameter, whose value is in seconds.
         by_arrival: True for gaps between arrivals, False for gaps between stamps.
         meaning: effect of a longer gap.
     """
@@ -61,9 +61,9 @@ class ExceededLimit:
     """A limit exceeded by the gaps between the messages of its topic.
 
     Attributes:
-        limit: the limit.
-        text: parameter, value, actual gaps, effect and advice.
-        is_most_of_the_time: True if most of the time lies in such gaps.
+        limit: limit that is exceeded.
+        text: text with parameter, value, actual gaps, effect and advice.
+        is_most_of_the_time: True if most of the time lies in gaps longer than the limit.
     """
 
     limit: GapLimit
@@ -80,13 +80,13 @@ class Gaps:
         self._counts: Counter[int] = Counter()
 
     def add(self, time_ns: int) -> None:
-        """Add a time. Times may be out of order by up to `_REORDER_DEPTH` places; a later one is ignored."""
+        """Add a time. Times may be out of order by up to `_REORDER_DEPTH` places; times further out are ignored."""
         heappush(self._pending, time_ns)
         if len(self._pending) > _REORDER_DEPTH:
             self._count_gap(heappop(self._pending))
 
     def add_block(self, times_ns: np.ndarray) -> None:
-        """Add times; the result is that of :meth:`add` for each."""
+        """Add times, with the same result as :meth:`add` for each time."""
         if np.any(np.diff(times_ns) < 0):
             for time_ns in times_ns.tolist():
                 self.add(time_ns)
@@ -132,14 +132,14 @@ class MessageTimes:
         self.stamps, self.arrivals = Gaps(), Gaps()
 
     def add(self, record: BagRecord) -> None:
-        """Add a message that begins with a header, as every input does; the rest is not decoded."""
+        """Add a message. Every input begins with a header; the rest of the message is not decoded."""
         self.arrivals.add(record.log_time_ns)
         stamp_ns = stamp_of_bytes(record.data)
         if stamp_ns is not None:
             self.stamps.add(stamp_ns)
 
     def add_block(self, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
-        """Add messages; the result is that of :meth:`add` for each."""
+        """Add messages, with the same result as :meth:`add` for each message."""
         self.arrivals.add_block(log_times_ns)
         self.stamps.add_block(stamps_ns)
 
@@ -221,7 +221,7 @@ class LogDelays:
         self._latest[topic] = max(self._latest.get(topic, (delay_ns, 0)), (delay_ns, record.log_time_ns))
 
     def add_block(self, topic: str, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
-        """Add messages; the result is that of :meth:`add` for each."""
+        """Add messages, with the same result as :meth:`add` for each message."""
         stamped = stamps_ns != 0
         if not stamped.any():
             return
@@ -230,17 +230,17 @@ class LogDelays:
         lengths, numbers = np.unique(np.rint(delays_ns / _DELAY_RESOLUTION_NS), return_counts=True)
         for length, number in zip(lengths.tolist(), numbers.tolist(), strict=True):
             counts[int(length)] += number
-        # The index of the largest delay; of equal ones the last.
+        # Index of the largest delay; the last index if several delays are equal.
         place = len(delays_ns) - 1 - int(np.argmax(delays_ns[::-1]))
         latest = int(delays_ns[place]), int(log_times_ns[place])
         self._latest[topic] = max(self._latest.get(topic, (latest[0], 0)), latest)
 
     def median_ns(self) -> int:
-        """Return the median of log time minus stamp over all messages; 0 if none has a stamp."""
+        """Return the median of log time minus stamp over all messages; 0 if no message has a stamp."""
         return _median_ns(sum(self._delays.values(), Counter[int]()))
 
     def irregularity_text(self) -> str:
-        """Return one line about messages logged late; empty if there are none."""
+        """Return one line about messages logged late; empty if no message was late."""
         late, most_ns, topic_of_most, at_ns = 0, 0, "", 0
         for topic, delays in self._delays.items():
             usual_ns = _median_ns(delays)
@@ -259,12 +259,12 @@ class LogDelays:
 
 
 def sort_by_stamp(records: Iterator[BagRecord], usual_ns: int) -> Iterator[BagRecord]:
-    """Yield the records of a bag in order of their stamps, with these as log times; equal ones keep their order.
+    """Yield the records of a bag in order of their stamps, which replace the log times; equal stamps keep their order.
 
-    A message without a stamp, or with one far from its log time, gets its log time minus the usual delay.
+    A message without a stamp, or with a stamp far from its log time, gets its log time minus the usual delay.
 
     Args:
-        records: in order of log time.
+        records: records in order of log time.
         usual_ns: median of log time minus stamp.
     """
     pending: list[tuple[int, int, BagRecord]] = []
@@ -273,7 +273,7 @@ def sort_by_stamp(records: Iterator[BagRecord], usual_ns: int) -> Iterator[BagRe
         stamp_ns = stamp_of_bytes(record.data)
         record.log_time_ns = stamp_ns if stamp_ns and abs(stamp_ns - logged_ns) <= MAX_STAMP_OFFSET_NS else logged_ns
         heappush(pending, (record.log_time_ns, number, record))
-        # No later record can be earlier.
+        # No record that follows can have an earlier time.
         while pending[0][0] < logged_ns - MAX_STAMP_OFFSET_NS:
             yield heappop(pending)[2]
     while pending:

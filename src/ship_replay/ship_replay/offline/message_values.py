@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 Value = str | npt.NDArray[Any]
-"""A text, or a number or an array of numbers as an array."""
+"""A text, or an array; a number is an array without dimensions."""
 
 
 def values(message: Any, name: str = "") -> Iterator[tuple[str, Value]]:
@@ -33,7 +33,7 @@ def values(message: Any, name: str = "") -> Iterator[tuple[str, Value]]:
 def are_texts(one: object, other: object) -> bool:
     """True if both values are strings and one of them is a sentence.
 
-    Strings without a space are names, as of frames, sources and reasons. They are compared like numbers.
+    Strings without a space are names of frames, sources or reasons. Names are compared like numbers.
 
     Example:
         >>> are_texts("late: 2 s", "late by 2 s"), are_texts("star.fore", "star.aft"), are_texts("1", 1)

@@ -1,8 +1,7 @@
-"""One node's processing of a batch of messages and ticks, its inputs in blocks where possible.
+"""Processing of a batch of messages and ticks by one node, with inputs in blocks where possible.
 
-For each event the node receives the same as in message-by-message replay: outputs of the nodes before it, then the
-message of the bag or the tick. Of a block of messages, only the computations that do not depend on other inputs are
-done together.
+For each event the node receives the same as in message-by-message replay: outputs of earlier nodes, then the message of
+the bag or the tick. For a block of messages, only computations that do not depend on other inputs are done together.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -30,7 +29,7 @@ class InputEvent:
     Attributes:
         now_ns: time of the event.
         topic: relative topic of the message; empty for a tick.
-        message: decoded message; None for a tick, and if it cannot be decoded.
+        message: decoded message; None for a tick, and for a message that is not decoded.
     """
 
     now_ns: int
@@ -44,7 +43,7 @@ class TopicBlock(NamedTuple):
     Attributes:
         messages: the messages.
         times_ns: arrival times, shape (N,).
-        event_indices: indices of their events, shape (N,).
+        event_indices: index of the event of each message, shape (N,).
     """
 
     messages: CdrRows
@@ -55,14 +54,14 @@ class TopicBlock(NamedTuple):
 def read_ahead(
     adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
 ) -> Sequence[ReadMessage[Any] | None]:
-    """Return a node's readings of messages before they are processed; None for each that must be read later."""
+    """Return a node's readings of messages before they are processed; None for each message that must be read later."""
     if isinstance(adapter, BatchAdapter) and adapter.can_read_rows(topic):
         return adapter.read_rows(topic, messages, times_ns)
     return [None] * len(times_ns)
 
 
 class EstimateBatch(NamedTuple):
-    """Estimates of several events; ``orders`` gives the position of each among all outputs of its event."""
+    """Estimates of several events; ``orders`` is the position of each estimate among all outputs of its event."""
 
     topic: str
     event_indices: StampArray
@@ -71,7 +70,7 @@ class EstimateBatch(NamedTuple):
 
 
 class MessageBatch(NamedTuple):
-    """Messages of estimates on one topic, with the event index and the order of each."""
+    """Messages made from estimates, on one topic, with the event index and the order of each message."""
 
     rows: OutputRows
     event_indices: StampArray
@@ -84,7 +83,7 @@ class NodeOutputs:
 
     Attributes:
         messages: event index, order within the event, and messages.
-        estimates: estimates.
+        estimates: batches of estimates.
         message_batches: messages made from the estimates.
     """
 
@@ -97,12 +96,11 @@ class NodePass:
     """Processing of a batch by one node.
 
     Args:
-        adapter: the node.
+        adapter: adapter of the node.
         input_topics: input topics of the node.
         events: events in order.
-        rows: topic → its messages, for topics that some node may process in blocks; the others are decoded.
-        forwarded: event index → messages that the nodes before it published, of its input topics, some already read by
-            :func:`read_ahead`.
+        rows: topic → its messages, for topics that a node may process in blocks; messages of other topics are decoded.
+        forwarded: event index → messages of earlier nodes on the input topics, some already read by :func:`read_ahead`.
     """
 
     def __init__(
@@ -196,7 +194,7 @@ class NodePass:
             self._publish_parts(self._block_adapter.finish_batch(batch))
 
     def _start_batch(self, adapter: BatchAdapter, topic: str, number: int) -> PendingBatch | None:
-        """Start a block with a message, if possible."""
+        """Start a block that begins with a message; return None if this is not possible."""
         if self._backoff:
             self._backoff -= 1
             return None

@@ -6,4 +6,4 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
 ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter)
-"""Adapters of these nodes. The first one also runs if the configuration names no node."""
+"""Adapters of these nodes. The first node, the main node, also runs if the configuration names no node."""

@@ -40,8 +40,8 @@ class OrderedOutput:
     """Buffer that sorts messages by event and order before writing.
 
     Args:
-        sink: receives the messages.
-        counts: topic → messages written; filled for messages added as rows.
+        sink: sink that receives the messages.
+        counts: topic → number of messages written; only messages added as rows are counted here.
 
     Attributes:
         position: event index and order of messages written one by one.

@@ -1,7 +1,7 @@
 """Replay of a bag through the adapters of the suite's nodes, in process and as fast as possible.
 
-Messages are processed in order of log time, which is their arrival time, or in order of stamps; between them the
-adapters are ticked on a fixed grid. The same bag and configuration give the same output, byte for byte, whether
+Messages are processed in order of log time, which is their arrival time, or in order of stamps. Between messages, the
+adapters are ticked at fixed times. The same bag and configuration give the same output, byte for byte, whether
 messages are processed one by one or in blocks.
 """
 
@@ -39,15 +39,15 @@ def replay(
     by_stamps: bool = False,
     one_by_one: bool = False,
 ) -> ReplaySummary:
-    """Replay a bag and write what the adapters publish, and the truth as it is.
+    """Replay a bag and write the outputs of the adapters, with a copy of the truth.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
         out_path: .mcap file to write; it appears only when the replay is complete.
-        adapter_classes: adapters of the nodes that may take part, the main one first.
-        config_path: suite configuration; None takes the one attached to the bag.
+        adapter_classes: adapters of the nodes that may take part, the main node first.
+        config_path: suite configuration; None for the configuration attached to the bag.
         namespace: namespace of the ship in the bag.
-        progress: wraps the iteration over the bag, for a progress bar.
+        progress: function that wraps the iteration over the bag in a progress bar.
         by_stamps: if true, messages arrive at their stamps instead of their log times.
         one_by_one: if true, each message is processed by itself, as in a live node; otherwise messages of a topic are
             processed in blocks where possible, with the same result in a fraction of the time.
@@ -172,7 +172,7 @@ def write_head(writer: BagWriter, bag: Bag, output_topics: Sequence[OutputTopic]
     if SCENARIO_ATTACHMENT in bag.attachments:
         writer.add_attachment(SCENARIO_ATTACHMENT, bag.attachments[SCENARIO_ATTACHMENT])
     for name, entries in bag.metadata.items():
-        # rosbag2 stores its own file information in this record; it would be wrong in another file.
+        # The record "rosbag2" contains information about the file, which would be wrong in another file.
         if name not in ("rosbag2", COMMIT_RECORD):
             writer.add_metadata(name, entries)
     if commit := commit_record():

@@ -36,15 +36,15 @@ class ReplaySummary:
         inputs: relative topic → number of messages processed.
         outputs: topic → number of messages written, truth included.
         rejected: relative topic → reason → number of messages not used.
-        accepted_with_note: relative topic → reason → number of messages used with a note, or of their parts not used.
+        accepted_with_note: relative topic → reason → number of messages used with a note, or of message parts not used.
         undecodable: relative topic → number of messages that do not match their type.
         status_histories: topic with a status → its status history.
-        exclusions: topic of Integrity messages → the reported exclusions.
+        exclusions: topic of Integrity messages → history of the reported exclusions.
         times: relative topic → stamps and arrival times of its messages.
         log_delays: statistics of log time minus stamp.
-        reasons: why outputs were INVALID or DEGRADED, one line each.
+        reasons: reasons for which outputs were INVALID or DEGRADED, one line each.
         absent: optional input topics that are not in the bag.
-        problems: what is wrong with the bag, one line each.
+        problems: problems of the bag, one line each.
         duration_s: length of the bag.
         elapsed_s: processing time.
     """
@@ -91,13 +91,13 @@ class ReplayRun:
     """Replay of a bag through a chain of adapters, message by message.
 
     Args:
-        chain: the adapters.
-        writer: receives the outputs.
-        summary: filled during the replay.
-        truth_topics: truth topics of the bag; the errors of an orientation are filled in if its truth is among them.
+        chain: chain of adapters.
+        writer: sink that receives the outputs.
+        summary: result, which is filled during the replay.
+        truth_topics: truth topics of the bag; errors of an orientation are filled in if its truth topic is one of them.
 
     Attributes:
-        last_time_ns: arrival time of the last message; None if there was none yet.
+        last_time_ns: arrival time of the last message; None before the first message.
     """
 
     def __init__(

@@ -1,8 +1,9 @@
 """Smoothed attitudes of the ship and pointings of the theodolite, each from all measurements of a bag.
 
 The nodes process the bag as in a replay, message by message; ``ship_attitude`` stores the history of its filter. At the
-end the smoother runs backwards over it. Then ``optical_axis`` processes the bag again with the smoothed attitudes in
-place of ``ship/attitude``, and is smoothed itself. The same bag and configuration give the same bytes.
+end the smoother runs backwards over this history. Then ``optical_axis`` processes the bag again with the smoothed
+attitudes in place of ``ship/attitude``, and its pointings are smoothed. The same bag and configuration give the same
+bytes.
 """
 
 import heapq
@@ -59,11 +60,11 @@ class SmoothedOutput:
     """Smoothed messages of one output.
 
     Attributes:
-        topic: topic they are written to.
+        topic: topic of the messages.
         type_name: type of the messages.
         angles: names of the three angles.
         count: number of messages written.
-        variances: variances of the angles, rad², in real time and smoothed, where they are not DEGRADED.
+        variances: variances of the angles, rad², in real time and smoothed, of outputs that are not DEGRADED.
     """
 
     topic: str
@@ -78,12 +79,12 @@ class SmoothedOutput:
         return np.sqrt(np.nanmedian(self.variances, axis=0)) / ARCSEC if self.variances else None
 
     def record(self, real_time: "_RealTimeOutput", message: Any, covariance: FloatArray) -> BagRecord:
-        """Return a smoothed message with the log time of the real-time one, and count it.
+        """Return a smoothed message with the log time of the real-time message, and count it.
 
         Args:
-            real_time: the real-time output.
-            message: the smoothed message.
-            covariance: covariance of its angles, rad², shape (3, 3).
+            real_time: real-time output at the same stamp.
+            message: smoothed message.
+            covariance: covariance of the smoothed angles, rad², shape (3, 3).
         """
         self.count += 1
         if real_time.status < Status.DEGRADED:
@@ -107,7 +108,7 @@ class SmoothSummary:
 
 
 class _SmoothingShipAdapter(ShipAttitudeAdapter):
-    """Node whose core returns all attitudes, smoothed, at the end.
+    """Node whose core returns all smoothed attitudes at the end.
 
     Attributes:
         finished_estimates: smoothed attitudes of estimators that were replaced.
@@ -128,7 +129,7 @@ class _SmoothingShipAdapter(ShipAttitudeAdapter):
 
 
 class _SmoothingAxisAdapter(OpticalAxisAdapter):
-    """Node whose core returns all pointings, smoothed, at the end."""
+    """Node whose core returns all smoothed pointings at the end."""
 
     def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
         """See :meth:`OpticalAxisAdapter.make_core`."""
@@ -177,9 +178,9 @@ def smooth(
     Args:
         bag_path: .mcap file or rosbag2 folder.
         out_path: .mcap file to write; it appears only when complete.
-        config_path: suite configuration; None takes the one attached to the bag.
+        config_path: suite configuration; None for the configuration attached to the bag.
         namespace: namespace of the ship in the bag.
-        progress: wraps each iteration over the bag, for a progress bar.
+        progress: function that wraps each iteration over the bag in a progress bar.
         by_stamps: if true, messages arrive at their stamps instead of their log times.
 
     Raises:
@@ -265,9 +266,9 @@ def _smoothed_attitudes(
 def _smoothed_pointings(
     core: SmoothingAxisCore, real_time: Mapping[int, _RealTimeOutput], factory: RosbagsFactory, smoothed: SmoothedOutput
 ) -> Iterator[BagRecord]:
-    """Yield the smoothed pointings at the stamps of real-time ones and fill their summary.
+    """Yield the smoothed pointings at the stamps of real-time pointings and fill their summary.
 
-    The status is the worse of the real-time and the smoothed one.
+    The status is the worse of the real-time and the smoothed status.
     """
     for estimate in core.smooth_remaining():
         output = real_time.get(estimate.time_ns)

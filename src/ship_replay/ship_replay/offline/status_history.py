@@ -24,7 +24,7 @@ STATUS_TOPICS = frozenset((*(orientation.topic for orientation in ORIENTATIONS),
 
 _POOR = "DEGRADED", "INVALID"
 _ACCEPTED_WITH_NOTE = Reason.COVARIANCE_UNKNOWN.word
-"""Reason that does not prevent a message from being used."""
+"""Reason of a note on a message that is used."""
 
 _MIN_POOR_SHARE = 0.01
 _MAX_SPANS = 12
@@ -96,7 +96,7 @@ class StatusHistory:
     def add_diagnostic(self, text: str) -> None:
         """Add a diagnostic text about the status; kept only if the last output was DEGRADED or INVALID."""
         if self._runs and self._runs[-1].status in _POOR:
-            # Numbers in the text change each time.
+            # Texts are counted without their numbers, which change each time.
             reason = _NUMBER.sub("", text)
             self._diagnostic_counts[reason] += 1
             self._last_diagnostic[reason] = text
@@ -110,8 +110,8 @@ class StatusHistory:
 
     @property
     def spans(self) -> list[Span]:
-        """Spans in order of time. Each lasts until the next begins; INVALID begins at the tick that reported it."""
-        # INVALID outputs are not stamped in order with the others: sort by stamps before grouping.
+        """Spans in order of time. A span ends where the next begins; INVALID begins at the tick that reports it."""
+        # INVALID outputs are not published in order of stamps, so they are sorted before grouping.
         groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.status)]
         starts_ns = [group[0].first_ns for group in groups]
         ends_ns = [*starts_ns[1:], max((run.last_ns for run in self._runs), default=0)]
@@ -143,17 +143,17 @@ class StatusHistory:
 def poor_status_reasons(
     history: StatusHistory, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
 ) -> list[str]:
-    """Return why a node's outputs were INVALID or DEGRADED, one line each below a heading.
+    """Return the reasons for INVALID or DEGRADED outputs of a node, one line each below a heading.
 
-    The list is empty if hardly any output was. The node's own diagnostics come first, then what its configuration and
-    its inputs lack.
+    The list is empty if hardly any output was INVALID or DEGRADED. The node's own diagnostics come first, then problems
+    of its configuration and its inputs.
 
     Args:
-        history: status history of its output.
-        adapter: the node.
-        config: its configuration.
-        times: stamps and arrival times of its inputs, by topic.
-        health: its InputHealth messages after the last message.
+        history: status history of the node's output.
+        adapter: adapter of the node.
+        config: configuration of the node.
+        times: stamps and arrival times of the node's inputs, by topic.
+        health: InputHealth messages of the node after the last message.
     """
     counts = history.counts
     if sum(counts[word] for word in _POOR) <= _MIN_POOR_SHARE * counts.total():
@@ -187,7 +187,7 @@ def low_use_text(health: Any) -> str:
 
 
 def most_frequent_rejection(health: Any) -> tuple[str, int]:
-    """Return the most frequent rejection reason of an input and its count; empty and 0 if there is none."""
+    """Return the most frequent rejection reason of an input and its count; empty and 0 without rejections."""
     counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
     counts.pop(_ACCEPTED_WITH_NOTE, None)
     reason = max(counts, key=lambda name: counts[name], default="")

@@ -1,6 +1,6 @@
 """Errors of published outputs against the truth of a simulated bag.
 
-A replay fills them into ``ship/error_arcsec`` and similar topics; an estimator never receives the truth.
+A replay writes the errors to ``ship/error_arcsec`` and similar topics; an estimator never receives the truth.
 """
 
 from collections import deque
@@ -14,7 +14,7 @@ from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
 _MAX_TRUTH_DELAY_NS = 2_000_000_000
-"""Maximum delay of the truth after an output; an error message is written without errors after it, ns."""
+"""Maximum delay of the truth after an output, ns; after this time an error message is written without errors."""
 
 
 class TruthErrors:
@@ -39,7 +39,7 @@ class TruthErrors:
         self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
 
     def add_rows(self, rows: OutputRows) -> None:
-        """Add published messages; those of other topics are ignored."""
+        """Add published messages; messages on other topics are ignored."""
         if rows.topic == self.orientation.topic:
             numbers = rows.messages.numbers
             stamps_ns, angles = stamps_of_rows(numbers), self.orientation.angles_of_rows(numbers)
@@ -63,7 +63,7 @@ class TruthErrors:
         self._pending.append((log_time_ns, message))
 
     def pop_ready(self, now_ns: int | None) -> list[tuple[int, Any]]:
-        """Return (log time, message) of the error messages ready at ``now_ns``; None: no more truth will come."""
+        """Return (log time, message) of the error messages ready at ``now_ns``; None if no more truth will come."""
         ready: list[tuple[int, Any]] = []
         while self.is_ready(now_ns):
             log_time_ns, message = self._pending.popleft()

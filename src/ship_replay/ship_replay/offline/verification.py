@@ -1,6 +1,6 @@
-"""Comparison of a replay with recorded outputs, to the last bit: of two messages, and of a whole bag.
+"""Comparison of a replay with recorded outputs to the last bit, for two messages and for a whole bag.
 
-Numbers and names (strings without a space) must be equal. Texts with other words are counted.
+Numbers and names (strings without a space) must be equal. Texts that differ are counted.
 """
 
 from collections import Counter, defaultdict, deque
@@ -29,14 +29,14 @@ UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 
 @dataclass(frozen=True)
 class Difference:
-    """A field in which a replayed message differs from the recorded one, or a message that only one of the two has.
+    """A field in which a replayed and a recorded message differ, or a message that only replay or recording has.
 
     Attributes:
         topic: topic, service or file.
-        stamp_ns: stamp of the message, or its time where it has no stamp.
-        field: dotted name of the field; empty where there is no message on one side.
-        recorded: its value in the bag.
-        replayed: its value now.
+        stamp_ns: stamp of the message, or its time if it has no stamp.
+        field: dotted name of the field; empty if the message is missing on one side.
+        recorded: value in the bag.
+        replayed: value in the replay.
         is_text: True if only the words of a text differ.
     """
 
@@ -59,12 +59,12 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
     """Return the first number or name in which two messages differ, or else the first text; None if they are equal.
 
     Args:
-        topic: topic of both.
-        recorded: decoded from the bag.
-        replayed: of the same type.
+        topic: topic of both messages.
+        recorded: message decoded from the bag.
+        replayed: message of the replay, of the same type.
         time_ns: time of publication, for messages without a stamp.
     """
-    # Both are serialised again: the bytes between the fields are not part of a message.
+    # Both messages are serialised again: the bytes between the fields are not part of a message.
     one, other = serialize(recorded), serialize(replayed)
     if one == other:
         return None
@@ -75,7 +75,7 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
 
 
 def stamp_of(message: Any, time_ns: int) -> int:
-    """Stamp of a message, ns; ``time_ns`` where it has none."""
+    """Return the stamp of a message, ns; ``time_ns`` if it has no stamp."""
     header = getattr(message, "header", None)
     return time_ns if header is None else ns_from_stamp(header.stamp)
 
@@ -99,16 +99,16 @@ def _value_differences(topic: str, recorded: Any, replayed: Any, stamp_ns: int) 
 
 @dataclass
 class Verification:
-    """The result of a comparison.
+    """Result of a comparison.
 
     Attributes:
-        input_counts: input topic or kind of event → how many the adapter was given.
+        input_counts: input topic or kind of event → number of messages or events that the adapter received.
         equal_counts: output topic → number of messages whose numbers and names are equal to the last bit.
-        other_texts: output topic → number of those in which a text differs.
-        difference: the first difference in a number or name; None if there is none.
-        text_difference: the first difference in a text; None if there is none.
+        other_texts: output topic → number of messages in which only a text differs.
+        difference: first difference in a number or name; None if all are equal.
+        text_difference: first difference in a text; None if all are equal.
         notes: further lines for the user.
-        incomplete_reason: why a part of the bag could not be compared; empty if all of it was.
+        incomplete_reason: reason for which a part of the bag could not be compared; empty if all was compared.
         is_truncated: True if the only reason is that the file ends suddenly.
     """
 
@@ -130,8 +130,8 @@ class Verification:
         """Add the comparison of two messages.
 
         Args:
-            topic: topic of both.
-            difference: a number, name or text that differs; None if they are equal.
+            topic: topic of both messages.
+            difference: a number, name or text that differs; None if the messages are equal.
         """
         if difference is not None:
             self.add_difference(difference)
@@ -139,7 +139,7 @@ class Verification:
             self.equal_counts[topic] += 1
 
     def add_difference(self, difference: Difference) -> None:
-        """Add a difference: the first one in a number or name is kept, those in texts are counted."""
+        """Add a difference: the first difference in a number or name is kept, differences in texts are counted."""
         if not difference.is_text:
             self.difference = self.difference or difference
         elif self.difference is None:
@@ -160,16 +160,16 @@ def verify_bag(
     differ although the estimator is the same. With a black box a difference always comes from the computation.
 
     Args:
-        bag: inputs and outputs of one run.
-        adapter_classes: adapter classes of the nodes that may take part, the main one first.
-        config_path: suite configuration; None takes the one attached to the bag.
+        bag: bag with inputs and outputs of one run.
+        adapter_classes: adapter classes of the nodes that may take part, the main node first.
+        config_path: suite configuration; None for the configuration attached to the bag.
         namespace: namespace of the ship in the bag.
-        progress: wraps the iteration over the bag, for a progress bar.
+        progress: function that wraps the iteration over the bag in a progress bar.
 
     Raises:
         BadInput: the bag, its topics or the configuration cannot be used, or the bag contains no outputs.
     """
-    # Each node gets the recorded messages, also those of other nodes, as it did at sea.
+    # As at sea, each node receives the recorded messages, including messages of other nodes.
     chain, left_out = suite_chain(bag, adapter_classes, RosbagsFactory(), config_path, namespace, linked=False)
     inputs = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
     outputs = _recorded_outputs(bag, chain, namespace)
@@ -193,7 +193,7 @@ def verify_bag(
 def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
     """Return name in the bag → relative name, for the outputs that are compared.
 
-    Topics on which several nodes publish, as ``/tf``, are not compared: a recording does not contain the publisher.
+    Topics with several publishers, such as ``/tf``, are not compared: a recording does not contain the publisher.
     """
     found = relative_topics(bag.topics, namespace)
     outputs = {}
@@ -211,7 +211,7 @@ def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str
 
 
 class _Comparison:
-    """Pairs recorded with replayed messages of each topic, in order; a writer of bags for the replay."""
+    """Sink of a replay that compares the messages of each topic with the recorded messages, in order."""
 
     def __init__(self, topics: set[str]) -> None:
         self.result = Verification()
@@ -234,7 +234,7 @@ class _Comparison:
         self._compare(topic)
 
     def finish(self) -> None:
-        """End the comparison: a message that only one side has is a difference."""
+        """End the comparison: a message that only replay or recording has is a difference."""
         unmatched = []
         for side, found in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message"))):
             for topic, rest in side.items():

@@ -70,5 +70,5 @@ class AttitudeTracks:
 
 
 def offset_ns(device: Any) -> int:
-    """Return the time by which a device's data are valid later than their stamps, ns."""
+    """Return the time offset of a device, ns: data are valid at their stamp plus this offset."""
     return round(getattr(device, "time_offset_s", 0.0) * NS_PER_S)

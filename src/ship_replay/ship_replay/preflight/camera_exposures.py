@@ -1,7 +1,7 @@
 """Exposures of a camera in a bag: identified stars, and the focal length that fits the angles between them.
 
-Stars with catalogue numbers need nothing else. Others are identified by the predicted attitude of the camera, without
-their magnitudes, which may be wrong themselves.
+Stars without a catalogue number are identified with the predicted attitude of the camera, but without their
+magnitudes, which may be wrong too.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,16 +25,16 @@ _FIRST_FACTORS = 1.0, 0.1, 10.0
 _SEARCH_STEPS, _SETTLED = 8, 1e-4
 
 _PRIOR_SIGMA = 60.0 * ARCSEC
-"""Added to the predicted attitude about each axis, rad: a focal length off by 0.5 % displaces a star at 3° that much.
-"""
+"""Sigma added to the predicted attitude about each axis, rad: displacement of a star 3° off axis if the focal length is
+wrong by 0.5 %."""
 
 
 class ImageAxes(NamedTuple):
-    """Directions of a camera's u and v.
+    """Directions of the axes u and v in a camera's image.
 
     Attributes:
-        text: difference to the expected directions, for people; empty if there is none.
-        expected_s: expected from measured direction (forward, up, right), shape (3, 3).
+        text: difference to the expected directions, for people; empty if there is no difference.
+        expected_s: matrix from measured to expected directions (forward, up, right), shape (3, 3).
     """
 
     text: str
@@ -48,7 +48,7 @@ MIRRORED = (
     ImageAxes("v counts upwards", np.diag([1.0, -1.0, 1.0])),
     ImageAxes("u and v are exchanged", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])),
 )
-"""Mirrored images, which no rotation of the camera explains."""
+"""Axes of mirrored images, which no rotation of the camera explains."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,11 @@ class CameraRecord:
     """Messages of one camera in a bag.
 
     Attributes:
-        topic: topic of its stars.
+        topic: topic of the camera's stars.
         camera: configured camera.
         messages: some of the messages, each with its arrival time, ns.
-        predicted_attitude_at: returns the predicted attitude (horizon from sensor) at a time; None if unknown.
+        predicted_attitude_at: function that returns the predicted attitude (horizon from sensor) at a time; None if
+            unknown.
     """
 
     topic: str
@@ -71,10 +72,10 @@ class CameraRecord:
 def fit_camera(
     record: CameraRecord, axes: ImageAxes, sky_model: SkyModel
 ) -> tuple[CameraConfig | None, list[StarExposure]]:
-    """Return the camera whose focal length fits the angles between stars, and the exposures with it.
+    """Return the camera whose focal length fits the angles between stars, and the exposures with this camera.
 
     Returns:
-        None for the camera if too few stars are identified: the exposures then use the configured camera.
+        Camera and exposures. If too few stars are identified, None and the exposures with the configured camera.
     """
     camera = record.camera
     for factor in _FIRST_FACTORS:
@@ -91,7 +92,7 @@ def fit_camera(
 
 
 def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, sky_model: SkyModel) -> list[StarExposure]:
-    """Return the exposures whose time and place are known well enough, with their stars identified if possible."""
+    """Return the exposures whose time and sky are known well enough, with their stars identified if possible."""
     sensor_id, exposures = record.topic.split("/")[1], []
     geometry = camera.camera("camera")
     for message, receive_ns in record.messages:
@@ -133,6 +134,6 @@ def _angle_ratio(exposures: list[StarExposure], sky_model: SkyModel) -> float | 
         first, second = np.triu_indices(len(named), 1)
         true = angle_between(places_n[first], places_n[second])
         measured = angle_between(named.directions_s[first], named.directions_s[second])
-        # The angle is NaN, and not used, for stars too low for an apparent place.
+        # A star too low for an apparent place gives a NaN angle, which is not used.
         ratios += (measured[true > _LEAST_PAIR_ANGLE] / true[true > _LEAST_PAIR_ANGLE]).tolist()
     return float(np.median(ratios)) if len(ratios) >= _FEWEST_PAIRS else None

@@ -24,7 +24,7 @@ def check_bag(check: BagCheck) -> None:
     _check_presence(check, check.topic_names.keys() | published)
     for node in check.nodes:
         _check_inputs(check, node)
-    # A problem of the bag is found for each node that uses it: report it once.
+    # A problem of a topic is found for each node that uses the topic, but is reported once.
     check.findings.errors = list(dict.fromkeys(check.findings.errors))
     input_topics = {topic.topic for node in check.nodes for topic in node.adapter.inputs}
     check.findings.warnings += [*_not_configured(check, input_topics | published), *check.bag.problems]
@@ -89,7 +89,7 @@ def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) 
 
 
 def _frame_id(config: Any, topic: str) -> str:
-    """Return the configured frame_id of an input topic; empty if any is accepted."""
+    """Return the configured frame_id of an input topic; empty if any frame_id is accepted."""
     if topic == _INS_TOPIC:
         return str(config.ins.frame_id)
     group, *rest = topic.split("/")

@@ -20,7 +20,7 @@ _OFFSET_SIGMAS = 3.0
 
 
 def camera_contradictions(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, str, str]]:
-    """Yield for each contradiction: True if it is an error, the parameter, and the text."""
+    """Yield each contradiction as True (error) or False (warning), parameter, and text."""
     if mounting.camera is not None:
         yield from _axes(mounting, bag)
         yield from _focal_length(mounting, bag)

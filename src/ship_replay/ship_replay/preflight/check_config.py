@@ -35,10 +35,10 @@ class Findings:
     """Findings of the checks.
 
     Attributes:
-        errors: one line each: the node would not start, or would reject data of the bag.
-        unused_inputs: one line each: inputs of which more than half would not be used.
-        warnings: one line each: probably not intended.
-        notes: one line each: information.
+        errors: reasons for which a node would not start, or would reject data of the bag, one line each.
+        unused_inputs: inputs of which more than half would not be used, one line each.
+        warnings: settings that are probably not intended, one line each.
+        notes: information, one line each.
     """
 
     errors: list[str] = field(default_factory=list)
@@ -52,9 +52,9 @@ class CheckedNode:
     """A node of a configuration, with invalid values replaced by allowed ones for the following checks.
 
     Attributes:
-        file: its parameters in the file.
-        config: its configuration.
-        adapter: its adapter.
+        file: parameters of the node in the file.
+        config: configuration of the node.
+        adapter: adapter of the node.
         replaced_parameters: dotted names of replaced parameters, which are already reported.
     """
 
@@ -64,7 +64,7 @@ class CheckedNode:
     replaced_parameters: frozenset[str] = frozenset()
 
     def place(self, path: Path, parameter: str) -> str:
-        """Return file and line of a parameter or its nearest group; only the file if it contains neither."""
+        """Return file and line of a parameter or of its nearest group; the file alone if both are missing in it."""
         line = self.file.line_of(parameter)
         return f"{path}:{line}" if line else str(path)
 
@@ -78,7 +78,7 @@ class BagCheck:
         nodes: nodes of the configuration.
         bag: the bag.
         namespace: namespace of the ship in the bag.
-        findings: receives the findings.
+        findings: findings, to which the checks append.
     """
 
     path: Path
@@ -100,7 +100,7 @@ class BagCheck:
         }
 
     def report(self, is_error: bool, text: str) -> None:
-        """Add a finding once: two nodes may share a parameter."""
+        """Add a finding once, even if two nodes share the parameter."""
         lines = self.findings.errors if is_error else self.findings.warnings
         if text not in lines:
             lines.append(text)
@@ -114,14 +114,14 @@ def check_file(
     Args:
         path: the file.
         adapter_classes: known nodes; see :func:`nodes_of`.
-        findings: receives the findings.
-        namespace: namespace of the nodes: sections are matched with their full names, as in rcl.
+        findings: findings, to which the checks append.
+        namespace: namespace of the nodes; sections are matched with the full names of the nodes, as in rcl.
 
     Returns:
-        The nodes of the file that can be created from it.
+        Nodes that can be created from the file.
 
     Raises:
-        BadInput: the file cannot be read, is not a parameter file or has a section for none of the nodes.
+        BadInput: the file cannot be read, is not a parameter file or has no section for a node of the suite.
     """
     names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
     known = [*names.values(), *(full_name(companion.node_name, namespace) for companion in COMPANIONS)]
@@ -148,7 +148,7 @@ def check_file(
 
 
 def _check_names(path: Path, nodes: Sequence[CheckedNode], findings: Findings) -> None:
-    """Check the map ``topics``: its entries, and that a node uses each input named."""
+    """Check the entries of the map ``topics``, and that a node uses each input in it."""
     try:
         names = ship_names(path)
     except BadInput as problem:
@@ -168,7 +168,7 @@ def _expected_text(adapter_classes: Sequence[type[Adapter]]) -> str:
 
 
 def _misfit_lines(path: Path, name: str) -> list[str]:
-    """Return the error about a section that nearly fits a node: the node would not start with it."""
+    """Return the error about a section whose name nearly fits a node, which would not start with this section."""
     try:
         section_warning(path, name)
     except BadInput as problem:
@@ -186,7 +186,7 @@ def _check_node(path: Path, adapter_class: type[Adapter], name: str, findings: F
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
         return CheckedNode(file, config, adapter, frozenset(replaced))
     except ParameterError as problem:
-        # Parameters removed above are missing here and already reported.
+        # Errors of parameters that were replaced above are already reported.
         if replaced.isdisjoint(problem.parameters):
             findings.errors.append(str(file.error(problem)))
     except BadInput as problem:
@@ -197,7 +197,7 @@ def _check_node(path: Path, adapter_class: type[Adapter], name: str, findings: F
 def _companion_places(
     path: Path, companion: Companion, namespace: str, findings: Findings
 ) -> Iterator[tuple[str, ParameterFile, MachineResource]]:
-    """Yield full name, parameters and each exclusive resource of another node, and check its parameters."""
+    """Check the parameters of another node; yield its full name, its parameters and each exclusive resource."""
     try:
         kind = companion.config_type
     except ImportError:
@@ -258,7 +258,7 @@ def _mountings(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield the sky parameters of two nodes that both need the sky, with both values.
 
-    The sky must be the same because errors shared by solutions and other sensors are separated by it.
+    Both nodes must have the same sky, because errors shared by solutions and other sensors are separated with it.
     """
     if _needs_sky(one) and _needs_sky(other):
         for name in (
@@ -274,7 +274,7 @@ def _needs_sky(config: Any) -> bool:
 
 
 def _replace_value(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:
-    """Remove the value named by a problem, and insert an allowed one if the parameter is required.
+    """Remove the value named by a problem, and insert an allowed value if the parameter is required.
 
     Returns:
         True if anything changed; otherwise the same problem would occur again.

@@ -25,7 +25,7 @@ from theodolite_calib.config import OpticalAxisConfig
 
 _SIGMAS = 5.0
 _LARGE_ERROR = np.deg2rad(1.0)
-"""Installation error that no sigma explains, rad: no star would be used."""
+"""Installation error above which no star would be used, whatever the sigma, rad."""
 
 _MIN_REPORTED_ANGLE = np.deg2rad(0.01)
 _MIN_ATTITUDES = 3
@@ -36,8 +36,8 @@ _NEAR_NS = NS_PER_S // 5
 _MIN_PAIRS = 5
 _MIN_ANGLE = np.deg2rad(0.1)
 _TOLERANCE = 0.2
-"""Relative tolerance of the focal length. Baselines start at the ship's antenna, not at the telescope: a few percent at
-some hundred metres."""
+"""Relative tolerance of the focal length. Baselines start at the ship's antenna instead of the telescope, which changes
+angles by a few percent at some hundred metres."""
 
 _IMAGE_TOPIC = "theodolite/beacons"
 
@@ -48,10 +48,10 @@ class _InstallationResidual:
 
     Attributes:
         mounting: measured mounting.
-        measured_dv: deck from device by the data, shape (3, 3).
+        measured_dv: measured rotation deck from device, shape (3, 3).
         turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
         is_inlier: True for the compared times that are not outliers, shape (n,).
-        sigmas: largest component of the rotation in the device frame, in its sigmas.
+        sigmas: largest component of the rotation vector in the device frame, divided by its sigma.
     """
 
     mounting: MeasuredMounting
@@ -83,7 +83,7 @@ def check_installation(check: BagCheck) -> None:
 def _contradictions(
     mountings: Sequence[MeasuredMounting], config: Any, bag: Bag
 ) -> Iterator[tuple[bool, str, str]]:
-    """Yield for each contradiction: True if it is an error, the parameter, and the text."""
+    """Yield each contradiction as True (error) or False (warning), parameter, and text."""
     residuals = []
     for mounting in mountings:
         yield from camera_contradictions(mounting, bag)
@@ -112,7 +112,7 @@ def _residual(mounting: MeasuredMounting, config: Any) -> _InstallationResidual:
     ins_sigma = ARCSEC * np.hypot(max(ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec), ins.white_sigma_arcsec)
     sigma_v = np.sqrt(installation_sigma_v**2 + ins_sigma**2 + scatter_v**2)
     turn_v = log_rotation(configured_dv.T @ middle)
-    # Both sigmas may be 0: then any rotation is a contradiction.
+    # All sigmas may be 0: then any rotation is a contradiction.
     sigmas = float(np.max(np.abs(turn_v) / np.maximum(sigma_v, 0.1 * ARCSEC)))
     return _InstallationResidual(mounting, middle, log_rotation(middle @ configured_dv.T), kept, sigmas)
 
@@ -126,7 +126,7 @@ def _mean(rotations: FloatArray) -> FloatArray:
 
 
 def _configured_installation(device: Any) -> tuple[FloatArray, FloatArray]:
-    """Return deck from device by the parameters, and its sigma about the device's axes, rad."""
+    """Return the configured rotation deck from device, and its sigma about the device's axes, rad."""
     if isinstance(device, ReferenceConfig):
         angles_deg = device.heading_deg, device.pitch_deg, device.roll_deg
         return rotation_from_angles(*np.deg2rad(angles_deg)), np.full(3, device.installation_sigma_arcsec * ARCSEC)
@@ -134,7 +134,7 @@ def _configured_installation(device: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _common_rotation(far: Sequence[_InstallationResidual]) -> FloatArray | None:
-    """Return the common rotation of the deck in two or more devices, rad, shape (3,); None if there is none."""
+    """Return the rotation vector common to two or more devices, rad, shape (3,); None if the rotations differ."""
     if len(far) < 2:
         return None
     turns = np.array([residual.turn_d for residual in far])
@@ -143,7 +143,7 @@ def _common_rotation(far: Sequence[_InstallationResidual]) -> FloatArray | None:
 
 
 def _ins_rotation_text(turn_d: FloatArray, far: Sequence[_InstallationResidual], bag: Bag) -> str:
-    # Right-handed about up is to port; headings count the opposite way.
+    # A right-handed rotation about up is to port; headings count the opposite way.
     forward, up, right = np.rad2deg(turn_d)
     topics = ", ".join(f"'{residual.mounting.topic}'" for residual in far)
     return (
@@ -181,7 +181,7 @@ def _installation(residual: _InstallationResidual, bag: Bag) -> Iterator[tuple[b
 
 
 def _pixel_count(residuals: Sequence[_InstallationResidual], config: Any, bag: Bag) -> Iterator[tuple[bool, str, str]]:
-    """Yield the cameras whose pixels are counted from 1."""
+    """Yield a warning for each camera whose pixels seem to be counted from 1."""
     ins = config.ins
     cameras = [residual for residual in residuals if _has_expected_axes(residual.mounting)]
     ins_sigma_d = ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec])
@@ -220,7 +220,7 @@ def _wrap_deg(angle_deg: float) -> float:
 
 
 def check_telescope(check: BagCheck) -> None:
-    """Compare the configured focal length with the one from image distances and angles between the lights."""
+    """Compare the configured focal length with the ratio of image distances to angles between the lights."""
     for node in check.nodes:
         if isinstance(node.config, OpticalAxisConfig) and _IMAGE_TOPIC in check.usable:
             measured_m = _focal_length_m(node.config, check.bag, check.usable)
@@ -234,7 +234,7 @@ def check_telescope(check: BagCheck) -> None:
 
 
 def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]) -> float | None:
-    """Return the median focal length over pairs of lights, m; None if there are too few."""
+    """Return the median focal length over pairs of lights, m; None if there are too few pairs."""
     images, baselines = _collect_images(config, bag, usable)
     ratios_m: list[float] = []
     for time_ns, points_m in images:
@@ -277,7 +277,7 @@ def _collect_images(
 
 
 def _nearest_direction(baselines: list[tuple[int, FloatArray]], time_ns: int) -> FloatArray | None:
-    """Return the unit vector nearest in time; None if none is within the limit."""
+    """Return the unit vector nearest in time; None if no vector is within the limit."""
     index = bisect_left(baselines, time_ns, key=lambda entry: entry[0])
     near = [entry for entry in baselines[max(index - 1, 0) : index + 1] if abs(entry[0] - time_ns) <= _NEAR_NS]
     return min(near, key=lambda entry: abs(entry[0] - time_ns))[1] if near else None

@@ -1,4 +1,4 @@
-"""Sigmas contradicted by a bag: of measurements by their innovations, of the INS by its own rates."""
+"""Contradictions between sigmas and a bag, found from the innovations of a source or from the rates of the INS."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -32,8 +32,8 @@ class InsNoise(NamedTuple):
 
     Attributes:
         attitude_sigma_rad: standard deviation of a single attitude, rad.
-        rate_sigma_rad_per_s: standard deviation of a single rate, rad/s; 0 if it is hidden by the attitude noise, NaN
-            if it is hidden by correlated errors.
+        rate_sigma_rad_per_s: standard deviation of a single rate, rad/s; 0 if the attitude noise is too large to
+            measure it, NaN if correlated errors are too large.
     """
 
     attitude_sigma_rad: float
@@ -44,12 +44,12 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
     """Report the sigmas that the data contradict, with the values that fit.
 
     Args:
-        check: its nodes have processed the bag.
-        until_ns: log time up to which they have.
+        check: check whose nodes have processed the bag.
+        until_ns: log time up to which the nodes have processed the bag.
     """
     for node in check.nodes:
         rests_on_ins = isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)) and _INS_TOPIC in check.usable
-        # All other innovations depend on the INS too.
+        # Innovations are not checked if the INS noise is wrong, because all depend on the INS.
         if rests_on_ins and _check_ins_noise(check, node, until_ns):
             continue
         if isinstance(node.adapter, ReportingAdapter):
@@ -60,11 +60,11 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
 def _check_source(
     check: BagCheck, node: CheckedNode, adapter: ReportingAdapter, source: str, diagnosis: InnovationDiagnosis
 ) -> None:
-    """Compare the innovation diagnosis of one source with its sigmas."""
+    """Report the noise parameters of one source that contradict its innovation diagnosis."""
     if diagnosis.kind not in (DiagnosisKind.OPTIMISTIC, DiagnosisKind.CONSERVATIVE):
         return
     factor = diagnosis.factor
-    # Data without any noise are artificial: no conclusion.
+    # Data without any noise are artificial and contradict no sigma.
     if not (factor >= CONTRADICTED_FACTOR or _LEAST_FACTOR <= factor <= 1.0 / CONTRADICTED_FACTOR):
         return
     feed = next(feed for feed in adapter.feeds.values() if feed.source == source)
@@ -110,9 +110,9 @@ def _value(config: Any, name: str) -> float:
 
 
 def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
-    """Report configured INS noise that is smaller than that from its own rates; return True if there is any.
+    """Report configured INS noise that is smaller than the measured noise; return True if there is any.
 
-    Smaller measured noise is not a contradiction: it does not include correlated errors.
+    A measured noise below the configured noise is not a contradiction, because it excludes correlated errors.
     """
     times, rotations, rates = [], [], []
     for record in check.bag.records({check.topic_names[_INS_TOPIC]}):
@@ -136,7 +136,7 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     found = False
     for name, (value, unit) in measured.items():
         stated = _value(node.config, name)
-        # A rate sigma of zero means that it is estimated.
+        # A rate sigma configured as zero is unknown, and estimated from the samples.
         if stated > 0.0 and value >= CONTRADICTED_FACTOR * stated:
             text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{_INS_TOPIC}'"
             against = "attitudes scatter against their own rates" if "white" in name else "rates scatter"
@@ -146,9 +146,10 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
 
 
 def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> InsNoise | None:
-    """Return the noise of an INS from the rotations between its attitudes minus those from the mean of both rates.
+    """Return the noise of an INS, from the rotation between two attitudes minus the rotation by their mean rate.
 
-    Noise of an attitude enters two such differences with opposite signs, noise of a rate two with equal signs.
+    The noise of an attitude enters two successive differences with opposite signs, the noise of a rate with equal
+    signs.
 
     Args:
         times_ns: stamps, shape (N,).
@@ -156,7 +157,7 @@ def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> I
         rates_d: rates, rad/s, shape (N, 3).
 
     Returns:
-        None if there are too few samples, or if they are too far apart in time.
+        Noise; None if there are too few samples, or if their spacing in time is too long.
     """
     if len(times_ns) < _FEWEST_STEPS:
         return None

@@ -1,4 +1,4 @@
-"""Trial of a bag on the nodes of a configuration: inputs that are hardly used, and their sigmas."""
+"""Trial of a configuration: its nodes process a bag, to find inputs that are hardly used and wrong sigmas."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,7 +16,7 @@ from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.check_sigmas import check_sigmas
 
 TRIAL_S = 600.0
-"""Length of the part of a bag that is tried, s: ten minutes of data take half a minute."""
+"""Length of the part of a bag that is replayed, s: ten minutes of data take half a minute."""
 
 _FEWEST = 10
 _CONFIGURATION_REASONS = (
@@ -89,7 +89,7 @@ def check_trial(check: BagCheck) -> None:
 
 
 def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> None:
-    """Report inputs of which a node used at most half, and those with two publishers."""
+    """Report inputs of which a node used at most half, and inputs with two publishers."""
     for text in node.adapter.health.first_duplicate_publishers.values():
         check.report(False, f"{check.bag.path}: {span}{text}; outputs based on both are not VALID")
     records, factory = node.adapter.health.records, RosbagsFactory()

@@ -1,7 +1,7 @@
-"""Camera parameters from stars: image axes, focal length, principal point, magnitudes; and the resulting attitudes.
+"""Camera parameters from stars: image axes, focal length, principal point, magnitudes and attitudes.
 
-Axes, focal length and principal point need no predicted attitude, except to decide which axis of a mirrored image is
-reversed.
+Axes, focal length and principal point follow from the angles between identified stars. A predicted attitude is needed
+only to decide which axis of a mirrored image is reversed.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ _MIN_STAR_SHARE = 0.5
 """Minimum share of stars consistent with one attitude per exposure for the axes of an image to be accepted."""
 
 _AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
-"""Text for mirrored axes that the stars alone cannot distinguish: rotations by a quarter or half turn relate them."""
+"""Text for mirrored axes that the stars alone cannot distinguish, as a quarter or half turn transforms between them."""
 
 
 class MagnitudeOffset(NamedTuple):
@@ -50,7 +50,7 @@ class MeasuredCamera:
         axes: image axes.
         focal_length_m: focal length from the angles between stars; None if too few stars are identified.
         optics: correction of the configured focal length and principal point; None if not determined.
-        magnitudes: magnitude offset; None if too few are given.
+        magnitudes: magnitude offset; None if too few stars have a magnitude.
         attitudes: times and attitudes (horizon from sensor).
     """
 
@@ -66,9 +66,9 @@ class _AxesHypothesis:
     """Exposures of a camera under one hypothesis about its axes.
 
     Attributes:
-        axes: the hypothesis.
-        camera: camera with the focal length that fits the angles between stars; None if there are too few.
-        solutions: exposures with an attitude, and the attitude.
+        axes: assumed axes.
+        camera: camera with the focal length that fits the angles between stars; None if there are too few stars.
+        solutions: exposures with an attitude, each with its attitude.
         star_count: number of stars in all exposures.
     """
 
@@ -79,7 +79,7 @@ class _AxesHypothesis:
 
     @property
     def used_count(self) -> int:
-        """Number of stars consistent with the attitudes of their exposures, where other stars verify these."""
+        """Number of stars consistent with the attitude of their exposure, over all verified solutions."""
         return sum(solution.star_count for _, solution in self.verified_solutions)
 
     @property
@@ -88,7 +88,7 @@ class _AxesHypothesis:
         return [entry for entry in self.solutions if entry[1].star_count >= MIN_VERIFIED_STARS]
 
     def median_rotation(self, record: CameraRecord) -> float:
-        """Return the median angle between the attitudes and the predicted ones, rad; NaN without predictions."""
+        """Return the median angle between measured and predicted attitudes, rad; NaN without predictions."""
         pairs = [
             (record.predicted_attitude_at(placed.time_ns), solution.rotation_nb)
             for placed, solution in self.verified_solutions
@@ -106,7 +106,7 @@ def measure_camera(record: CameraRecord, sky_model: SkyModel) -> MeasuredCamera:
 
     Args:
         record: messages of the camera.
-        sky_model: the sky, with place and air.
+        sky_model: model of the sky, with place and air.
     """
     hypothesis = _evaluate_axes(record, EXPECTED_AXES, sky_model)
     if hypothesis.used_count < _MIN_STAR_SHARE * hypothesis.star_count:
@@ -122,7 +122,7 @@ def measure_camera(record: CameraRecord, sky_model: SkyModel) -> MeasuredCamera:
 
 
 def _best_mirrored(record: CameraRecord, expected: _AxesHypothesis, sky_model: SkyModel) -> _AxesHypothesis:
-    """Return the hypothesis of mirrored axes that fits the stars; the expected axes if none does."""
+    """Return the hypothesis of mirrored axes that fits the stars; the expected axes if no mirrored axes fit."""
     found = [reading for axes in MIRRORED if _explains(reading := _evaluate_axes(record, axes, sky_model), expected)]
     nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
     if found and np.isnan(nearest.median_rotation(record)):
@@ -131,7 +131,7 @@ def _best_mirrored(record: CameraRecord, expected: _AxesHypothesis, sky_model: S
 
 
 def _explains(mirrored: _AxesHypothesis, expected: _AxesHypothesis) -> bool:
-    """True if most stars are consistent with the mirrored axes, and far fewer with the expected ones."""
+    """True if most stars are consistent with the mirrored axes, and far fewer stars with the expected axes."""
     least = max(_MIN_STAR_SHARE * mirrored.star_count, 2 * expected.used_count, MIN_VERIFIED_STARS)
     return mirrored.used_count >= least
 
@@ -163,7 +163,7 @@ def _optics(configured: CameraConfig, hypothesis: _AxesHypothesis) -> OpticsEsti
     if found is None or not found.degrees:
         return None
     focal_length_m = fitted.focal_length_m * (1.0 + found.scale)
-    # Centroids worse than stated must not appear as an error of the optics.
+    # The covariance is inflated if centroids are worse than stated, so that their errors count as noise.
     return replace(
         found,
         scale=focal_length_m / configured.focal_length_m - 1.0,
@@ -190,7 +190,7 @@ def _magnitudes(hypothesis: _AxesHypothesis, sky_model: SkyModel) -> MagnitudeOf
                 differences.setdefault(hip, []).append(magnitude - float(sky_model.catalogue.magnitude[row]))
     if len(differences) < _FEWEST_MAGNITUDES:
         return None
-    # The colour of a star is the same in all exposures.
+    # One value per star, because the effect of a star's colour is the same in all exposures.
     of_stars = np.array([np.median(values) for values in differences.values()])
     offset = float(np.median(of_stars))
     spread = 1.4826 * float(np.median(np.abs(of_stars - offset)))

@@ -1,7 +1,7 @@
 """Mountings and cameras of devices, measured at some times of a bag.
 
-Attitudes of devices on the deck are compared with the INS. A camera on the theodolite has no fixed attitude in the
-deck: its stars are compared with one another, and its predicted attitude only serves to identify them.
+Attitudes of devices on the deck are compared with the INS. A camera on the theodolite has no fixed attitude relative to
+the deck. Its stars are compared with one another, and its predicted attitude is only used to identify these stars.
 """
 
 import functools
@@ -46,12 +46,12 @@ class MeasuredMounting:
     """Mounting of one device measured from a bag, and its camera.
 
     Attributes:
-        section: dotted name of its parameters.
-        topic: topic of its messages.
-        device: its configuration.
-        rotations_dv: deck from device at the compared times, shape (n, 3, 3); n = 0 without any, and for a camera on
-            the theodolite.
-        rates_d: rates of the deck at these times, rad/s, shape (n, 3).
+        section: dotted name of the device's parameters.
+        topic: topic of the device's messages.
+        device: configuration of the device.
+        rotations_dv: rotation deck from device at each compared time, shape (n, 3, 3); n = 0 without attitudes, and for
+            a camera on the theodolite.
+        rates_d: rate of the deck at each compared time, rad/s, shape (n, 3).
         camera: camera parameters from its stars; None if the device gives no single stars.
     """
 
@@ -98,7 +98,7 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
 
 
 def _ship_topic(config: Config, found: dict[str, str]) -> str:
-    """Return the topic of the ship's attitude; for a theodolite the INS if its source is not in the bag."""
+    """Return the topic of the ship's attitude: the theodolite's source if the bag contains it, else the INS."""
     source = config.ship.source if isinstance(config, OpticalAxisConfig) else _INS_TOPIC
     return source if source in found else _INS_TOPIC
 

@@ -1,8 +1,9 @@
 """Cameras whose pixels are counted from 1, detected from their attitudes relative to each other and to the INS.
 
-A camera that counts from 1 sees all stars one pixel to the right and down: its attitude is rotated by one pixel about
-its up and right axes. If the installations are known to less than a pixel, the rotations of several cameras against one
-INS are far more likely with this pixel than without it. One camera is enough if the INS is known to less than a pixel.
+If a camera counts pixels from 1, all stars appear one pixel to the right and down: the camera's attitude is rotated by
+one pixel about its up and right axes. If the installations are known to less than a pixel, the rotations of several
+cameras against one INS are far more likely with this pixel than without this pixel. One camera is enough if the
+attitude of the INS is known to less than a pixel.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,22 +15,22 @@ from ship_estimation.chi_square import probability_above
 from ship_geometry.rotations import FloatArray
 
 _CLEARLY_LIKELIER = 12.0
-"""Difference of chi² from which on one hypothesis is clearly more likely: by a factor of 400. By chance: at most 3 in
-10 000."""
+"""Difference of chi² from which on one hypothesis is clearly more likely, by a factor of 400. A difference this large
+occurs by chance in at most 3 of 10 000 cases."""
 
 _LEAST_PROBABILITY = 0.01
-"""Minimum probability of the rotations under the best hypothesis; below it something else is wrong."""
+"""Minimum probability of the rotations under the best hypothesis; below this minimum another error is present."""
 
 
 @dataclass(frozen=True)
 class CameraTurn:
-    """Mean rotation of a camera on the deck relative to its installation, by the attitude of the INS.
+    """Mean rotation of a camera on the deck relative to its installation, measured with the attitude of the INS.
 
     Attributes:
         turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
-        covariance_d: covariance of errors not shared with other cameras: installation, noise of the mean, rad², shape
+        covariance_d: covariance of errors not shared with other cameras (installation, noise of the mean), rad², shape
             (3, 3).
-        pixel_d: rotation of a camera that counts from 1, rad, shape (3,).
+        pixel_d: rotation vector due to pixels counted from 1, rad, shape (3,).
     """
 
     turn_d: FloatArray
@@ -38,10 +39,10 @@ class CameraTurn:
 
 
 def cameras_counting_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray) -> tuple[int, ...]:
-    """Return the cameras that count their pixels from 1, as far as the rotations show it.
+    """Return the indices of the cameras whose rotations show that they count pixels from 1.
 
-    Hypotheses are each camera alone, and all together. The result is the intersection of all hypotheses that are not
-    clearly less likely than the best.
+    Hypotheses are: no camera, each camera alone, all cameras together. The result is the intersection of all hypotheses
+    that are not clearly less likely than the best hypothesis.
 
     Args:
         cameras: cameras of one ship, compared at the same times of its INS.
@@ -69,7 +70,7 @@ def cameras_counting_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: F
 
 
 def rate_corrected_turn(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean rotation of a camera, corrected for the effect of a time offset on rates, and its covariance.
+    """Return the mean rotation of a camera, without the effect of a time offset while the deck moves, and covariance.
 
     Args:
         turns_d: rotation vectors at n times, deck frame, rad, shape (n, 3).

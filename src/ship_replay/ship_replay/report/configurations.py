@@ -16,7 +16,7 @@ _TEXTS = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class ParameterDifference:
-    """A parameter that differs between A and B; the value is empty if the node or device is not configured there."""
+    """A parameter that differs between A and B; the value of a run without this node or device is empty."""
 
     node: str
     name: str
@@ -50,11 +50,11 @@ def text_differences(a: RecordedHistory, b: RecordedHistory) -> dict[str, list[s
 def parameter_differences(a: RecordedHistory, b: RecordedHistory) -> list[ParameterDifference]:
     """Return the parameters that differ, defaults included.
 
-    A parameter written out at its default in one file only does not differ. A node configured in one file only is one
-    row.
+    A parameter does not differ if one file sets it to its default and the other file omits it. A node that only one
+    file configures is one row.
 
     Raises:
-        BadInput: a suite file does not belong to this version; evaluating the bags checks this first.
+        BadInput: a suite file is not valid in this version; the evaluation of the bags checks this first.
     """
     found = []
     for node, kind in _NODES.items():

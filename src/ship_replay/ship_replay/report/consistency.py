@@ -1,8 +1,9 @@
 """Consistency of stated sigmas: NEES of errors over the whole run, NIS of innovations minute by minute.
 
-Errors of a filter are correlated over minutes, so a run holds few independent ones; the NEES band is that of their
-number. Innovations are nearly independent, and over a long run no stated sigma would be exact enough. So each minute is
-tested as the live page tests the last one, and the result follows from the number of minutes outside their band.
+Errors of a filter are correlated over minutes: the NEES band is computed for the equivalent number of independent
+errors. Innovations are nearly independent: over a long run, the test would detect even a small error of the stated
+sigma. So each minute is tested, like the last minute on the live page, and the result follows from the number of
+minutes outside their band.
 """
 
 import math
@@ -32,13 +33,13 @@ class SigmaFit:
     Attributes:
         kind: ``NEES`` of errors against the truth, ``NIS`` of innovations.
         name: name of the source.
-        mean: mean of the normalised squares; NaN if there are none.
+        mean: mean of the normalised squares; NaN without squares.
         degrees: mean number of degrees of freedom, the expected value of ``mean``.
         count: number of normalised squares.
         independent: equivalent number of independent squares; NaN for innovations, which are nearly independent.
         minutes: number of tested minutes by result: ``as stated``, ``optimistic`` or ``pessimistic``; empty for errors.
-        words: the result, as "σ as stated (1.01)", "σ optimistic by 1.6 in 40 of 60 minutes", or that there are too
-            few.
+        words: text of the result: "σ as stated (1.01)", "σ optimistic by 1.6 in 40 of 60 minutes", "too few" and
+            similar.
     """
 
     kind: str
@@ -52,7 +53,7 @@ class SigmaFit:
 
     @property
     def ratio(self) -> float:
-        """Actual over stated sigma for the whole run; NaN if unknown."""
+        """Ratio of actual to stated sigma over the whole run; NaN if unknown."""
         return math.sqrt(self.mean / self.degrees) if self.degrees > 0.0 and self.mean >= 0.0 else math.nan
 
 
@@ -63,7 +64,7 @@ def consistency(evaluation: Evaluation) -> list[SigmaFit]:
 
 
 def nees_fit(errors: AttitudeErrors) -> SigmaFit:
-    """Return the NEES test of a source's errors: the mean against its 99.9 % band for the independent number of errors.
+    """Test a source's mean NEES against its 99.9 % band for the equivalent number of independent errors.
 
     The sum of N independent NEES of three degrees of freedom follows a χ² distribution with 3 N degrees of freedom.
     """
@@ -73,7 +74,7 @@ def nees_fit(errors: AttitudeErrors) -> SigmaFit:
 
 
 def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> SigmaFit:
-    """Return the test of a mean NEES.
+    """Test a mean NEES against its 99.9 % band.
 
     Args:
         name: name of the source.
@@ -95,7 +96,7 @@ def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> Sig
 
 
 def nees_band(independent: float) -> tuple[float, float]:
-    """Return the 99.9 % band of the mean of independent NEES of three degrees of freedom; NaN if there are none.
+    """Return the 99.9 % band of the mean of independent NEES of three degrees of freedom; NaN if their number is zero.
 
     Args:
         independent: number of independent NEES.
@@ -107,7 +108,7 @@ def nees_band(independent: float) -> tuple[float, float]:
 
 
 def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
-    """Return the NIS test of a source's innovations, minute by minute.
+    """Test the NIS of a source's innovations, minute by minute.
 
     With a correct sigma, one minute in a thousand is outside its band by chance. σ is as stated if the number of such
     minutes does not exceed the 99.9 % quantile of the binomial distribution.
@@ -123,7 +124,7 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
         for row in rows:
             window.add(int(stamps[row]), float(nis[row]), int(degrees[row]))
         diagnoses.append(window.consistency(int(stamps[rows[-1]])))
-    diagnoses = [verdict for verdict in diagnoses if verdict.text]  # too few innovations in the others
+    diagnoses = [verdict for verdict in diagnoses if verdict.text]  # other minutes have too few innovations
     outside = {
         "optimistic": [verdict for verdict in diagnoses if not verdict.is_consistent and verdict.ratio > 1.0],
         "pessimistic": [verdict for verdict in diagnoses if not verdict.is_consistent and verdict.ratio < 1.0],
@@ -143,6 +144,6 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
 
 
 def _combined_ratio(diagnoses: list[NisConsistency]) -> float:
-    """Return the actual over stated sigma of several minutes together."""
+    """Return the ratio of actual to stated sigma over several minutes."""
     degrees = sum(verdict.degrees_of_freedom for verdict in diagnoses)
     return math.sqrt(sum(verdict.ratio**2 * verdict.degrees_of_freedom for verdict in diagnoses) / degrees)

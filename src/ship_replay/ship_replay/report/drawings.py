@@ -62,7 +62,7 @@ def svg(figure: Figure, name: str) -> str:
 
     Args:
         figure: the finished figure.
-        name: prefix of all its ids, so that ids of the figures of one page do not collide.
+        name: prefix of all ids in the figure, so that the figures of one page have different ids.
     """
     stream = io.StringIO()
     with plt.rc_context(SVG_STYLE):
@@ -84,16 +84,16 @@ def source_colours(recording: RecordedHistory, evaluation: Evaluation) -> dict[s
 
 
 def source_of(name: str) -> str:
-    """Return the source that an innovation's name or an input topic belongs to; the name itself if there is none."""
+    """Return the source that an innovation's name or an input topic belongs to; the given name if it has no source."""
     return source_of_name(name) or source_of_topic(name) or name
 
 
 def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
-    """Return a bar of states for each angle, one second per point, and the accuracy below; empty without any angle.
+    """Return the figure of each angle's state, second by second, with the accuracy below; empty without any angle.
 
     Args:
         recording: the recording.
-        marked: POSIX seconds that links lead to: a line for each, visible while it is the target of the page.
+        marked: POSIX seconds to which links lead. The line at a second is visible while it is the target of the page.
     """
     shown = [name for name in ANGLES if recording.safety_states.get(name)]
     if not shown:
@@ -145,7 +145,7 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
 def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
     """Return the errors with their ±3σ, one figure per orientation; without truth the innovations with their ±3σ.
 
-    The list is empty if there are neither.
+    The list is empty if there are neither errors nor innovations.
     """
     groups: dict[tuple[str, ...], list[AttitudeErrors]] = {}
     for errors in evaluation.errors:
@@ -167,7 +167,7 @@ def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
 
 
 def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
-    """Return the stacked variances of the largest sources for each angle; the axis shows their square roots."""
+    """Return the figure of each angle's variances, stacked by source of error; the axis shows their square roots."""
     points = [point for point in points if point.by_angle]
     if not points:
         return ""
@@ -185,7 +185,7 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
 
 
 def rejections_svg(recording: RecordedHistory, colours: Mapping[str, str]) -> str:
-    """Return the times at which measurements were not used: one row per source, one bar per second."""
+    """Return the figure of the times at which measurements were not used: a row per source, a bar per second."""
     rows: dict[str, set[int]] = {}
     for refusal in recording.rejections:
         if not refusal.is_note:
@@ -219,11 +219,11 @@ def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start
 
 
 def decimation_mask(values: FloatArray, most: int) -> np.ndarray:
-    """Return the rows that a decimated line keeps: the minimum and maximum of each column in equal intervals.
+    """Return the rows that a decimated line keeps: rows with a column's minimum or maximum in one of equal intervals.
 
     Args:
         values: shape (n, columns); non-finite values are ignored.
-        most: maximum number of rows kept; all are kept if there are no more.
+        most: maximum number of rows kept; all rows are kept if there are no more.
 
     Returns:
         True for the rows kept, shape (n,).
@@ -253,7 +253,8 @@ def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part
-    # One array for all stamps, each preceded by a zero: one numpy call per stamp would be far slower.
+    # All residuals are in one array, because one numpy call per stamp would be far slower. A zero precedes the
+    # residuals of each stamp.
     residuals: list[float] = []
     starts: list[int] = []
     for stamp in stamps.tolist():
@@ -320,7 +321,7 @@ def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def style_axes(grid: Iterable[Axes]) -> None:
-    """Set a grid of times and no frame."""
+    """Show grid lines at the ticks of time, and no frame at top and right."""
     for axes in grid:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.9", lw=0.6)

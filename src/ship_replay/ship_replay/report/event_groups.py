@@ -17,7 +17,7 @@ MAX_INTERVAL_NS = 60 * NS_PER_S
 """Maximum time between two changes combined in one row, ns."""
 
 _ORDER = ("IN", "OUT", "SAFE", "CAUTION", "UNSAFE", "VALID", "COASTING", "DEGRADED", "INVALID")
-"""States of each kind, the better one first."""
+"""States of each kind, the better state first."""
 
 _CHANGE = re.compile(r"(?:(?P<before>[\w/]+) → )?(?P<after>[\w/]+)(?:, (?P<reason>.*))?$")
 _SOURCE_STATES = ("IN", "OUT")
@@ -64,7 +64,7 @@ def event_rows(events: Sequence[Event]) -> list[EventRow]:
 
 
 def states_of(event: Event) -> tuple[str, str, str]:
-    """Return state before, state after and reason of an event; "" for each that is missing."""
+    """Return state before, state after and reason of an event; a missing text is empty."""
     rest = event.text.removeprefix(event.subject).lstrip()
     found = _CHANGE.match(rest)
     if found is None:

@@ -25,7 +25,7 @@ class SessionRow:
         start_ns: UTC at which the outputs begin.
         length_s: length of the recording.
         shares: "ship/attitude VALID", "heading SAFE" → share of the time.
-        worst_source: source with the longest own outage; empty if none was out.
+        worst_source: source with the longest outage not caused by another source; empty if no source was out.
         faults: number of outages not caused by another source.
         to_do: recommended action, one sentence.
     """
@@ -46,7 +46,7 @@ class SessionRow:
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """Return the bags of a folder by name: MCAP files and rosbag2 folders; empty if the folder is itself a bag."""
+    """Return the bags of a folder, sorted by name: MCAP files and rosbag2 folders; empty if the folder is a bag."""
     if not folder.is_dir() or (folder / INFORMATION_FILE).exists():
         return []
     return sorted(
@@ -58,12 +58,12 @@ def bags_in(folder: Path) -> list[Path]:
 def session_reports(
     bags: Sequence[Path], read: Callable[[Path], ReportData], write: Callable[[str, str], None]
 ) -> Iterator[SessionRow]:
-    """Write the report of each bag and yield its row; a bag without a report yields a row with the error.
+    """Write the report of each bag and yield the bag's row; a bag without a report yields a row with the error.
 
     Args:
         bags: bags of the folder.
-        read: reads and evaluates a bag.
-        write: writes a page under a name.
+        read: function that reads and evaluates a bag.
+        write: function that writes a page, given by file name and text.
     """
     for path in bags:
         try:

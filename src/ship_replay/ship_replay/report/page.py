@@ -108,13 +108,13 @@ def render(template: str, **values: Any) -> str:
 
 
 def versions() -> list[tuple[str, str]]:
-    """Return the versions of the suite and of its libraries that make the report."""
+    """Return the versions of the suite and of the libraries with which the report is made."""
     own = suite_commit() or "unknown: no git checkout"
     return [("suite, commit", own), ("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
 def recorded_versions(recording: RecordedHistory) -> list[tuple[str, str]]:
-    """Return the commit of the suite that made the bag, and the versions in a black box; empty if it has neither."""
+    """Return the commit of the suite that made the bag, and the versions in a black box; empty if both are missing."""
     commit = recording.metadata.get(COMMIT_RECORD, {}).get("commit", "")
     of_commit = [("suite, commit", commit)] if commit else []
     try:
@@ -129,4 +129,4 @@ def recorded_versions(recording: RecordedHistory) -> list[tuple[str, str]]:
             ]
         )
     except (ValueError, AttributeError, TypeError):
-        return of_commit  # damaged
+        return of_commit  # the versions in the black box are damaged

@@ -1,4 +1,4 @@
-"""Two recordings side by side: both read, their outputs at equal stamps, and whether their inputs are the same."""
+"""Two recordings side by side: their data, their outputs at equal stamps, and the comparison of their inputs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ def read_pair(
     """Read two bags with outputs.
 
     Raises:
-        BadInput: a bag cannot be read or lacks a required topic, or the two have no time in common.
+        BadInput: a bag cannot be read or lacks a required topic, or the two bags have no time in common.
     """
     if is_short(a) and is_short(b):
         first, second = (read_report_data(path, truth, limits, namespace) for path in (a, b))
@@ -93,7 +93,7 @@ def _read_in_parallel(
 
 
 def input_sentences(pair: Pair) -> list[str]:
-    """Return sentences about the inputs of both recordings: whether they are the same, and their times."""
+    """Return sentences about the inputs of both recordings (equal or not) and about the recordings' times."""
     if pair.is_same:
         return ["A and B are the same recording (same SHA-256)."]
     sentences = [_same_inputs_sentence(pair)]

@@ -37,7 +37,7 @@ _PALE = "#cfdceb"
 
 
 def states_svg(pair: Pair) -> str:
-    """Return the states of both runs and, one row per angle, the 95 % accuracy of both, on one time axis.
+    """Return the figure of the states of both runs and, one row per angle, of their 95 % accuracy, on one time axis.
 
     The text is empty if no angle was published.
     """
@@ -69,7 +69,7 @@ def states_svg(pair: Pair) -> str:
 
 
 def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> str:
-    """Return B minus A at equal stamps, one row per channel, over ±1.96σ of both.
+    """Return the figure of B minus A at equal stamps, one row per channel, with ±1.96σ of A and of B.
 
     Args:
         difference: difference of one output.
@@ -113,7 +113,7 @@ class _Series:
 
 
 def sides_svg(pair: Pair) -> str:
-    """Return the errors of the outputs with their ±3σ, or innovations without truth: A on the left, B on the right.
+    """Return the figure of the errors (without truth, innovations) with their ±3σ: A on the left, B on the right.
 
     Both sides of a row have the same scale. The text is empty if there are neither errors nor innovations.
     """
@@ -157,7 +157,7 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     drawn = 0
     for letter, recording, (colour, dash) in zip("AB", pair.recordings, (_A, _B), strict=True):
         accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
-        accuracy = accuracy[accuracy[:, 1] > 0.0]  # a covariance of zeros was not given
+        accuracy = accuracy[accuracy[:, 1] > 0.0]  # zero if no covariance was given
         kept = np.flatnonzero(decimation_mask(accuracy[:, 1:], MAX_POINTS))
         drawn += len(kept)
         time_ns, (value,) = with_gaps(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])

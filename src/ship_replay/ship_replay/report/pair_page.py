@@ -87,7 +87,7 @@ def pair_page(pair: Pair) -> str:
 
 
 def _problems(pair: Pair) -> list[str]:
-    """Return the problems of the bags, each with the letters of the bags that have it."""
+    """Return the problems of the bags, each preceded by the letters of the bags with this problem."""
     found: dict[str, str] = {}
     for letter, report_data in zip("AB", (pair.a, pair.b), strict=True):
         for problem in sorted({*report_data.recording.problems, *report_data.evaluation.problems}):
@@ -98,11 +98,11 @@ def _problems(pair: Pair) -> list[str]:
 def _shares_of_both(
     a: RecordedHistory, b: RecordedHistory
 ) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
-    """Return angle, and the share of each state in A and in B; None where the angle was not published."""
+    """Return angle, share of each state in A and share of each state in B; None where the angle was not published."""
     of_a, of_b = ({name: share for name, share, _ in shares(recording)} for recording in (a, b))
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
 
 
 def _rows_of_both(a: Mapping[str, str], b: Mapping[str, str]) -> list[tuple[str, str, str]]:
-    """Return each name with its values in A and in B; empty where it is missing."""
+    """Return each name with its values in A and in B; a missing value is empty."""
     return [(name, a.get(name, ""), b.get(name, "")) for name in dict.fromkeys([*a, *b])]

@@ -1,4 +1,4 @@
-"""Summary of two recordings in sentences: which run is better, in what, and where they differ."""
+"""Summary of two recordings in sentences: the better run in each respect, and the differences of the runs."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ _EQUAL_WITHIN = 0.02
 """Relative difference of RMS errors below which neither run counts as better."""
 
 _LAST_BITS_ARCSEC = 1e-6
-"""Differences below this are due to rounding on another machine or with another library."""
+"""Maximum difference of an angle that is ascribed to rounding on another machine or with another library, arcsec."""
 
 _MOST_NAMED = 3
 _ON_SKY = "_cos_elevation"
@@ -30,7 +30,7 @@ def pair_summary(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[Pa
 
     Args:
         pair: both recordings.
-        errors: errors of both against the truth; empty without truth.
+        errors: errors of both recordings against the truth; empty without truth.
         parameters: parameters that differ.
     """
     sentences = input_sentences(pair)
@@ -56,7 +56,7 @@ def _configuration_sentence(parameters: Sequence[ParameterDifference]) -> str:
 
 
 def _safe_share_sentences(pair: Pair) -> list[str]:
-    """Return which run was SAFE for more of the time, and in which of the angles that both published."""
+    """Return a sentence with the angles of each run whose SAFE share of the time is larger than in the other run."""
     longer: dict[str, list[str]] = {"A": [], "B": []}
     for name in ANGLES:
         a, b = (_safe_share(recording, name) for recording in pair.recordings)
@@ -67,7 +67,7 @@ def _safe_share_sentences(pair: Pair) -> list[str]:
 
 
 def _accuracy_sentences(errors: Sequence[ErrorRow]) -> list[str]:
-    """Return which run has the smaller RMS error in which channel of the outputs."""
+    """Return a sentence with the channels of the outputs in which each run has the smaller RMS error."""
     ratios = {row.channel: row.ratio for row in _output_rows(errors) if math.isfinite(row.ratio)}
     if not ratios:
         return []
@@ -83,7 +83,7 @@ def _accuracy_sentences(errors: Sequence[ErrorRow]) -> list[str]:
 
 
 def _angle_sentence(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
-    """Return for how long an angle was SAFE in each run, and its error."""
+    """Return a sentence with the SAFE share of the time and the error of an angle in each run."""
     safe = [_safe_share(recording, name) for recording in pair.recordings]
     if not any(map(math.isfinite, safe)):
         return ""
@@ -138,7 +138,7 @@ def _missing_sentences(pair: Pair) -> list[str]:
 
 
 def _outage_sentences(pair: Pair) -> list[str]:
-    """Return which source was out in one run only, for the time that both cover."""
+    """Return a sentence for each source that was out in one run only, within the time that both runs cover."""
     a, b = (outages(recording) for recording in pair.recordings)
     sentences, named = [], set()
     for source in dict.fromkeys(outage.source for outage in (*a, *b)):
@@ -164,7 +164,7 @@ def _outages_only_here(outages_here: list[SourceOutage], elsewhere: list[SourceO
 
 
 def _split_outage(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
-    """Split an outage at another one; return the parts before and after it."""
+    """Return the parts of an outage before and after another outage."""
     end_ns, other_end_ns = outage.to_ns or _NEVER_NS, other.to_ns or _NEVER_NS
     left = []
     if outage.from_ns < other.from_ns:
@@ -176,7 +176,7 @@ def _split_outage(outage: SourceOutage, other: SourceOutage) -> list[SourceOutag
 
 
 def _unrecorded_spans(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
-    """Return the times that the other recording does not cover, as outages of the source."""
+    """Return the times that the recording of a letter does not cover, as outages of the source."""
     (start_ns, end_ns), (_, other_end_ns) = (
         recording.span_ns for recording in (pair.recordings if letter == "A" else reversed(pair.recordings))
     )
@@ -190,7 +190,7 @@ def _output_rows(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
 
 
 def _safe_share(recording: RecordedHistory, angle: str) -> float:
-    """Return the SAFE share of the time in which an angle was published; NaN if it never was."""
+    """Return the SAFE share of the time in which an angle was published; NaN if it was never published."""
     seconds = recording.seconds(angle)
     total = sum(seconds.values())
     return seconds[Safety.SAFE] / total if total else math.nan

@@ -25,7 +25,7 @@ SAME_TIME_NS = 2 * NS_PER_S
 """Maximum time difference of events that count as the same, ns."""
 
 DIFFERENT_SIGMAS = 3.0
-"""Difference of two estimates, in their common sigma, above which it is marked."""
+"""Difference of two estimates, in units of their common sigma, above which the difference is marked."""
 
 _DIGITS = re.compile(r"[\d.]+")
 _PART = TypeVar("_PART")
@@ -33,13 +33,13 @@ _PART = TypeVar("_PART")
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """Errors of one channel of a source in A and B, arcsec; NaN where a run has none.
+    """Errors of one channel of a source in A and B, arcsec; NaN for a run without these errors.
 
     Attributes:
         label: name of the source.
         channel: name of the channel in its orientation.
-        rms: root mean squares.
-        size_95: 95th percentiles of the error size.
+        rms: root mean squares of the errors.
+        size_95: 95th percentiles of the absolute errors.
         samples: numbers of errors.
         at_equal_stamps: True if only errors at common stamps are included.
     """
@@ -63,7 +63,7 @@ class ErrorRow:
 
 
 def error_rows(pair: Pair) -> list[ErrorRow]:
-    """Return a row for each source and channel with errors against the truth; at equal stamps if there are any."""
+    """Return a row for each source and channel with errors against the truth; only of equal stamps if there are any."""
     sides = [{series.label: series for series in report_data.evaluation.errors} for report_data in (pair.a, pair.b)]
     rows = []
     for label in dict.fromkeys([*sides[0], *sides[1]]):
@@ -83,7 +83,7 @@ def error_rows(pair: Pair) -> list[ErrorRow]:
 
 
 def difference_rows(differences: Iterable[OutputDifference]) -> list[dict[str, str]]:
-    """Return a row for each channel of the outputs: B minus A, and its largest value with the time."""
+    """Return a row for each channel of the outputs: RMS of B minus A, and the largest difference with its time."""
     rows = []
     for found in differences:
         for channel, name in enumerate(found.orientation.channels):
@@ -143,7 +143,7 @@ def budget_tables(pair: Pair) -> list[BudgetTable]:
 
 @dataclass(frozen=True)
 class SigmaFitPair:
-    """Consistency test of a source's sigma in A and in B; None where a run has none.
+    """Consistency test of a source's sigma in A and in B; None for a run without this source.
 
     Attributes:
         kind: ``NEES`` or ``NIS``.
@@ -165,7 +165,7 @@ class SigmaFitPair:
 
 
 def consistency_rows(pair: Pair) -> list[SigmaFitPair]:
-    """Return a row for each NEES, then for each NIS."""
+    """Return a row for each NEES test, then for each NIS test."""
     a, b = (
         {(fit.kind, fit.name): fit for fit in consistency(report_data.evaluation)} for report_data in (pair.a, pair.b)
     )
@@ -189,7 +189,7 @@ def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
 
 
 def events_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
-    """Return the events of one run only, in order of time, and the number of events of both.
+    """Return the events of one run only, in order of time, and the number of events that both runs have.
 
     Two events are the same if kind and text agree except for numbers, and the times differ by at most two seconds.
     """
@@ -202,7 +202,7 @@ def events_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 
 def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
-    """Return the alert changes of one run only, in order of time, and the number of those of both."""
+    """Return the alert changes of one run only, in order of time, and the number of changes that both runs have."""
     a, b = (
         [
             (alert_record.utc_ns, (alert_record.alert.id, alert_record.what), alert_record)
@@ -232,7 +232,7 @@ def rejection_rows_of_both(pair: Pair) -> list[dict[str, str]]:
 
 
 def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None:
-    """Return the stamps of both; None if there are none."""
+    """Return the common stamps of two series; None if there are no common stamps."""
     a, b = series
     if a is None or b is None:
         return None
@@ -241,7 +241,7 @@ def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None
 
 
 def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]]:
-    """Return angle → source of error → mean variance, rad²; a source missing at a time counts as zero there."""
+    """Return angle → source of error → mean variance, rad²; a source missing at a time counts as zero at this time."""
     sums: dict[str, dict[str, float]] = {}
     known_points = [point for point in points if point.by_angle]
     for point in known_points:

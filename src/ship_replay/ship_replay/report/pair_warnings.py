@@ -1,4 +1,4 @@
-"""Warnings of a comparison: what differs, why it matters, what to do."""
+"""Warnings of a comparison: the difference, why the difference matters, and what to do."""
 
 import re
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ _EXPLANATIONS = (
         "replay both inputs with one commit to compare parameters",
     ),
 )
-"""Pattern of a warning, why it matters, what to do."""
+"""Pattern of a warning, why the warning matters, what to do."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class PairWarning:
 
     Attributes:
         what: what differs or is wrong.
-        why: why it matters; empty if the text is complete.
-        do: what to do; empty likewise.
+        why: why the warning matters; empty if ``what`` is complete.
+        do: what to do; empty if ``what`` is complete.
     """
 
     what: str
@@ -69,7 +69,7 @@ def pair_warnings(pair: Pair, problems: Sequence[str]) -> list[PairWarning]:
 
     Args:
         pair: both recordings.
-        problems: problems of the bags, each preceded by the letters of the bags that have it.
+        problems: problems of the bags, each preceded by the letters of the bags with this problem.
     """
     found = [_with_explanation(text) for text in [*input_sentences(pair), *_commit_sentences(pair)]]
     return [one for one in found if one.why] + [_with_explanation(text) for text in problems]

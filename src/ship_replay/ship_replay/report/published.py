@@ -23,7 +23,7 @@ class OutputSeries:
     """Outputs of one orientation in one bag, without INVALID messages.
 
     Attributes:
-        time_ns: stamps in ascending order, each once: of several messages of one stamp the last counts. Shape (n,).
+        time_ns: stamps in ascending order, shape (n,). If several messages have the same stamp, the last one counts.
         angles: angles as named in :attr:`Orientation.angles`, rad, shape (n, 3).
         sigma: predicted standard deviations of the angles, rad, shape (n, 3); NaN if not given.
         digests: hashes of the serialised messages, shape (n,).
@@ -40,8 +40,8 @@ class PublishedOutputs:
     """Outputs and inputs of one bag.
 
     Attributes:
-        series: label of the orientation → its outputs.
-        received_counts: input topic → messages received since the start, by the node with the largest count.
+        series: label of an orientation → outputs of this orientation.
+        received_counts: input topic → number of messages received since the start; the largest number of all nodes.
         input_digests: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
     """
 
@@ -52,11 +52,11 @@ class PublishedOutputs:
 
 @dataclass(frozen=True)
 class OutputDifference:
-    """Outputs of B minus those of A at equal stamps.
+    """Outputs of B minus outputs of A at equal stamps.
 
     Attributes:
-        orientation: the output.
-        time_ns: the equal stamps, shape (n,).
+        orientation: ship's attitude or pointing.
+        time_ns: equal stamps, shape (n,).
         difference_arcsec: differences of the channels, shape (n, 3); azimuth is multiplied by the cosine of the
             elevation.
         sigma_arcsec: predicted standard deviations of A's and of B's channels, shape (2, n, 3).
@@ -75,11 +75,11 @@ class OutputDifference:
 
     @property
     def all_equal(self) -> bool:
-        """True if both published the same messages and no others."""
+        """True if all messages of A and B are equal to the last bit."""
         return self.messages_equal == len(self.time_ns) and self.unpaired_counts == (0, 0)
 
     def largest(self, channel: int) -> tuple[float, int]:
-        """Return the largest difference, arcsec, with its sign, and its stamp; at least one stamp is required."""
+        """Return the largest difference of a channel, arcsec, with its sign, and the stamp of this difference."""
         row = int(np.argmax(np.abs(self.difference_arcsec[:, channel])))
         return float(self.difference_arcsec[row, channel]), int(self.time_ns[row])
 
@@ -88,7 +88,7 @@ class OutputDifference:
         return float(np.sqrt(np.mean(self.difference_arcsec[:, channel] ** 2)))
 
     def sigmas_arcsec(self, channel: int) -> tuple[float, float]:
-        """Return the root mean squares of the sigmas of A and B for a channel; NaN if one states none."""
+        """Return the root mean squares of the sigmas of A and B for a channel; NaN for a run without sigmas."""
         first, second = np.sqrt(np.mean(self.sigma_arcsec[:, :, channel] ** 2, axis=1)).tolist()
         return first, second
 
@@ -125,7 +125,7 @@ def read_published(path: Path, namespace: str = "") -> PublishedOutputs:
 
 
 def differences(first: PublishedOutputs, second: PublishedOutputs) -> list[OutputDifference]:
-    """Return B minus A for each orientation that both published, if they have equal stamps."""
+    """Return B minus A for each orientation that both runs published with equal stamps."""
     return [
         found
         for orientation in ORIENTATIONS
@@ -140,7 +140,7 @@ def _difference(orientation: Orientation, a: OutputSeries, b: OutputSeries) -> O
         return None
     angles_a, angles_b = a.angles[in_a], b.angles[in_b]
     scale, difference = orientation.scale(angles_a), angles_b - angles_a
-    # Only differences beyond pi are wrapped: wrapping rounds to the last bit of pi, coarser than that of a small angle.
+    # Only differences beyond pi are wrapped, because wrapping rounds a small angle to the last bit of pi.
     difference = np.where(np.abs(difference) > np.pi, wrap_pi(difference), difference)
     equal = np.all(angles_a.view(np.int64) == angles_b.view(np.int64), axis=0).tolist()
     return OutputDifference(
@@ -177,7 +177,7 @@ def _output_series(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> Out
 
 
 def span(published: PublishedOutputs) -> tuple[int, int] | None:
-    """Return first and last stamp of all outputs, UTC in ns; None if there are none."""
+    """Return first and last stamp of all outputs, UTC in ns; None if there are no outputs."""
     claims = published.series.values()
     if not claims:
         return None

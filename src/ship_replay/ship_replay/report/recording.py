@@ -1,7 +1,7 @@
 """A recording as a watch officer would have seen it: states, events, alerts, rejections and budgets, second by second.
 
-The bag is processed message by message by :class:`ship_watch.suite_monitor.SuiteMonitor`. Its buffers
-hold ten minutes, so new entries are collected periodically.
+The bag is processed message by message by :class:`ship_watch.suite_monitor.SuiteMonitor`. The
+monitor's buffers hold ten minutes, so new entries are collected periodically.
 """
 
 import math
@@ -38,7 +38,7 @@ OUTPUT_OF_ANGLE = {
 """Angle → topic of the output that publishes it."""
 
 _MAX_STATUS_AGE_S = 1.0
-"""Maximum time for which the last status of an output counts, s: its age limit."""
+"""Maximum time for which the last status of an output counts, s."""
 
 _SAMPLE_PERIOD_NS = NS_PER_S // 2
 """Sampling period of the displayed state, and time resolution of alerts computed here, ns."""
@@ -58,9 +58,9 @@ class RecordedAlert:
 
 @dataclass(frozen=True)
 class RejectedMeasurement:
-    """A measurement that was not used: source, reason, and whether the node or the filter rejected it.
+    """A measurement that was not used, with source, reason and the place of its rejection: node or filter.
 
-    A note is not a rejection: the measurement was used.
+    If ``is_note`` is true, the measurement was used, with a note.
     """
 
     utc_ns: int
@@ -80,22 +80,22 @@ class RecordedHistory:
         sha256: hash of the bag's file; for a folder one line per file, as sha256sum writes them.
         start_ns: log time of the first message.
         end_ns: log time of the last message.
-        limits: limits of the ship that the states refer to.
-        topics: relative topic → type.
+        limits: limits of the ship from which the states follow.
+        topics: relative topic → message type.
         attachments: attachments of the bag.
         metadata: metadata records of the bag.
         safety_states: angle → (second in UTC, worst state) for each second in which the angle was published.
-        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; none while its output is INVALID.
+        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; no value while the output is INVALID.
         status_s: topic of an output → status → total time with this status, s.
         events: events in the order in which they were reported.
         alerts: changes of alerts, in order of time.
-        alerts_are_recorded: True if an alert node published them, False if they were computed here.
+        alerts_are_recorded: True if an alert node published the alerts, False if the alerts were computed here.
         rejections: rejections and notes, in order of time.
         budgets: topic → points of the error budget.
         first_estimates: topic → first published estimates.
         last_estimates: topic → last published estimates.
         last: displayed state at the end.
-        problems: what is wrong with the bag, one line each.
+        problems: problems of the bag, one line each.
     """
 
     path: Path
@@ -121,7 +121,7 @@ class RecordedHistory:
 
     @property
     def start_utc_ns(self) -> int:
-        """UTC of the first published state; log time of the first message if there is none."""
+        """UTC of the first published state; log time of the first message if no state was published."""
         first_s = min(
             (words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S
         )
@@ -129,11 +129,11 @@ class RecordedHistory:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """UTC at which the outputs begin and end; as long as the span of the log times."""
+        """UTC at which the outputs begin and end; the length is the span of the log times."""
         return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
 
     def seconds(self, angle: str) -> Counter[Safety]:
-        """Return the number of seconds of each state, the worst of each second."""
+        """Return state → number of seconds in which this state was the worst state of an angle."""
         return Counter(word for _, word in self.safety_states.get(angle, ()))
 
 
@@ -141,7 +141,7 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
     """Read a bag with outputs of the suite.
 
     Raises:
-        BadInput: the bag cannot be read or holds no output; names the file and the expected topics.
+        BadInput: the bag cannot be read or contains no output; the text gives the file and the expected topics.
     """
     limits = limits or Limits()
     with read_bag(path) as bag:
@@ -162,7 +162,7 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
 
 
 class _ReportHistoryKeeper(HistoryRecorder):
-    """History of states, budgets and parameters only: errors and innovations come from the evaluation."""
+    """History of states, budgets and parameters only; errors and innovations are taken from the evaluation."""
 
     def record_error(self, topic: str, message: Any) -> None:
         """Ignore an error message."""
@@ -171,7 +171,7 @@ class _ReportHistoryKeeper(HistoryRecorder):
         """Ignore an innovation."""
 
     def record_input(self, topic: str, message: Any, now_ns: int) -> None:
-        """Ignore a star or light that was seen."""
+        """Ignore an input with stars or lights."""
 
 
 class _RecordingReader:
@@ -190,7 +190,7 @@ class _RecordingReader:
         self._last_status: dict[str, tuple[int, str]] = {}
 
     def read(self, bag: Bag, topics: Mapping[str, str]) -> None:
-        # Errors against the truth come from evaluate.
+        # Topics of the truth are not read: errors are taken from the evaluation.
         rows = {
             name: row
             for name, topic in topics.items()
@@ -270,7 +270,7 @@ class _RecordingReader:
         return found
 
     def _count_status(self, topic: str, message: Any, now_ns: int) -> None:
-        """Add the duration of the previous status; after the output stops, one second of it counts."""
+        """Add the duration of the previous status; if the output stops, its last status counts for one second."""
         since_ns, word = self._last_status.get(topic, (now_ns, ""))
         if word:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)
@@ -318,5 +318,5 @@ class _RecordingReader:
 
 
 def _without_repetitions(changes: Iterable[AlertChange]) -> list[AlertChange]:
-    """Return the changes without repetitions for missing acknowledgement: computed alerts are never acknowledged."""
+    """Return the changes without repeated alerts: alerts computed here are never acknowledged and would be repeated."""
     return [change for change in changes if not change.description.startswith("repeated")]

@@ -19,7 +19,7 @@ from ship_watch.limits import Limits
 from ship_watch.orientations import ORIENTATIONS
 
 SHORT_BYTES = 8_000_000
-"""Size up to which a bag is read faster than another process would start."""
+"""Size up to which a bag is read in less time than another process needs to start, bytes."""
 
 _TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 
@@ -52,10 +52,10 @@ def read_report_data(
 
 @contextlib.contextmanager
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Start a pool of processes; they are terminated if this process fails or is interrupted.
+    """Start a pool of processes that are terminated if this process fails or is interrupted.
 
-    The processes are spawned: a fork would copy locks held by threads. They must not start processes of their own,
-    which would not be terminated.
+    The processes are spawned: a fork would copy locks held by threads. The processes of the pool must not start other
+    processes, which would not be terminated.
     """
     known = {process.pid for process in active_children()}
     context, begin = get_context("spawn"), partial(start_worker_process, current_names())

@@ -1,4 +1,4 @@
-"""The five sentences that open a report: availability, worst source, causes, mountings, what to do."""
+"""First five sentences of a report: availability, worst source, causes, mountings, what to do."""
 
 import math
 import re
@@ -17,11 +17,11 @@ _SHIFTED = "mounting shifted by"
 _MUCH_CHANGED_SIGMAS = 3.0
 _ADVISED = 2
 _CONSEQUENCE_SUFFIX = ".degraded"
-"""Suffix of alerts about an output over its limit: the source that caused it has its own alert."""
+"""Suffix of the id of an alert about an output over its limit; the source that caused it has a separate alert."""
 
 
 def summary(recording: RecordedHistory) -> list[str]:
-    """Return the five sentences; one if no output was published."""
+    """Return the five sentences; a single sentence if no output was published."""
     if not any(recording.safety_states.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
     found = outages(recording)
@@ -35,7 +35,7 @@ def summary(recording: RecordedHistory) -> list[str]:
 
 
 def worst_source(recording: RecordedHistory) -> str:
-    """Return the source with the longest own outage; empty if none was out."""
+    """Return the source with the longest outage not caused by another source; empty if no source was out."""
     seconds = _seconds_out(recording, root_outages(outages(recording)))
     return max(seconds, key=lambda source: seconds[source], default="")
 
@@ -71,7 +71,7 @@ def _worst_source_sentence(recording: RecordedHistory, found: Sequence[SourceOut
 
 
 def _cause_sentence(recording: RecordedHistory, found: Sequence[SourceOutage]) -> str:
-    """Return the sentence about each source that failed, and the sources and angles affected by it."""
+    """Return the sentence about each source that failed, and the sources and angles affected by this source."""
     roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
     if not roots:
         unsafe = [name for name in ANGLES if _was_not_always_safe(recording, name)]

@@ -13,7 +13,7 @@ from ship_watch.history import ParameterEstimate
 from ship_watch.suite_state import ANGLES, Safety
 
 _NEEDS = "needs "
-"""Prefix of the reason of a source that is out because of another one."""
+"""Prefix of the reason for an outage that is caused by another source."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class SourceOutage:
 
     @property
     def text(self) -> str:
-        """The outage for a sentence: "12:00:05 to 12:00:20 (no data)"."""
+        """Text of the outage for a sentence: "12:00:05 to 12:00:20 (no data)"."""
         return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
 
 
 def outages(recording: RecordedHistory) -> list[SourceOutage]:
-    """Return the outages of all sources; an outage whose reason changes is still one."""
+    """Return the outages of all sources; an outage whose reason changes counts as one outage."""
     found: list[SourceOutage] = []
     last: dict[str, int] = {}
     for event in recording.events:
@@ -73,7 +73,7 @@ def outage_rows(recording: RecordedHistory) -> list[dict[str, str]]:
 
 
 def shares(recording: RecordedHistory) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
-    """Return angle, share of the time of each state and seconds of each state, for the angles published."""
+    """Return angle, share of the time of each state and seconds of each state, for each published angle."""
     rows = []
     for name in ANGLES:
         seconds = recording.seconds(name)
@@ -83,7 +83,7 @@ def shares(recording: RecordedHistory) -> list[tuple[str, dict[str, float], Coun
 
 
 def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[ParameterEstimate]) -> list[dict[str, str]]:
-    """Return a row for each parameter: first and last estimate with their σ, and the change in sigmas of the first."""
+    """Return a row for each parameter: first and last estimate with their σ, and the change over the first σ."""
     first = {shown.name: shown for shown in before}
     rows = []
     for shown in after:
@@ -122,7 +122,7 @@ def rejection_rows(recording: RecordedHistory) -> list[dict[str, str]]:
 
 
 def shown_value(shown: ParameterEstimate) -> float:
-    """Return the value of a parameter, an angle wrapped to -pi to pi, so that azimuths around 0 do not jump to 360°."""
+    """Return the value of a parameter; angles from -pi to pi, so that azimuths around 0 do not jump to 360°."""
     return float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
 
 

@@ -62,7 +62,7 @@ def utc_axis(axes: Axes, start_ns: int, most_labels: int = 8) -> None:
 
 
 def gap_times(time_ns: np.ndarray) -> np.ndarray:
-    """Return the middle of each gap longer than three usual periods. Shape (k,).
+    """Return the middle of each gap that is longer than three median periods, shape (k,).
 
     Args:
         time_ns: stamps in ascending order, shape (n,).
@@ -78,7 +78,7 @@ def gap_times(time_ns: np.ndarray) -> np.ndarray:
 def with_gaps(
     time_ns: np.ndarray, gaps_ns: np.ndarray, *columns: FloatArray
 ) -> tuple[np.ndarray, tuple[FloatArray, ...]]:
-    """Return stamps and values with a NaN at each gap, so that no line is drawn through it.
+    """Return stamps and values with a NaN at each gap, so that no line is drawn through the gap.
 
     Args:
         time_ns: stamps, shape (n,).

@@ -1,8 +1,8 @@
 """Hours without faults: exclusions, availability, protection levels and consistency of the covariances.
 
-A voyage is simulated and passed to the core of its node in this process, without messages and files, so a hundred hours
-take about one. Outputs are requested once a second; exclusions and unresolved faults are recorded after every
-measurement.
+A voyage is simulated and passed to the core of its node in this process, without messages and files, so that a hundred
+hours of voyage take about one hour. Outputs are requested once a second; exclusions and unresolved faults are recorded
+after every measurement.
 """
 
 import dataclasses
@@ -38,14 +38,14 @@ TWO, THREE, THEODOLITE = "two sensors", "three sensors", "theodolite"
 ALERT_LIMIT_ARCSEC = {TWO: 30.0, THREE: 12.0}
 """Kind of voyage → alert limit within which its attitude must be available."""
 SETTLED_S = 600.0
-"""Time after which availability, unresolved faults and RMS count, s: the INS's correlated error is estimated by then.
-"""
+"""Time after which availability, unresolved faults and RMS are counted, s. By then, the correlated error of the INS is
+estimated."""
 BEYOND_SIGMAS = 5.0
 
 _SLOW_INS_HZ = 20.0
 _AZIMUTHS_DEG = {"fore": 0.0, "starboard": 120.0, "port": 240.0}
 _KINDS_PERIOD = 10
-"""Number of voyages after which the kinds repeat: eight of the ship, one with the INS's full rate, one theodolite."""
+"""Number of voyages after which the kinds repeat: eight ships, one ship with the INS's full rate, one theodolite."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +97,15 @@ class VoyageStatistics:
     """Statistics of a voyage.
 
     Attributes:
-        limit: alert limit of its levels, rad; infinite if there is none.
-        exclusions: (s, source) of each exclusion.
-        degradations: (s, reason) of each time after settling at which an output became DEGRADED.
+        limit: alert limit of the protection levels, rad; infinite without limit.
+        exclusions: time (s) and source of each exclusion.
+        degradations: time (s) and reason of each change to DEGRADED after settling.
         seconds: number of outputs, one a second.
-        settled: number of these after settling.
-        available: number of these that are VALID with every level within the limit.
+        settled: number of outputs after settling.
+        available: number of outputs after settling that are VALID with every level within the limit.
         beyond_sigmas: number of VALID outputs with an error above five sigmas.
-        beyond_level: number of VALID outputs with an error above their level.
-        worst_over_level: largest error over its level.
+        beyond_level: number of VALID outputs with an error above the protection level.
+        worst_over_level: largest ratio of an error to its protection level.
         worst_level: largest level of a settled output, rad.
         squares: sum of the squared errors of the settled outputs, rad², shape (3,).
         nees: NEES of the last output.
@@ -229,7 +229,7 @@ def _record_output(
     truth: FloatArray,
     cos_elevation: bool,
 ) -> None:
-    """Compare an output with the truth, in the angles that its levels bound."""
+    """Compare an output with the truth, in the angles to which the protection levels refer."""
     since_s = (estimate.time_ns - run.start_ns) / SECOND_NS
     first, second, _ = angles_from_rotation(rotation)
     to_angles = angle_errors_from_rotation_vector(first, second)
@@ -241,7 +241,7 @@ def _record_output(
 
 
 def by_kind(results: list[Result]) -> Iterator[tuple[str, list[Result]]]:
-    """Yield the results of each kind present."""
+    """Yield each kind that has results, with these results."""
     for kind in (TWO, THREE, THEODOLITE):
         if found := [result for result in results if result["kind"] == kind]:
             yield kind, found

@@ -1,16 +1,16 @@
-"""Evaluation of a voyage's faults: was each detected, which source was named, and what was published meanwhile.
+"""Evaluation of the faults of a voyage: detection, named source, and errors of the outputs published meanwhile.
 
 Only outputs are evaluated (:mod:`ship_replay.trials.voyage_outputs`). Indications that also occur in the same voyage
 without faults are ignored. A fault begins with the first message that it changes.
 
-**The named source** is the first one reported to a watch officer:
+**The named source** is the first source reported to a watch officer:
 
 1. An excluded source, or a source that is repeatedly rejected for its own form, stamps or sequence of values, whichever
 is first. If an exclusion is first, all excluded sources must be faulty. If a rejection is first, later exclusions of
 other sources do not matter.
-2. Without these, the first source that is repeatedly rejected in comparison with others.
+2. Without such a source, the first source that is repeatedly rejected in comparison with other sources.
 
-A rejection in comparison does not name a source while another one is excluded: correct lights or stars are also
+A rejection in comparison does not name a source while another source is excluded: correct lights or stars are also
 rejected if encoders or position are wrong.
 
 A name is correct if it refers to the faulty source (:func:`is_faulty_source`). The names of sources are those of
@@ -34,7 +34,7 @@ SETTLING_S = 3.0
 """Time after the end of a fault within which its effects are still reported, s."""
 
 _SAME_TIME_NS = NS_PER_S // 2
-"""A status is ignored if the fault-free voyage has one as bad within this time, ns."""
+"""A status is ignored if the fault-free voyage has an equal or worse status within this time, ns."""
 
 _LEAST_REFUSALS = 2
 EXCEEDANCE_SIGMAS = 5.0
@@ -54,11 +54,12 @@ class FaultOutcome:
         changed: number of messages that the fault changed.
         detected: True if a status left VALID, the faulty source was named, or any source was excluded; a status caused
             by an earlier fault does not count.
-        attributed: True if the named source is the faulty one.
-        alert_s: time from the first changed message to the first indication or non-VALID output; NaN if there is none.
+        attributed: True if the named source is the faulty source.
+        alert_s: time from the first changed message to the first indication of the faulty source or non-VALID output;
+            NaN without both.
         named: source → number of indications.
         worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
-        worst_over_level: largest ratio of this error to its protection level; NaN if there was no level.
+        worst_over_level: largest ratio of an error of a VALID output to its protection level; NaN without level.
         beyond_s: total time with VALID outputs whose errors exceed five sigmas.
         longest_beyond_s: longest uninterrupted time with such outputs.
     """
@@ -81,9 +82,9 @@ def evaluate_fault(
 
     Args:
         fault: the fault.
-        changed_ns: fault-free arrival times of the messages that it changes, in order; at least one.
+        changed_ns: arrival times, without faults, of the messages that the fault changes, in order; at least one.
         outputs: outputs of the voyage.
-        fault_free: the same voyage without faults.
+        fault_free: replay of the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.
     """
     start_ns, first_ns = fault_free.start_ns, int(changed_ns[0])
@@ -135,9 +136,9 @@ def first_named_sources(indications: Sequence[FaultIndication]) -> set[str]:
 def is_faulty_source(name: str, fault: Fault) -> bool:
     """True if a name in the outputs refers to the source with the fault.
 
-    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a: also to a
-    fault of a single light in the image, but not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the
-    ship's attitude in the theodolite's filter, and therefore also to faults of the INS.
+    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a. It also
+    refers to a fault of a single light in the image, but not to a rotated telescope. ``ship`` and ``ship_attitude``
+    refer to the ship's attitude in the theodolite's filter, and therefore also to faults of the INS.
     """
     topic = fault.topic
     kind, _, rest = topic.partition("/")
@@ -190,7 +191,7 @@ def _first_not_valid(
 def exceedance_durations(valid_outputs: Sequence[ValidOutput]) -> tuple[float, float]:
     """Return total and longest uninterrupted time with VALID outputs whose errors exceed five sigmas, s.
 
-    Each value is the larger one of the two outputs. An output that is not VALID interrupts the time.
+    Each value is the larger of the values for attitude and pointing. An output that is not VALID interrupts the time.
     """
     total, longest, most_ns = 0, 0, round(1.5 * _PERIOD_S * NS_PER_S)
     for topic in INTEGRITY_TOPICS:

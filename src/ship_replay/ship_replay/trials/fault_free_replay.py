@@ -1,4 +1,4 @@
-"""Replay of a voyage without faults: reference for faults on it, and which of them are undetectable.
+"""Replay of a voyage without faults, as reference for the same voyage with faults, and cases of undetectable faults.
 
 The undetectable cases are those of ``docs/explanation/integrity.md``. Their limits are documented there, with
 measurements on both sides of each limit.
@@ -16,7 +16,7 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 
 MEASUREMENTS = 3
-"""Maximum number of measurements of its source until a step is detected, if longer than a second."""
+"""Maximum number of measurements of a source until its step is detected, if they take longer than a second."""
 
 _DETECTABLE_SHIFT_ARCSEC = 13.0
 """Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
@@ -26,7 +26,7 @@ _DETECTABLE_SLIP_SIGMAS = 13.0
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
 _INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
-"""Drift rates below which the drift is detected before an output exceeds five sigmas, arcsec/min."""
+"""Drift rates below which a drift is detected before the error of an output exceeds five sigmas, arcsec/min."""
 
 _SMALL_STEP_SIGMAS = 11.0
 """INS step, in sigmas of a sample, below which several samples may be needed for detection
@@ -46,7 +46,7 @@ class FaultFreeReplay:
         outputs: outputs of the nodes.
         arrivals_ns: input topic → arrival times of its messages, in order.
         beacon_times_ns: arrival times of the images with a light, in order.
-        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN if there is none.
+        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without ``optical_axis``.
         ins_sigma_arcsec: noise of a sample of the INS; NaN without ``ship_attitude``.
         start_ns: beginning of the bag.
         end_ns: end of the bag.
@@ -73,13 +73,13 @@ class FaultFreeReplay:
         """Return the undetectable case that a fault belongs to; empty if it is detectable.
 
         Args:
-            fault: the fault; it changes at least one message.
-            first_ns: arrival time of the first of these.
+            fault: fault that changes at least one message.
+            first_ns: arrival time of the first changed message.
         """
         return next((row for row, holds in _UNDETECTABLE.items() if holds(self, fault, first_ns)), "")
 
     def _is_slip_without_lights(self, fault: Fault, first_ns: int) -> bool:
-        """True for an encoder slip too small for the readings themselves while no light is in view."""
+        """True for an encoder slip too small to be detected from the readings, while no light is in view."""
         if fault.kind != "slip":
             return False
         size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
@@ -88,26 +88,26 @@ class FaultFreeReplay:
         return not in_view.any() and size_arcsec < _DETECTABLE_SLIP_SIGMAS * self.encoder_sigma_arcsec
 
     def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for an azimuth drift of the encoders: lights and axis errors absorb it until the subfilters separate."""
+        """True for an encoder drift in azimuth, ascribed to lights and axis errors until the subfilters separate."""
         is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
         return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_DRIFT_ARCSEC_PER_MIN
 
     def _is_ins_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for an INS drift with two star sensors.
 
-        The correlated error of the INS absorbs it until its rates or the subfilters show it.
+        The drift is ascribed to the correlated error of the INS until the INS rates or the subfilters contradict this.
         """
         return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
 
     def _is_star_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for a drift of one of two star sensors.
 
-        The INS nearly explains it, and about one axis the sensor is the best source.
+        The drift is nearly consistent with the INS, and about one axis the sensor is the most accurate source.
         """
         return fault.topic.startswith(_STARS) and self._is_drift_with_two_sensors(fault, _STAR_DRIFT_ARCSEC_PER_MIN)
 
     def _is_drift_with_two_sensors(self, fault: Fault, arcsec_per_min: float) -> bool:
-        """True if a fault is a faster drift than this about an axis, with fewer than three star sensors."""
+        """True if a fault is a drift faster than a limit about an axis, with fewer than three star sensors."""
         if fault.kind != "drift":
             return False
         rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min
@@ -115,7 +115,7 @@ class FaultFreeReplay:
         return max(map(abs, rates)) > arcsec_per_min and len(sensors) < _MIN_SENSORS_TO_ISOLATE
 
     def _is_small_ins_step(self, fault: Fault, first_ns: int) -> bool:
-        """True for an INS step too small for a single sample."""
+        """True for an INS step too small to be detected in a single sample."""
         size_arcsec = max(abs(fault.north_arcsec), abs(fault.up_arcsec), abs(fault.east_arcsec))
         return fault.kind == "bias" and fault.topic == _INS and size_arcsec < _SMALL_STEP_SIGMAS * self.ins_sigma_arcsec
 
@@ -125,7 +125,7 @@ class FaultFreeReplay:
         return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _DETECTABLE_SHIFT_ARCSEC
 
     def _is_star_shift_without_stars(self, fault: Fault, first_ns: int) -> bool:
-        """True for a shift of a star sensor while no star was visible: the INS's drift meanwhile is as uncertain."""
+        """True for a shift of a star sensor after a time without stars, in which the INS may have drifted as much."""
         if fault.kind != "knock" or not fault.topic.startswith(_STARS):
             return False
         by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
@@ -152,4 +152,4 @@ UNDETECTABLE_CASES = tuple(_UNDETECTABLE)
 """Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
 
 UNREPORTED_CASES = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
-"""Undetectable cases that need not be reported; in the others an output may be VALID and wrong before detection."""
+"""Undetectable cases that need not be reported. In the other cases an output may be VALID and wrong until detection."""

@@ -23,7 +23,7 @@ _IN_TIME, _NAMED = 0.99, 0.95
 """Required shares of large steps detected in time, and of detected single faults attributed to the right source."""
 
 _LONGEST_BEYOND_S = 2.0
-"""Maximum time for which an output is VALID above five sigmas with overlapping faults, s."""
+"""Maximum time for which an output may be VALID with an error above five sigmas under overlapping faults, s."""
 
 THREAT_HEAD = (
     "threat", "count", "detected", "attributed", "alert s: median", "99 %", "worst σ", "beyond 5σ", "longest s",
@@ -39,7 +39,7 @@ def results_file(path: Path, fresh: bool = False) -> ResultsFile:
     """Return the file of results of voyages with faults.
 
     Raises:
-        BadInput: a line before the last is not a result, or one of another evaluation.
+        BadInput: a line before the last is not a result, or is a result of another evaluation.
     """
     return ResultsFile(path, _key, fresh)
 
@@ -51,7 +51,7 @@ def _key(result: Result) -> tuple[int, str, str]:
 
 
 def threat_rows(results: Sequence[Result]) -> list[Row]:
-    """Return one row per threat, and one for all of them."""
+    """Return one row per threat, and one row for all threats."""
     by_threat: dict[str, list[Result]] = defaultdict(list)
     for fault in _evaluated_faults(results):
         by_threat[fault["threat"]].append(fault)
@@ -87,13 +87,13 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
         for first, second in combinations(faults, 2):
             if max(first["start_s"], second["start_s"]) < min(first["end_s"], second["end_s"]):
                 key = tuple(sorted((first["threat"], second["threat"])))
-                # Outputs after the later beginning count for the pair.
+                # The later fault counts for the pair, as its outputs begin with both faults present.
                 pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
     rows = [
         (f"{pair[0]} + {pair[1]}", len(faults), [_maximum(faults, name) for name in _PAIR_VALUES])
         for pair, faults in pairs.items()
     ]
-    # The longest wrong output first, then the largest; NaN last.
+    # The pair with the longest wrong output is first, then that with the largest error; NaN is last.
     rows.sort(key=lambda row: (*(1.0 if math.isnan(value) else -value for value in row[2]), row[0]))
     return [(pair, str(count), *map(_number, values)) for pair, count, values in rows]
 
@@ -144,13 +144,13 @@ def totals(results: Sequence[Result]) -> Totals:
 
 
 def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
-    """Return for each bound of single faults True if it is met, and its text."""
+    """Return each bound of single faults as True if it is met, and its text."""
     undetectable = [fault for fault in single if fault["threat"] in UNDETECTABLE_CASES]
     detectable = [fault for fault in single if fault["threat"] not in UNDETECTABLE_CASES]
     exceeded, exceeding = _count_above(single, _LEVEL, 1.0), _count_above(detectable, "worst_sigmas", EXCEEDANCE_SIGMAS)
     all_large = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
     large = [fault for fault in all_large if fault["threat"] not in UNREPORTED_CASES]
-    # With fewer measurements the time for detection was not over.
+    # A step with fewer changed measurements ended before it had to be detected.
     steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS]
     detected = [fault for fault in single if fault["detected"]]
     data_like = [fault for fault in detected if fault["threat"] in _DATA_LIKE]

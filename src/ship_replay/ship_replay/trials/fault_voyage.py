@@ -1,4 +1,4 @@
-"""One voyage with faults: drawn, injected, replayed through the nodes in this process, and evaluated."""
+"""One voyage with faults: faults are drawn, injected, replayed through the nodes in this process, and evaluated."""
 
 import dataclasses
 import math
@@ -55,14 +55,14 @@ class Voyage:
 
 
 def voyages(bags: Sequence[Path], count: int, modes: Sequence[str] = (SINGLE, OVERLAPPING)) -> list[Voyage]:
-    """Return voyages over some bags in turn, and with each bag the modes in turn."""
+    """Return voyages that use the bags in turn, and with each bag the modes in turn."""
     return [
         Voyage(number, bags[number % len(bags)], modes[number // len(bags) % len(modes)]) for number in range(count)
     ]
 
 
 def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> Path:
-    """Create the bag of a scenario with a maximum length; an existing file is used as it is."""
+    """Create the bag of a scenario, cut to a maximum length, unless the file exists."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         scenario = load_scenario(scenario_path)
@@ -76,7 +76,7 @@ def run_voyage(voyage: Voyage, fault_free: FaultFreeReplay) -> dict[str, Any]:
 
     Args:
         voyage: the voyage.
-        fault_free: the same voyage without faults.
+        fault_free: replay of the same voyage without faults.
     """
     start_s = time.monotonic()
     with read_bag(voyage.bag) as bag:
@@ -156,7 +156,7 @@ def replay_fault_free(path: Path) -> FaultFreeReplay:
 
 
 def replay_injection(injection: Injection) -> VoyageOutputs:
-    """Return the outputs of the nodes, in this process, for a bag with faults."""
+    """Replay a bag with faults through the nodes in this process; return the outputs."""
     with read_bag(injection.path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         input_topic_names = {topic.topic for topic in chain.inputs}
@@ -196,7 +196,7 @@ def _truths_of(path: Path) -> dict[str, Truth]:
 
 
 def _truths(bag: Bag) -> dict[str, Truth]:
-    """Return the truth of a bag; it is the same with all faults."""
+    """Return the truth of a bag, which faults do not change."""
     return _truths_of(bag.path)
 
 
@@ -217,7 +217,7 @@ def _fault_as_dict(one: DrawnFault) -> dict[str, Any]:
 
 
 def _json_value(value: Any) -> Any:
-    """Return a value for JSON: null for NaN."""
+    """Return a value for JSON: None for NaN, 1e300 for infinity."""
     if isinstance(value, float):
         return round(value, 4) if math.isfinite(value) else None if math.isnan(value) else 1e300
     return value

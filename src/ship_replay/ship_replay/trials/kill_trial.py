@@ -1,4 +1,4 @@
-"""Kill −9 of a recorder or of a node with a black box at a random time, and the data left on the disk."""
+"""Kill by SIGKILL of a recorder or of a node with a black box at a random time, and the data left on the disk."""
 
 import os
 import random
@@ -37,18 +37,18 @@ _SUITE = "/**/ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
 class KillTrial:
     """Result of one kill.
 
-    A recorder must keep the samples sent to it. A node must keep the attitudes that it published, and so the samples
-    they were made from; samples still in its queue were not used.
+    A recorder must keep the samples sent to it. A node must keep the attitudes that it published, with the samples from
+    which these were computed. Samples still in the node's queue were not used.
 
     Attributes:
         sent_count: number of messages before the kill that must be kept.
-        kept_count: number of these on the disk.
-        lost_s: missing time, from the first of them that is not on the disk to the last; 0 if all are. Pauses of the
-            node before the kill do not count: the middleware may block it for hundreds of milliseconds when a
-            subscriber joins.
+        kept_count: number of these messages on the disk.
+        lost_s: time from the first message that is not on the disk to the last message; 0 if all are on the disk. A
+            pause of the node before the kill does not count: the middleware may block the node for hundreds of
+            milliseconds when a subscriber joins.
         has_gap: True if a message is missing before one that is on the disk.
         recovered_count: number of messages of all topics in the recovered file, by ``rosbags``.
-        readable_counts: numbers of messages of all topics in the killed file, and in the recovered one by the seeking
+        readable_counts: numbers of messages of all topics in the killed file, and in the recovered file by the seeking
             ``mcap`` reader.
     """
 
@@ -66,7 +66,7 @@ class KillTrial:
 
 
 def kill_recorder(folder: Path, seed: int, flush_period_s: float) -> KillTrial:
-    """Kill `record`.
+    """Kill the recorder ``record``; return the result.
 
     Args:
         folder: folder for logs and bags.
@@ -80,11 +80,11 @@ def kill_recorder(folder: Path, seed: int, flush_period_s: float) -> KillTrial:
 
 
 def kill_node(folder: Path, seed: int) -> KillTrial:
-    """Kill the ship-attitude node, which writes its black box."""
+    """Kill the ship-attitude node while it writes its black box; return the result."""
     path = folder / f"box_{seed}.mcap"
     suite = folder / "suite.yaml"
     suite.write_text(_SUITE, encoding="utf-8")
-    # Reliable transport: a message missing on the disk must be lost by the black box.
+    # With reliable transport, a message missing on the disk was lost by the black box.
     reliable = ["-p", f"qos_overrides./{_TOPIC}.subscription.reliability:=reliable"]
     arguments = ["--ros-args", "--params-file", str(suite), "-p", f"black_box:={path}", *reliable]
     return _trial([*executable("ship_attitude_star", "ship_attitude"), *arguments], folder, path, seed, _ATTITUDE_TOPIC)
@@ -92,7 +92,7 @@ def kill_node(folder: Path, seed: int) -> KillTrial:
 
 def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_topic: str | None) -> KillTrial:
     killed_after_s = random.Random(seed).uniform(_EARLIEST_S, _LATEST_S)
-    # A packet lost on the way would delay later ones for seconds, which is not an effect of the disk.
+    # A packet lost on the way would delay later packets for seconds, which is not an effect of the disk.
     use_dds_profile()
     domain_id = free_domain_id()
     environment = live_environment(domain_id, folder / "ros")
@@ -165,14 +165,14 @@ class _Sender:
 
 
 def _shared_memory(pid: int) -> list[Path]:
-    """Return the shared-memory files of a process that remain after a kill, without the ports, which others may use."""
+    """Return the shared-memory files that remain after a process is killed, except ports that others may use."""
     mapped = {line.split(maxsplit=5)[-1] for line in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()}
     segments = [path for path in mapped if path.startswith("/dev/shm/fast") and "fastrtps_port" not in path]
     return [Path(path + suffix) for path in segments for suffix in ("", "_el")]
 
 
 def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
-    """Send samples until one is on the disk: then both ends are connected."""
+    """Send samples until one is on the disk, which shows that both ends are connected."""
     deadline_s = time.monotonic() + _START_S
     while not _has_samples(path):
         if process.exit_code is not None or time.monotonic() > deadline_s:

@@ -32,12 +32,12 @@ def free_domain_id() -> int:
     """Return a ROS domain without any participant on this machine.
 
     Raises:
-        OSError: all are in use.
+        OSError: all domains are in use.
     """
     # Parallel runs search in different orders, so that they do not collide.
     for step in range(_LAST_DOMAIN):
         domain = 1 + (os.getpid() + _DOMAIN_STEP * step) % _LAST_DOMAIN
-        # All ports: the first participant may have left before the others.
+        # All ports are tested, because the first participant may have left before the others.
         if all(_is_port_free(_FIRST_PORT + _PORTS_PER_DOMAIN * domain + 2 * number) for number in range(_PARTICIPANTS)):
             return domain
     raise OSError("no ROS domain is free on this machine: end other ROS programs")
@@ -85,7 +85,7 @@ class LiveProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """Exit code; None while it runs, negative after a signal."""
+        """Exit code; None while the process runs, negative after a signal."""
         return self._process.poll()
 
     @property
@@ -98,10 +98,10 @@ class LiveProcess:
         return self.log_path.read_text(encoding="utf-8", errors="replace")
 
     def wait(self, timeout_s: float) -> int:
-        """Wait for its end and return the exit code.
+        """Wait for the end of the process and return the exit code.
 
         Raises:
-            subprocess.TimeoutExpired: it still runs after `timeout_s`.
+            subprocess.TimeoutExpired: the process still runs after `timeout_s`.
         """
         return self._process.wait(timeout_s)
 
@@ -109,7 +109,7 @@ class LiveProcess:
         """Send a signal, wait for the end and return the exit code.
 
         Raises:
-            subprocess.TimeoutExpired: it did not end.
+            subprocess.TimeoutExpired: the process did not end.
         """
         if self._process.poll() is None:
             self._process.send_signal(how)
@@ -129,7 +129,7 @@ class LiveProcess:
 
 
 class GraphObserver:
-    """A node in a domain for waiting; use it in a ``with`` statement.
+    """A node that waits for publishers, subscribers and messages in a domain; use it in a ``with`` statement.
 
     The environment of this process must limit discovery to this machine, see :func:`live_environment`.
     """
@@ -151,10 +151,10 @@ class GraphObserver:
         """Wait until topics have the given minimum numbers of publishers and subscribers; return False on timeout.
 
         Args:
-            publishers: topic → number.
-            subscribers: topic → number.
+            publishers: topic → minimum number of publishers.
+            subscribers: topic → minimum number of subscribers.
             timeout_s: maximum steady time to wait.
-            unless: stops waiting if true, e.g. if the process waited for has ended.
+            unless: function that ends the wait if it returns True, e.g. if the observed process has ended.
         """
         deadline_s = time.monotonic() + timeout_s
         while not unless() and time.monotonic() < deadline_s:
@@ -182,7 +182,7 @@ class GraphObserver:
         self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.executor.shutdown()
-        # The node holds the DDS participant, and two participants of one process can deadlock while a third
-        # one disappears.
+        # Destroying the node removes its DDS participant: two participants of one process can deadlock while a third
+        # participant disappears.
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)

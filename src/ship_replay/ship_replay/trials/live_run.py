@@ -1,4 +1,4 @@
-"""A node of the suite live over one bag: node, recorder and player as processes that communicate over DDS."""
+"""Live run of a node with one bag: node, recorder and player are processes that communicate over DDS."""
 
 import contextlib
 import time
@@ -45,11 +45,11 @@ class LiveRun:
         parameters: parameters that override those of the bag's configuration.
 
     Attributes:
-        recorded_path: the recorded bag.
-        played_topics: inputs of the node and truth, as in the bag.
-        node: the node's process.
-        environment: environment of the processes, with a domain of their own.
-        observer: a node in the same domain, for services and waiting.
+        recorded_path: path of the recorded bag.
+        played_topics: topics of the node's inputs and of the truth, with their names in the bag.
+        node: process of the node.
+        environment: environment of the processes, with a ROS domain that only this run uses.
+        observer: another node in this domain, for services and waiting.
 
     Raises:
         BadInput: bag or configuration cannot be used, or an executable is not installed.
@@ -89,7 +89,7 @@ class LiveRun:
 
         Args:
             rate: seconds of the bag per second.
-            report_elapsed: called periodically with the steady time since the start.
+            report_elapsed: function that is called periodically with the steady time since the start, s.
 
         Raises:
             LiveFailure: a process failed.
@@ -109,7 +109,7 @@ class LiveRun:
         self._wait_for_recorder()
 
     def _wait_for_node(self) -> None:
-        """Wait until the node has processed all its inputs: it answers a request in order of arrival."""
+        """Wait until the node has processed all inputs: it answers a request after the inputs received before."""
         name = f"/{self._node_name}/get_parameters"
         client = self.observer.node.create_client(GetParameters, name)
         request = GetParameters.Request(names=["use_sim_time"])
@@ -157,7 +157,7 @@ class LiveRun:
         return LiveProcess(command, self._folder / f"{name}.log", self.environment)
 
     def _start_recorder(self, stack: contextlib.ExitStack) -> LiveProcess:
-        """Start the recorder once the node is running; both are connected on return."""
+        """Start the recorder once the node is running; node and recorder are connected on return."""
         there = {f"/{topic}": 1 for topic in self._outputs}
         if not self.observer.wait_for(there, timeout_s=_START_S, unless=lambda: self.node.exit_code is not None):
             raise LiveFailure(_failure_text(self.node, "the node"))

@@ -1,6 +1,6 @@
-"""The filters with the main filter only: cost of the subfilters, and proof that they do not change the output.
+"""Filters without subfilters, to measure the cost of subfilters and to show that they do not change the outputs.
 
-``make bench`` measures the cost. On a voyage without faults the outputs are the same.
+``make bench`` measures the cost. On a voyage without faults, the outputs with and without subfilters are equal.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ from theodolite_calib.measured.samples import ExposureDecision
 
 
 class ShipFilterWithoutSubfilters(ShipFilter):
-    """The ship's filter step without subfilters; it uses every measurement that can be evaluated."""
+    """The ship's filter step without subfilters, which uses every measurement that can be evaluated."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         super().__init__(config)

@@ -1,7 +1,7 @@
-"""Monte Carlo consistency of the filters: simulated runs through their cores, errors compared with covariances.
+"""Monte Carlo consistency of the filters: their cores process simulated runs; errors are compared with covariances.
 
 For ``ship_attitude`` the error at the end of each run counts, for ``optical_axis`` the errors of a whole session.
-Errors within one run are correlated, those of different seeds are not.
+Errors within one run are correlated; errors of runs with different seeds are not.
 """
 
 from collections.abc import Container, Iterator
@@ -61,7 +61,7 @@ class FinalError:
     Attributes:
         seed: seed of the run.
         angles: error of heading, pitch, roll (true minus estimate), rad, shape (3,).
-        sigma: predicted standard deviations of the same, rad, shape (3,).
+        sigma: predicted standard deviations of these angles, rad, shape (3,).
         nees: normalised error squared, three degrees of freedom.
         rejected_count: number of measurements that were not used.
     """
@@ -88,8 +88,8 @@ def error_at_end(
     Args:
         run: simulated run with its truth.
         seed: seed of the run.
-        rotation_nd: horizon from deck as estimated, shape (3, 3).
-        covariance_n: predicted covariance of its error, rad², shape (3, 3).
+        rotation_nd: estimated rotation horizon from deck, shape (3, 3).
+        covariance_n: predicted covariance of the attitude error, rad², shape (3, 3).
         rejected_count: number of measurements that were not used.
     """
     error_n = log_rotation(run.truth.rotation_nd[-1] @ rotation_nd.T)
@@ -101,7 +101,7 @@ def error_at_end(
 
 
 def core_for(scenario: Scenario) -> ShipAttitudeCore:
-    """Return a core with the configuration of a scenario, and with the sky if a sensor needs it."""
+    """Return a core with the configuration of a scenario, and with a sky model if a sensor needs it."""
     config = build(ShipAttitudeConfig, suite_configuration(scenario))
     return ShipAttitudeCore(config, load_sky_model(config.sky) if scenario.needs_sky else None)
 
@@ -139,11 +139,11 @@ def attitude_outcomes(
 
 
 class _InsBatches:
-    """INS samples, checked in batches as in a replay, up to the next wanted stamp.
+    """INS samples, checked in batches as in a replay; a batch ends at the next wanted stamp.
 
     Args:
-        core: the core.
-        run: the run.
+        core: core that processes the samples.
+        run: simulated run.
         wanted_ns: stamps at which an attitude is requested.
     """
 
@@ -254,10 +254,10 @@ class PointingErrors:
     Attributes:
         time_s: time after the start, shape (k,).
         error_n: rotation vectors, R_true = exp(error) R_estimate, rad, shape (k, 3).
-        covariance_n: predicted covariance, rad², shape (k, 3, 3).
+        covariance_n: predicted covariance of the errors, rad², shape (k, 3, 3).
         axis_n: true direction of the main axis, shape (k, 3).
         mode: pointing mode, shape (k,).
-        ins_encoder: error of the axis by INS and encoders alone, with the configured axis errors, rad, shape (k,).
+        ins_encoder: error of the axis computed from INS, encoders and configured axis errors alone, rad, shape (k,).
         sightings: number of exposures with lights or stars that were used.
         rejected_count: number of inputs and exposures that were not used.
     """
@@ -279,7 +279,7 @@ class PointingErrors:
 
     @property
     def sigma_on_sky(self) -> FloatArray:
-        """Predicted standard deviation of that angle (root mean square over directions), rad, shape (k,)."""
+        """Predicted standard deviation of the error on the sky (root mean square over directions), rad, shape (k,)."""
         along = np.einsum("ki,kij,kj->k", self.axis_n, self.covariance_n, self.axis_n)
         sigma: FloatArray = np.sqrt(np.trace(self.covariance_n, axis1=-2, axis2=-1) - along)
         return sigma
@@ -310,7 +310,7 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
 
 
 def pointing_core_for(scenario: Scenario) -> OpticalAxisCore:
-    """Return a core with the configuration of a scenario, and with the sky if a camera needs it."""
+    """Return a core with the configuration of a scenario, and with a sky model if there is a camera."""
     config = build(OpticalAxisConfig, optical_axis_configuration(scenario))
     return OpticalAxisCore(config, load_sky_model(config.sky) if config.telescopes else None)
 
@@ -327,7 +327,7 @@ def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
 
 
 def _ins_encoder_errors(run: SimulatedRun) -> FloatArray:
-    """Return the error of the axis by INS and encoders alone at the stamps of the truth, rad, without INS noise."""
+    """Return the error of the axis computed from INS and encoders alone, rad, without INS noise, at the true stamps."""
     theodolite, ins = theodolite_of(run), run.truth.ins
     index, mount = theodolite.truth.encoder_index, theodolite.truth.mount
     time_ns = theodolite.encoder.time_ns[index]
@@ -384,7 +384,7 @@ def feed_arrival(core: OpticalAxisCore, run: SimulatedRun, source: str, index: i
         return core.add_stars(_exposure_of(source, run.scenario.telescopes[name], theodolite.stars[name], index))
     if kind in SKY_SOURCES:
         return core.add_surroundings(sky_input(run, source, index))
-    # ins: contained in the fused attitude; target: its direction changes no pointing.
+    # The INS is contained in the fused attitude; the direction of a target changes no pointing.
     return PointingOutcome()
 
 

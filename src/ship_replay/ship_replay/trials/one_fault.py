@@ -1,4 +1,4 @@
-"""Detailed report on one fault: outputs over time, sources named, and errors."""
+"""Detailed report on one fault: outputs over time, named sources, and errors."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -25,11 +25,11 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
 
     Args:
         path: bag without faults.
-        words: the fault, as ``topic: ins/imu, kind: bias, start_s: 20, up_arcsec: 30``.
+        words: text of the fault, such as ``topic: ins/imu, kind: bias, start_s: 20, up_arcsec: 30``.
         seed: seed of the fault.
 
     Raises:
-        BadInput: the words are no fault, or the bag cannot be used.
+        BadInput: the text does not describe a fault, or the bag cannot be used.
     """
     with read_bag(path) as bag:
         faults = load_faults(f"faults: {{one: {{{words}}}}}", input_topics(bag), "an input of the nodes")
@@ -60,7 +60,7 @@ def _seconds(time_ns: int, start_ns: int) -> str:
 
 
 def _worst_by_time(outputs: VoyageOutputs, start_ns: int) -> Iterator[str]:
-    """Yield the worst VALID output of each ten seconds."""
+    """Yield lines with the largest error of the VALID outputs in each ten seconds."""
     for topic in sorted({claim.topic for claim in outputs.valid_outputs}):
         yield f"worst error of {topic} while VALID, in each ten seconds (σ; share of the level):"
         claims = sorted(

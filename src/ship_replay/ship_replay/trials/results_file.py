@@ -11,7 +11,7 @@ from ship_bags.errors import BadInput
 from ship_bags.progress import with_count
 
 Result = dict[str, Any]
-"""Result of a voyage as plain data; ``voyage`` is its number."""
+"""Result of a voyage as plain data; the entry ``voyage`` is the number of the voyage."""
 
 
 class ResultsFile:
@@ -19,8 +19,8 @@ class ResultsFile:
 
     Args:
         path: path of the file; an incomplete last line of a killed run is removed.
-        key: returns the key of a result; raises KeyError or TypeError if it is not a result.
-        fresh: discard existing results.
+        key: function that returns the key of a result, and raises KeyError or TypeError for other data.
+        fresh: True to discard existing results.
 
     Raises:
         BadInput: a line before the last is not a result.
@@ -39,11 +39,11 @@ class ResultsFile:
         return key in self._known
 
     def results(self) -> list[Result]:
-        """Return the results, by the numbers of their voyages."""
+        """Return the results, sorted by the number of the voyage."""
         return sorted(self._results, key=lambda result: int(result["voyage"]))
 
     def add(self, result: Result) -> None:
-        """Append a result; it is on the disk on return."""
+        """Append a result, and return when the result is on the disk."""
         with open(self.path, "a", encoding="utf-8") as file:
             file.write(json.dumps(result) + "\n")
             file.flush()
@@ -73,7 +73,7 @@ def run_and_record(results: ResultsFile, processes: int, submit: Callable[[Execu
     Args:
         results: file of the results.
         processes: number of workers.
-        submit: submits the voyages to the workers; an interruption cancels those not started.
+        submit: function that submits the voyages to the workers; an interruption cancels voyages not yet started.
     """
     with ProcessPoolExecutor(processes) as pool:
         try:

@@ -1,7 +1,7 @@
-"""Random faults of a voyage: the threats, their sizes, and when each begins and ends.
+"""Random faults of a voyage: threats, sizes, and times at which each fault begins and ends.
 
-A threat is a kind of fault of one sort of topic, with realistic sizes. Faults that look like data come first; then
-input that is malformed, which is possible on every topic.
+A threat is a kind of fault on one sort of topic, with realistic sizes. The first table contains faults that look like
+data; the second table contains malformed input, which is possible on every topic.
 """
 
 import re
@@ -21,7 +21,7 @@ Draw = Callable[[np.random.Generator], Sizes]
 SINGLE, OVERLAPPING = "single", "overlapping"
 
 FIRST_START_S = 15.0
-"""Earliest beginning of a fault, s: the filter has converged."""
+"""Earliest beginning of a fault, s; the filter has converged by then."""
 
 SHORTEST_S, LONGEST_S = 6.0, 25.0
 _MOST_FAULTS = 5
@@ -38,11 +38,11 @@ class Threat:
 
     Attributes:
         label: name in tables.
-        topics: pattern of the topics it may affect.
+        topics: pattern of the topics that the threat may affect.
         kind: kind of the fault.
-        draw: draws its sizes.
-        sigma: standard deviation of one measurement, by the name of the size, to express a step in sigmas.
-        weight: relative frequency.
+        draw: function that draws the sizes of the fault.
+        sigma: name of a size → standard deviation of one measurement; None if the threat is not a step.
+        weight: relative frequency of the threat.
     """
 
     label: str
@@ -60,7 +60,7 @@ class Threat:
 
 
 def _size(names: tuple[str, ...], least: float, most: float) -> Draw:
-    """Return a function that draws one of some sizes, log-uniform in magnitude, with random sign."""
+    """Return a function that draws a value of one of the named sizes, log-uniform in magnitude, with random sign."""
 
     def draw(rng: np.random.Generator) -> Sizes:
         magnitude = float(np.exp(rng.uniform(np.log(least), np.log(most))))
@@ -145,14 +145,14 @@ BY_FORM = (
     Threat("flood", _ANY, "flood", _one_of(times=(5, 20), spread_s=(2.0, 10.0))),
     Threat("wrong id", _ANY, "wrong_id"),
 )
-"""Input that is malformed, or wrong in time."""
+"""Faults of input that is malformed, or wrong in time."""
 
 _SHARE_BY_FORM = 0.35
 
 
 @dataclass(frozen=True)
 class DrawnFault:
-    """A fault of a voyage with its row in the table of threats."""
+    """A fault of a voyage with its threat."""
 
     threat: Threat
     fault: Fault
@@ -166,7 +166,8 @@ def draw_faults(
     Args:
         topics: topic → type of the inputs that the nodes of the voyage use.
         length_s: length of the voyage.
-        mode: SINGLE: the next begins ``return_after_s`` after the end of the previous one; OVERLAPPING: at any time.
+        mode: SINGLE if a fault begins at least ``return_after_s`` after the end of the previous fault; OVERLAPPING if
+            faults begin at any time.
         return_after_s: time after which an excluded source is reinstated.
         rng: random generator.
     """
@@ -184,7 +185,7 @@ def draw_faults(
 
 
 def _draw_fault(topics: Mapping[str, str], start_s: float, end_s: float, rng: np.random.Generator) -> DrawnFault:
-    """Draw a fault: first the threat, among those possible with the topics, then the affected topic."""
+    """Draw a fault: first a threat that is possible with the topics, then the affected topic."""
     table = BY_FORM if rng.random() < _SHARE_BY_FORM else DATA_LIKE
     possible = [(threat, fitting) for threat in table if (fitting := _matching_topics(threat, topics))]
     weights = np.array([threat.weight for threat, _ in possible])
@@ -197,7 +198,7 @@ def _draw_fault(topics: Mapping[str, str], start_s: float, end_s: float, rng: np
 
 
 def _draw_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
-    """Draw a numeric field of a message, and a value it can hold."""
+    """Draw a numeric field of a message, and a value within the range of the field."""
     fields = numeric_fields(type_name)
     floats = [path for path, base in fields.items() if base.startswith("float")]
     path = str(rng.choice(list(fields) if kind == "corrupt" else floats))

@@ -1,7 +1,7 @@
 """Outputs of a voyage with faults: statuses, errors against the truth, and named sources.
 
-Three messages name sources: the innovations, the exclusions in ``ship/integrity`` and ``theodolite/integrity``, and
-``input_health``, which counts the rejections of a topic by reason and reports missing messages.
+Sources are named in the innovations, in the exclusions of ``ship/integrity`` and ``theodolite/integrity``, and in
+``input_health``. The latter contains the number of rejections of a topic by reason, and reports missing messages.
 """
 
 from collections import Counter
@@ -32,11 +32,11 @@ _IN_COMPARISON = frozenset(
         Reason.NO_FIX,
     )
 )
-"""Reasons for which a correct measurement may be rejected: the values it was compared with were wrong or missing."""
+"""Reasons for which a correct measurement may be rejected if the values for its comparison are wrong or missing."""
 
 _COMPARED_PREFIXES = ("star", "reference", "light", "telescope", "beacon", "baseline", "drone", "theodolite/beacons")
-"""Prefixes of the names of sources that are compared with an estimate. INS, encoders, fix and weather are not: their
-rejections refer to their own sequence of values."""
+"""Prefixes of the names of sources that are compared with an estimate. INS, encoders, fix and weather are not compared:
+their rejections refer to their own sequence of values."""
 
 _CONSEQUENCES = (EXCLUSION, Reason.EXCLUDED.word, Reason.REVISED.word)
 
@@ -47,10 +47,10 @@ _VALID = 0
 
 
 class FaultIndication(NamedTuple):
-    """A source was named: rejected, excluded, or without data.
+    """Report that a source is rejected, excluded, or without data.
 
     Attributes:
-        source: name used by the nodes; for ``input_health`` the topic.
+        source: name of the source as published; in ``input_health`` this is the topic.
         log_ns: time of the report.
         stamp_ns: stamp of the measurement, or of the report.
         reason: a word of :class:`ship_estimation.rejections.Reason`, EXCLUSION or NO_DATA.
@@ -74,10 +74,10 @@ class ValidOutput(NamedTuple):
 
     Attributes:
         topic: topic of the output.
-        stamp_ns: its stamp.
-        log_ns: its log time.
-        sigmas: largest error in sigmas.
-        level_ratio: largest error over its protection level; NaN if there is none.
+        stamp_ns: stamp of the output.
+        log_ns: log time of the output.
+        sigmas: largest error of an angle, in sigmas.
+        level_ratio: largest ratio of an error to its protection level; NaN without level.
     """
 
     topic: str
@@ -93,11 +93,11 @@ class VoyageOutputs:
 
     Attributes:
         valid_outputs: VALID outputs at stamps of the truth.
-        not_valid: (topic, stamp, log time, status) of the other outputs.
+        not_valid: (topic, stamp, log time, status) of the outputs that are not VALID.
         indications: each rejection, the beginning of each exclusion, and each report of an input without data or with
             new rejections for its own fault.
         failure_count: number of rejections because of a software failure.
-        output_count: number of statuses.
+        output_count: number of outputs with any status.
     """
 
     valid_outputs: list[ValidOutput] = field(default_factory=list)
@@ -111,7 +111,7 @@ class VoyageSink:
     """Sink that collects the outputs needed for the evaluation.
 
     Args:
-        truths: topic of an orientation → its truth.
+        truths: topic of an output → truth of its orientation.
     """
 
     def __init__(self, truths: Mapping[str, Truth]) -> None:
@@ -176,10 +176,10 @@ class VoyageSink:
 
 
 class HealthHistory:
-    """New entries in reports on inputs, each compared with the previous one of the same node and topic.
+    """Detector of new entries in reports on inputs, by comparison with the previous report of the same node and topic.
 
-    A report does not name its node. Nodes report at the same times in the same order, so the position of a report among
-    those of its topic and stamp identifies the node.
+    A report does not contain the name of its node. Nodes report at the same times in the same order, so the position of
+    a report among the reports with its topic and stamp identifies the node.
     """
 
     def __init__(self) -> None:
@@ -189,7 +189,7 @@ class HealthHistory:
     def new_indications(self, report: Any, log_time_ns: int) -> list[FaultIndication]:
         """Return the indications in a report: no data on its topic, or rejections for the source's own fault.
 
-        Rejections in comparison with others are contained in the innovations.
+        Rejections in comparison with other sources are contained in the innovations.
         """
         topic, stamp_ns = report.topic, ns_from_stamp(report.header.stamp)
         last_ns, place = self._place.get(topic, (stamp_ns, -1))
