@@ -78,7 +78,7 @@ def killed_path(tmp_path_factory):
 def test_a_killed_nodes_black_box_is_verified_up_to_the_cut(killed_path):
     outcome = verify_box(killed_path)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-    assert "the black box ends suddenly" in outcome.stdout
+    assert "the black box ends without a footer" in outcome.stdout
     assert "no footer" in outcome.stdout
     assert "outputs are equal to the last bit" in outcome.stdout
 
@@ -92,7 +92,7 @@ def test_a_recovered_black_box_is_verified(killed_path):
     assert recovered.returncode == 0, recovered.stdout + recovered.stderr
     # The file is whole now, but the node still ended suddenly.
     assert "no footer" not in recovered.stdout
-    assert "the black box ends suddenly" in recovered.stdout
+    assert "the black box ends without a footer" in recovered.stdout
     # Not a single use or output less.
     assert counts(recovered) == counts(original)
     assert len(counts(original)) == 2
