@@ -71,7 +71,7 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     time_s, ins = voyage.first("ins.out")
     assert 20.0 <= time_s <= 22.0
     assert (ins.alert.priority, ins.alert.source) == (Priority.WARNING, "ins")
-    assert ins.alert.text == "Heading and tilt over its limit: ins rejected"
+    assert ins.alert.text == "Heading and tilt over their limits: ins rejected"
     time_s, star = voyage.first("star.starboard.out")
     assert 40.0 <= time_s <= 42.0
     assert star.alert.priority is Priority.WARNING

@@ -310,12 +310,14 @@ def _alert_text(affected: Iterable[FunctionState], cause: str) -> str:
     by_words: dict[str, list[str]] = {}
     for one in sorted([one for one in affected if one.is_over_limit] or affected, key=lambda one: -(one.priority or 0)):
         by_words.setdefault(one.text.partition(" ")[2], []).append(one.name)
-    text = ", ".join(f"{_joined_names(names)} {words}" for words, names in by_words.items())
+    text = ", ".join(_joined_names(names, words) for words, names in by_words.items())
     return f"{text[:1].upper()}{text[1:]}: {cause}"
 
 
-def _joined_names(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def _joined_names(names: list[str], words: str) -> str:
+    if len(names) == 1:
+        return f"{names[0]} {words}"
+    return f"{', '.join(names[:-1])} and {names[-1]} {words.replace('its limit', 'their limits')}"
 
 
 def _lost_functions(function_states: Iterable[FunctionState]) -> frozenset[str]:

@@ -128,7 +128,7 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
             grid[1].yaxis.set_major_locator(FixedLocator(ROUND_NUMBERS))
             grid[1].yaxis.set_minor_formatter(NullFormatter())
         grid[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="upper right")
+        grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0))
         grid[1].set_xlim(0.0, (recording.end_ns - recording.start_ns) / NS_PER_S)
         style_axes(grid)
         utc_axis(grid[1], start_ns)
