@@ -316,5 +316,5 @@ class SuiteStateSource(Protocol):
         ...
 
     def current_state(self) -> SuiteState:
-        """Return the current state. A source for several displays caches it, as each display reads it twice a second."""
+        """Return the current state. Displays read it twice a second; a source for several displays caches it."""
         ...
