@@ -1,6 +1,6 @@
 """Situations of alerts, states of an alert, and the transitions between them.
 
-The states are those of IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
+The states are from IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
 acknowledged it, even if its situation is over. A caution lasts as long as its situation and needs no acknowledgement.
 """
 

@@ -146,7 +146,7 @@ class AlertList:
                 del self._pending[what]
 
     def _drop_normal(self) -> None:
-        """Remove the oldest alerts that are over if the list is too long; if raised again, they start at instance 1."""
+        """Remove the oldest alerts that are over if the list is too long; their instances then start at 1 again."""
         over = [id_ for id_, tracked in self._tracked.items() if tracked.alert.state == AlertState.NORMAL]
         for id_ in over[: max(0, len(self._tracked) - MAX_ALERTS)]:
             del self._tracked[id_]

@@ -227,7 +227,7 @@ def _offset_text(name: str, residual: float, components: Collection[str]) -> str
 
 
 def angle_text(angle: float) -> str:
-    """Return the size of an angle, rad, as text: in seconds of arc, from one degree on in degrees."""
+    """Return the size of an angle, rad, as text: in seconds of arc below one degree, else in degrees."""
     size = abs(angle / ARCSEC)
     return f"{size / _DEGREE_FROM_ARCSEC:.1f}°" if size >= _DEGREE_FROM_ARCSEC else f"{size:.0f}″"
 

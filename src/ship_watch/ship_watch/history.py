@@ -241,7 +241,7 @@ def extreme_rows(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
     """Return the rows with the minimum and maximum of each column in each section, to draw a line with few points.
 
     Args:
-        values: shape (n, columns); values that are not finite are ignored, but a section without finite values keeps
+        values: table of shape (n, columns). Non-finite values are ignored, but a section without finite values keeps
             its first row, so that a gap stays.
         starts: first rows of the sections, rising from 0; the last section ends with the last row.
     """

@@ -122,7 +122,7 @@ class TopicReports:
         return self._level > 0 and bool(self._reporters) and not any(one.received for one in self._reporters)
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message arrived, s; infinite if there was none yet.
+        """Return the time since the last message arrived, s; infinite before the first message.
 
         Single arrivals are not reported, so the time stays constant after a report with new messages until the next
         report is overdue.

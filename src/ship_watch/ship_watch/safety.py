@@ -1,6 +1,6 @@
 """Safety of an angle (SAFE, CAUTION or UNSAFE) and a short reason where it is not SAFE.
 
-The terms are those of IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
+The terms are from IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
 within the ship's limit and the protection levels are met. An angle is CAUTION if the accuracy is at most three times
 the limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. In all
 other cases the angle is UNSAFE, also if a value is NaN, because NaN fails every comparison.

@@ -91,7 +91,7 @@ class SourceRecord:
         self.used = max(topic.used for topic in self.topics.values())
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message of the source, s; infinite if there was none yet."""
+        """Return the time since the last message of the source, s; infinite before the first message."""
         return min((topic.age_s(now_ns) for topic in self.topics.values()), default=math.inf)
 
     def record_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:
@@ -152,7 +152,7 @@ class SourceRecord:
 
         Args:
             fault: fault of this source.
-            faulty_names: names of the sources that are OUT by a fault of their own.
+            faulty_names: names of the sources that are OUT due to a fault of their own.
         """
         reasons = {
             history.reason
