@@ -2,16 +2,16 @@
 
 Data flow of a sample: scenario file → :mod:`scenario` → true motion and true sky (:mod:`ship`, :mod:`stars`) → devices
 (:mod:`ship.attitude_device`, :mod:`stars.star_sightings`, :mod:`theodolite.devices`) → :class:`run.SimulatedRun`,
-arrays only → :mod:`messages`, with :mod:`faults` → bag. The suite file that fits the scenario (:mod:`suite`) is
-attached to the same bag.
+arrays only → :mod:`messages`, with :mod:`faults` → bag. The suite file of the scenario (:mod:`suite`) is attached to
+the same bag.
 
 The devices obey the equations of docs/explanation/filter.md, on which the estimators are built:
 
     R_true_nd(s + tau) = exp(a_n) exp(w_n) R_ins(s)
     R_star_ns(t + tau_s) = exp(c_n) R_true_nd(t + tau_s) exp(f_d) R0_ds exp(m_s) exp(n_s)
 
-A sensor that gives single stars images the star with the direction v_n(t + tau_s), refraction included, on the pixel of
-R_star_ns^T v_n, with noise on the pixel in place of n_s. The theodolite and the lights of drones are in
+A sensor that gives single stars images a star in the direction v_n(t + tau_s), with refraction, at the pixel of
+R_star_ns^T v_n. Noise of the pixel position then replaces n_s. The theodolite and the lights of drones are in
 :mod:`ship_simulation.theodolite`.
 
 The package imports geometry, parameter fields, bags, the star catalogue, a star camera, and the pure geometry of a

@@ -1,4 +1,4 @@
-"""One simulated voyage as arrays: samples of the devices, their arrival times, and the truth; without ROS and files.
+"""One simulated voyage as arrays, without ROS and files: samples of the devices, their arrival times, and the truth.
 
 A voyage is simulated as a whole, or in successive stretches; the samples are the same.
 """
@@ -46,7 +46,7 @@ BASELINE_SOURCE = "baseline"
 """Source of a run of a ship with two antennas."""
 
 DEFLECTION_SOURCE = "deflection"
-"""Source of a run in which a topic publishes the deflection of the vertical."""
+"""Source of a run with a topic on which the deflection of the vertical is published."""
 
 StarSamples = DeviceSamples | StarSightings | InertialSamples
 """Horizon attitudes, single stars, or attitudes against the ICRS."""
@@ -54,13 +54,13 @@ StarSamples = DeviceSamples | StarSightings | InertialSamples
 
 @dataclass(frozen=True)
 class VoyageTruth:
-    """The devices' measurements without their errors.
+    """True quantities that the devices measure, and true errors of the devices.
 
     Attributes:
-        ins_index: the INS samples at whose stamps the true attitude is given: the first in each tenth of a second, and
-            the last, shape (m,).
+        ins_index: indices of the INS samples at whose stamps the true attitude is given, shape (m,). They are the first
+            sample in each tenth of a second, and the last sample.
         rotation_nd: true attitude at those stamps, shape (m, 3, 3).
-        rate_d: true angular velocity there, rad/s, shape (m, 3).
+        rate_d: true angular velocity at those stamps, rad/s, shape (m, 3).
         ins: errors of the INS.
         stars: mounting and time offset of each star sensor.
         sightings: true identities of the stars of each sensor that gives single stars.
@@ -84,10 +84,10 @@ class VoyageTruth:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A scenario with one draw of its random parts: the samples of a stretch of it, or of the whole voyage.
+    """The samples of a stretch of a voyage, or of the whole voyage, with one draw of the scenario's random parts.
 
     The weather station publishes the scenario's ``weather`` at the stamps ``weather_ns``, shape (n,). ``fused``,
-    ``deflections``, ``ship_baseline`` and ``theodolite`` are None if the scenario has none.
+    ``deflections``, ``ship_baseline`` and ``theodolite`` are None if the scenario does not contain them.
     """
 
     scenario: Scenario
@@ -112,10 +112,10 @@ class SimulatedRun:
     def arrivals(self) -> list[tuple[int, str, int]]:
         """Return (log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
 
-        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, BASELINE_SOURCE on a ship with two antennas, or one
-        of SKY_SOURCES if a star sensor observes the real sky. If the suite receives the deflection, the sources are the
-        fix alone of SKY_SOURCES, and DEFLECTION_SOURCE. Samples that arrive at the same nanosecond are in this order of
-        sources, then by stamp.
+        A source is ``ins``, ``star.<id>``, ``reference.<name>``, or one of SKY_SOURCES if a star sensor observes the
+        real sky. If the suite needs the position for another reason, the fix is the only source of SKY_SOURCES.
+        BASELINE_SOURCE requires two antennas, DEFLECTION_SOURCE a topic with the deflection. Samples that arrive at the
+        same nanosecond are in the order of these sources, then by stamp.
         """
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
@@ -156,9 +156,10 @@ class SimulatedRun:
 
 
 def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
-    """Draw a voyage. The same scenario and seed give the same numbers.
+    """Draw a voyage; the same scenario and seed give the same numbers.
 
-    Each random component has its own stream, named after it, so that a further sensor does not change the others.
+    Each random component has a stream of its own, named after the component. Therefore an additional sensor does not
+    change the numbers of other sensors.
 
     Raises:
         BadInput: the recorded motion cannot be used, or the theodolite cannot point along its programme.
@@ -168,7 +169,7 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
 
 
 def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S) -> Iterator[SimulatedRun]:
-    """Draw the same voyage in stretches, with memory independent of its length.
+    """Draw a voyage in stretches, with the numbers of :func:`simulate` and memory independent of the voyage's length.
 
     Args:
         scenario: the voyage.
@@ -249,7 +250,7 @@ def _sort_arrivals(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]
         for source, log_times_ns in sources.items()
         for index, log_time_ns in enumerate(log_times_ns)
     ]
-    # The sort is stable, so equal times keep that order.
+    # The sort is stable, so that samples with equal times stay in the order of sources and stamps.
     return sorted(arrivals, key=lambda arrival: arrival[0])
 
 

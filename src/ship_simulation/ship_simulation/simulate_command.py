@@ -65,7 +65,7 @@ def parse_seed(text: str) -> int:
     """Return the seed of an argument.
 
     Raises:
-        ArgumentTypeError: it is not a seed.
+        ArgumentTypeError: the text is not a seed.
     """
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")

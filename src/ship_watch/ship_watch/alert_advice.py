@@ -43,7 +43,7 @@ _NODE_ENDINGS = ("box", "clock", "stamps", "name", "overload", "recovered", "sof
 
 
 def kind_of(alert_id: str) -> str:
-    """Return the kind of an alert as :data:`ADVICE` names it: "star.ID.out" for "star.fore.out"."""
+    """Return the kind of an alert, a key of :data:`ADVICE`: "star.ID.out" for "star.fore.out"; empty if unknown."""
     if alert_id in ADVICE:
         return alert_id
     first, _, ending = alert_id.rpartition(".")

@@ -1,7 +1,8 @@
-"""Situations of a suite that are alerts, and their priorities: one alert for one situation.
+"""Situations of a suite for which alerts are raised, and the priorities of these alerts.
 
-A source that is OUT is one alert; its text names the affected functions, and its priority rises with them. An output
-has an alert of its own only if no source explains it. docs/explanation/alerts.md has the table for people.
+A source that is OUT has one alert, which names the affected functions and has at least the priority of each of these
+functions. An output has an alert of its own only if no alert of a source explains the situation.
+docs/explanation/alerts.md contains the table of alerts.
 """
 
 import math
@@ -28,14 +29,15 @@ _SOURCE_PRIORITY = {
     "gnss": Priority.CAUTION,
     "weather": Priority.CAUTION,
 }
-"""Kind of source → priority if it is OUT and affects no function. Lights come and go with the drones; the last fix and
-weather stay valid for a while."""
+"""Kind of source → priority of its alert while no function is affected. Lights are absent while the drones are on deck,
+and the last fix and weather values stay valid for a while."""
 
 _EXTERNAL_REASONS = ("no stars", "no lights")
-"""Reasons of a source that is OUT without a defect: clouds, daylight, drones on deck."""
+"""Reasons why a source is OUT without a defect, due to clouds, daylight, or drones on deck."""
 
 _LATE_ENDING = ": late"
-"""Ending of the reason of a source whose data arrive too late to be used; the alert's value is then their delay."""
+"""Ending of the reason of a source whose data arrive too late to be used. The alert's value is then the delay of the
+data."""
 
 _NO_DATA_ENDINGS = ("no data", "never received", "not reported")
 """Endings of reasons for which the alert's value is the age of the source."""
@@ -47,20 +49,22 @@ _NODE_STATUSES = {
     "name": ("name", Priority.WARNING),
     "callbacks": ("software", Priority.CAUTION),
 }
-"""Status of a node in `/diagnostics` → ending of the alert's id, priority of an error."""
+"""Name of a node's status in `/diagnostics` → ending of the alert's id, priority of the alert if the level is ERROR."""
 
 _LINE_STATUSES = {
     "sink": (Priority.WARNING, "no output to"),
     "source": (Priority.CAUTION, "no data from"),
 }
-"""First word of the status of an NMEA line → priority of an error, text; the second word is the line. Functions lost
-with a source are reported by the alerts of its inputs."""
+"""First word of the name of an NMEA line's status → priority of an error, text; the second word names the line. Lost
+functions are in the alerts of the sources whose data the line carries."""
 
 _OVERLOAD = "overload"
-"""Status of a node that cannot keep up with its inputs. The alert of an output lost by it has the same text."""
+"""Name of the status of a node that cannot keep up with its inputs. The alert of an output that is lost due to the
+overload contains the same text."""
 
 _RECOVERY, _RECOVERED = "recovery", "recovered after [s]"
-"""Status of a node's second estimator, and its key with the time after an adoption."""
+"""Name of the status of a node's second estimator, and key of the recovery time, present once the second estimator was
+adopted."""
 
 _ERROR = 2
 
@@ -82,7 +86,7 @@ class ComputerState:
 
     Attributes:
         statuses: last statuses of the nodes.
-        disk_free_gb: free space of the disk in the limits, GB; NaN if the limits name none.
+        disk_free_gb: free space of the disk that the limits name, GB; NaN if they name no disk.
     """
 
     statuses: tuple[NodeStatus, ...] = ()
@@ -92,13 +96,13 @@ class ComputerState:
 def conditions(state: SuiteState, limits: Limits, computer: ComputerState | None = None) -> list[Condition]:
     """Return all present situations, for :meth:`ship_watch.alerts.AlertList.update`.
 
-    They are derived from the safety without hold: the list of alerts has delays of its own. An accuracy over its limit
-    is a situation only after ``alerts.over_after_s``.
+    The situations are derived from the safety without hold, because the list of alerts has delays of its own. An
+    accuracy over its limit is a situation only after ``alerts.over_after_s``.
 
     Args:
         state: current state of the suite.
         limits: limits of the ship.
-        computer: state of the computer; None for no data.
+        computer: state of the computer; None if unknown.
     """
     function_states = functions(replace(state, angles=tuple(angle.without_hold for angle in state.angles)))
     computer = computer or ComputerState()
@@ -117,7 +121,10 @@ def conditions(state: SuiteState, limits: Limits, computer: ComputerState | None
 def _output_conditions(
     suite_state: SuiteState, function_states: tuple[FunctionState, ...], limits: Limits
 ) -> Iterable[Condition]:
-    """Yield the situations of outputs without data and of functions not SAFE; a source that is OUT may explain them."""
+    """Yield the situations of outputs without data, and of functions that are not SAFE.
+
+    A source that is OUT may explain a function that is not SAFE.
+    """
     outs = (STARS_OUT, *(f"{source.name}.out" for source in suite_state.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
         members = [one for one in function_states if one.output == output and one.safety]
@@ -143,14 +150,14 @@ def _output_conditions(
 
 
 def _is_over_briefly(function: FunctionState, limits: Limits) -> bool:
-    """True if a function is over its limit, but not lost, for less than ``alerts.over_after_s``."""
+    """True if a function has been over its limit, but not lost, for less than ``alerts.over_after_s``."""
     return function.priority is Priority.WARNING and function.over_limit_s < limits.alerts.over_after_s
 
 
 def _source_conditions(suite_state: SuiteState, function_states: tuple[FunctionState, ...]) -> Iterable[Condition]:
-    """Yield the situations of sources: OUT by a fault of their own, corrected, or reinstated with a shifted mounting.
+    """Yield the situations of sources that are faulty, corrected, or reinstated with a shifted mounting.
 
-    All star sensors OUT for the same reason are one situation.
+    If all star sensors are OUT for the same reason, one common situation explains the situation of each.
     """
     faulty = _faulty_sources(suite_state)
     stars = [source for source in suite_state.sources if source.name.startswith("star.")]
@@ -180,7 +187,7 @@ def _source_conditions(suite_state: SuiteState, function_states: tuple[FunctionS
 
 
 def _unreported_conditions(suite_state: SuiteState) -> Iterable[Condition]:
-    """Yield the sources whose state is unknown because the node that reads them has stopped reporting."""
+    """Yield the situations of sources whose state is unknown because the node that reads them has stopped reporting."""
     for source in suite_state.sources:
         if source.presence is Presence.OUT and source.because_of == CAUSE_NODE:
             yield Condition(
@@ -216,7 +223,7 @@ def _source_out_condition(
 
 
 def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condition]:
-    """Yield the situations of stars and lights that were last used too long ago; a source that is OUT explains them."""
+    """Yield the situations of stars or lights not used for too long; a source that is OUT explains such a situation."""
     outs = tuple(f"{source.name}.out" for source in suite_state.sources)
     for what, limit_s, above in (
         ("stars", limits.stars_age_s, ("attitude.silent",)),
@@ -301,10 +308,10 @@ def _faulty_sources(suite_state: SuiteState) -> list[SourceDetails]:
 
 
 def _alert_text(affected: Iterable[FunctionState], cause: str) -> str:
-    """Return the text of an alert from its functions, the worst first, and its cause.
+    """Return the text of an alert: the affected functions, the worst first, and the cause.
 
-    Functions that are only unchecked are named if no other is worse. An example is "Heading lost, tilt over its limit:
-    no data from ins".
+    Unchecked functions are named only if all affected functions are unchecked. An example is "Heading lost, tilt over
+    its limit: no data from ins".
     """
     affected = list(affected)
     by_words: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 """Situations of alerts, states of an alert, and the transitions between them.
 
-The states are those of IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
-acknowledged it, also if its situation is over. A caution lasts as long as its situation and needs no acknowledgement.
+The states are from IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
+acknowledged it, even if its situation is over. A caution lasts as long as its situation and needs no acknowledgement.
 """
 
 import enum
@@ -18,20 +18,21 @@ class Condition:
 
     Attributes:
         id: name of the situation.
-        priority: its priority.
-        source: the source that causes it; empty if none is known.
-        text: the situation in a few words, without changing figures: a new text is a change of the alert.
+        priority: priority of the alert.
+        source: name of the source that causes the situation; empty if no cause is known.
+        text: the situation in a few words, without changing figures, because a new text is a change of the alert.
         value: measured value; NaN if there is none.
         limit: limit of ``value``; NaN if there is none.
-        unit: unit of both.
-        becomes_alarm: True if an unacknowledged warning becomes an alarm; otherwise it is repeated.
-        may_be_startup: True if the situation is normal during the start of the suite; it is then raised later.
-        is_never_received: True if the situation is only that nothing was received; it does not change an alert that
-            was active before a restart.
-        explained_by: ids of situations that explain this one. While one of them is active with at least the same
-            priority, this one has no alert of its own.
-        lost_functions: functions that the situation affects. A new instance is raised if more are affected than were
-            acknowledged.
+        unit: unit of ``value`` and ``limit``.
+        becomes_alarm: True if an unacknowledged warning becomes an alarm; otherwise the warning is repeated.
+        may_be_startup: True if the situation is normal during the start of the suite; its alert is then raised only
+            after the start.
+        is_never_received: True if the situation is only that an output was never received. Such a situation does not
+            change an alert that was active before a restart.
+        explained_by: ids of situations that explain this situation. It has no alert of its own while the alert of one
+            of those situations is active with at least the same priority.
+        lost_functions: functions that the situation affects. A new instance of the alert is raised if further functions
+            are affected after an acknowledgement.
     """
 
     id: str
@@ -88,14 +89,14 @@ TRANSITIONS: Mapping[tuple[AlertState, AlertEvent], AlertState] = {
     (_S.RECTIFIED_UNACKNOWLEDGED, _E.COMES): _S.ACTIVE_UNACKNOWLEDGED,
     (_S.RECTIFIED_UNACKNOWLEDGED, _E.ACKNOWLEDGED): _S.NORMAL,
 }
-"""State of a warning or an alarm after an event; other combinations change nothing."""
+"""(State, event) → next state of a warning or an alarm. Other combinations change nothing."""
 
 CAUTION_TRANSITIONS: Mapping[tuple[AlertState, AlertEvent], AlertState] = {
     (_S.NORMAL, _E.COMES): _S.ACTIVE_ACKNOWLEDGED,
     (_S.ACTIVE_ACKNOWLEDGED, _E.GOES): _S.NORMAL,
     (_S.ACTIVE_ACKNOWLEDGED, _E.EXPLAINED): _S.NORMAL,
 }
-"""State of a caution after an event; it needs no acknowledgement."""
+"""(State, event) → next state of a caution, which needs no acknowledgement."""
 
 UNACKNOWLEDGED = frozenset((_S.ACTIVE_UNACKNOWLEDGED, _S.ACTIVE_SILENCED))
 """States of a present situation that is not acknowledged."""

@@ -1,6 +1,6 @@
-"""Alerts of a suite: one for each situation; raised, acknowledged, silenced, repeated, over.
+"""Alerts of a suite, one for each situation: raised, acknowledged, silenced, repeated and ended.
 
-:class:`AlertList` is updated periodically with the present situations. A situation has one alert, also if it comes and
+:class:`AlertList` is updated periodically with the present situations. A situation has one alert, even if it comes and
 goes repeatedly. An alert is kept until its situation is over and, if necessary, a person has acknowledged it. The
 caller passes a steady time for durations, and UTC for the stamps.
 """
@@ -17,10 +17,13 @@ from ship_watch.limits import AlertTimes
 from ship_watch.suite_state import AlertEntry, Priority
 
 MAX_HOLD_S = 60.0
-"""Maximum hold of an active alert after its situation disappears, s; the hold doubles each time it comes back."""
+"""Maximum hold of an active alert after its situation disappears, s.
+
+The hold doubles each time the situation comes back.
+"""
 
 GLITCH_MEMORY_S = 1.0
-"""Time within which a brief situation that appears twice counts as one, s."""
+"""Maximum gap after which a brief situation that appears again counts as the same situation, s."""
 
 FLAPPING_MEMORY_S = 300.0
 """Time without the situation after which the hold is no longer doubled, s."""
@@ -49,7 +52,7 @@ class _TrackedAlert:
     last_present_ns: int
     """Last time at which the situation was present."""
     deviates_since_ns: int | None = None
-    """Time since which the priority of the situation is lower, or its text other, than its alert's; None if equal."""
+    """Time since which the situation has a lower priority or another text than its alert; None if both are equal."""
     lost_functions: frozenset[str] = frozenset()
     becomes_alarm: bool = False
     unacknowledged_from_ns: int = 0
@@ -61,8 +64,8 @@ class AlertList:
 
     Args:
         times: delays until a situation is raised, cleared and escalated.
-        saved_alerts: alerts from :meth:`serialise` of an earlier list, which continue with their acknowledgements. They
-            are kept for at least ``times.start_s``, until the situations can be evaluated.
+        saved_alerts: alerts from :meth:`serialise` of an earlier list, which continue with their acknowledgements.
+            These alerts are kept for at least ``times.start_s``, until the situations can be evaluated.
         now_ns: steady time of the start.
 
     Raises:
@@ -81,19 +84,19 @@ class AlertList:
 
     @property
     def alerts(self) -> tuple[AlertEntry, ...]:
-        """Alerts that are not NORMAL, the most urgent first: unacknowledged before acknowledged, alarms first."""
+        """Alerts that are not NORMAL, the most urgent first: unacknowledged before acknowledged, then by priority."""
         active = [tracked.alert for tracked in self._tracked.values() if tracked.alert.state != AlertState.NORMAL]
         return tuple(sorted(active, key=lambda alert: alert.urgency))
 
     def serialise(self) -> list[dict[str, Any]]:
-        """Return the alerts as plain values for a file, with the instance counts of those that are over."""
+        """Return all alerts as plain values for a file; alerts that are over are included for their instance counts."""
         return [
             {**dataclasses.asdict(tracked.alert), "lost": sorted(tracked.lost_functions)}
             for _, tracked in sorted(self._tracked.items())
         ]
 
     def update(self, conditions: Iterable[Condition], now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
-        """Update with all situations that are present; return the changes.
+        """Update the alerts with all present situations; return the changes.
 
         Args:
             conditions: present situations, one for each id.
@@ -104,7 +107,7 @@ class AlertList:
         present = {each.id: each for each in conditions}
         self._drop_pending(now_ns)
         self._drop_normal()
-        # Situations that explain others come first, so that none is raised twice in one call.
+        # Situations that explain others come first, so that an explained situation is not raised in the same call.
         for condition in sorted(present.values(), key=lambda each: (len(each.explained_by), each.id)):
             changes += self._update_present(condition, now_ns, utc_ns)
         for id_, tracked in self._tracked.items():
@@ -114,7 +117,7 @@ class AlertList:
         return tuple(changes)
 
     def acknowledge(self, id_: str, instance: int, utc_ns: int) -> tuple[AlertChange | None, str]:
-        """Acknowledge one instance of an alert; return the change, None if there is none, and the result in words."""
+        """Acknowledge an instance of an alert; return the change (None if nothing changes) and the result in words."""
         tracked = self._tracked.get(id_)
         if tracked is None or tracked.alert.state == AlertState.NORMAL:
             active_ids = ", ".join(alert.id for alert in self.alerts) or "none"
@@ -143,13 +146,13 @@ class AlertList:
                 del self._pending[what]
 
     def _drop_normal(self) -> None:
-        """Remove the oldest alerts that are over if there are too many; their instances then start at 1 again."""
+        """Remove the oldest alerts that are over if the list is too long; their instances then start at 1 again."""
         over = [id_ for id_, tracked in self._tracked.items() if tracked.alert.state == AlertState.NORMAL]
         for id_ in over[: max(0, len(self._tracked) - MAX_ALERTS)]:
             del self._tracked[id_]
 
     def _has_lasted(self, what: str, now_ns: int) -> bool:
-        """True if a present situation that is not raised yet has lasted long enough."""
+        """Record a present situation that is not raised yet; return True if it has lasted long enough."""
         first_ns, _ = self._pending.get(what, (now_ns, now_ns))
         self._pending[what] = first_ns, now_ns
         return now_ns - first_ns >= _ns(self._times.raise_after_s)
@@ -165,7 +168,7 @@ class AlertList:
     def _update_present(self, condition: Condition, now_ns: int, utc_ns: int) -> list[AlertChange]:
         tracked = self._tracked.get(condition.id)
         if any(id_ in self._pending for id_ in condition.explained_by):
-            # A situation that explains it may be raised soon.
+            # The explaining situation may be raised soon.
             return []
         if self._is_explained(condition):
             self._pending.pop(condition.id, None)
@@ -205,7 +208,7 @@ class AlertList:
             instance, state = tracked.alert.instance + 1, AlertState(tracked.alert.state)
             if state is AlertState.RECTIFIED_UNACKNOWLEDGED:
                 priority = max(priority, tracked.alert.priority)
-            # A situation that comes back soon has its hold doubled, so that its alert is not raised repeatedly.
+            # The hold doubles if the situation comes back soon, so that its alert is not raised repeatedly.
             flaps = now_ns - tracked.last_present_ns < _ns(FLAPPING_MEMORY_S)
             hold_ns = min(2 * tracked.hold_ns, max(_ns(MAX_HOLD_S), hold_ns)) if flaps else hold_ns
         alert = AlertEntry(
@@ -221,7 +224,7 @@ class AlertList:
     def _escalate(
         condition: Condition, tracked: _TrackedAlert, description: str, now_ns: int, utc_ns: int
     ) -> AlertChange:
-        """Raise a new instance: the situation is more severe than the one that was acknowledged."""
+        """Raise a new instance of an alert whose situation has become more severe."""
         tracked.unacknowledged_from_ns, tracked.deviates_since_ns = now_ns, None
         tracked.alert = dataclasses.replace(
             _with_condition(tracked.alert, condition), priority=max(condition.priority, tracked.alert.priority),
@@ -231,7 +234,7 @@ class AlertList:
 
     @staticmethod
     def _deescalate(condition: Condition, tracked: _TrackedAlert, now_ns: int, utc_ns: int) -> list[AlertChange]:
-        """Update text and value; take over another text or a lower priority after the hold time.
+        """Update the value; adopt another text or a lower priority after the hold time.
 
         The priority of an unacknowledged alert is never lowered.
         """
@@ -290,7 +293,7 @@ def _alert_from_saved(entry: Mapping[str, Any]) -> tuple[AlertEntry, frozenset[s
     """Return an alert from its plain values, and the functions that its situation affects.
 
     Raises:
-        ValueError: the values are not those of an alert.
+        ValueError: the values do not describe an alert.
     """
     try:
         fields = {**entry, "priority": Priority(entry["priority"]), "state": AlertState(entry["state"])}

@@ -1,7 +1,8 @@
 """Expected availability: fraction of the time for which the angles of a recording are within a limit.
 
-A limit is decisive only while the output is VALID, recent and independently checked. The fraction is that of the time
-in which the page shows SAFE, with its hysteresis. A proposed limit is the lowest round one with a fraction of 95 %.
+A limit is decisive only while the output is VALID, recent and independently checked. The angles count as within the
+limit while the page shows SAFE, hysteresis included. A proposed limit is the lowest round limit that is met for 95 % of
+the decisive time.
 """
 
 import math
@@ -24,10 +25,10 @@ QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("
 """Quantity with its own limit → its angles."""
 
 REQUIRED_SHARE = 0.95
-"""Fraction of the time within a proposed limit."""
+"""Required fraction of the decisive time within a proposed limit."""
 
 START_UP_S = 30.0
-"""Time after the first output that is ignored, s: the filters first estimate mountings and INS errors from stars."""
+"""Time after the first output that is ignored, s. In this time the filters estimate mountings and INS errors."""
 
 STEP_NS = NS_PER_S // 5
 """Time between two samples of the accuracy, ns."""
@@ -38,17 +39,17 @@ _NO_LIMIT_ARCSEC = 360_000.0
 
 @dataclass(frozen=True)
 class Availability:
-    """Expected availability of one quantity.
+    """Expected availability of one quantity; the decisive time is the time in which its limit is decisive.
 
     Attributes:
         quantity: "heading", "tilt" or "pointing".
-        limit_arcsec: its limit now.
-        share: fraction within that limit of the time in which the limit is decisive.
-        median_arcsec: median of the accuracy (95 %) of its worse angle in this time.
-        proposed_arcsec: the lowest round limit that is met for :data:`REQUIRED_SHARE` of this time.
-        proposed_share: fraction of this time within the proposed limit.
-        decisive_share: fraction of the whole time, without the start, in which the limit is decisive.
-        other: reason → fraction of the whole time in which the quantity is not SAFE with any limit.
+        limit_arcsec: current limit of the quantity.
+        share: fraction of the decisive time within this limit.
+        median_arcsec: median of the accuracy (95 %) of the worst angle in the decisive time.
+        proposed_arcsec: the lowest round limit that is met for :data:`REQUIRED_SHARE` of the decisive time.
+        proposed_share: fraction of the decisive time within the proposed limit.
+        decisive_share: decisive fraction of the whole time, without the start.
+        other: reason why the quantity is not SAFE with any limit → fraction of the whole time.
     """
 
     quantity: str
@@ -134,7 +135,7 @@ class AvailabilityRecord:
                 before.append(_Sample(time_ns, is_start, tuple(angles[name] for name in names)))
 
     def _share(self, quantity: str, limit_arcsec: float) -> float:
-        """Return the fraction with a SAFE quantity of the time in which the limit is decisive."""
+        """Return the fraction of the decisive time in which the quantity is SAFE with a limit."""
         filters = [SafetyHysteresis(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
         safe: list[bool] = []
         for sample in self._samples[quantity]:
@@ -145,14 +146,14 @@ class AvailabilityRecord:
         return sum(safe) / len(safe)
 
     def _angle_safety(self, angle: AngleState, limit: float) -> AngleSafety:
-        """Return the safety of an angle with another limit of its accuracy, rad."""
+        """Return the safety of an angle if the limit of its accuracy is ``limit``, rad."""
         by_accuracy, by_margin = safety_by_accuracy(angle.accuracy_95, limit, self._limits.unsafe_factor)
         safety, reason = angle.unheld_safety or (angle.safety, angle.reason)
         return AngleSafety(max(safety, by_accuracy), reason, by_accuracy, by_margin)
 
 
 def _round_limits(least_arcsec: float) -> Iterator[float]:
-    """Yield round limits in rising order, from the first that is not below an accuracy, arcsec."""
+    """Yield round limits in rising order, arcsec, starting with the lowest limit not below ``least_arcsec``."""
     exponent = math.floor(math.log10(max(least_arcsec, 0.1)))
     while True:
         for first in _ROUND:

@@ -1,7 +1,7 @@
 """Variance of each displayed angle by source of error.
 
-An error budget contains covariances of a small rotation vector about East, North and Up. They are converted to heading,
-pitch and roll, or to azimuth and elevation of a line of sight.
+An error budget contains covariances of a small rotation vector about East, North and Up. This module converts each
+covariance to variances of heading, pitch and roll, or of azimuth and elevation of a line of sight.
 """
 
 from collections.abc import Mapping
@@ -26,8 +26,8 @@ def angle_variances(
         is_deck: True for heading, pitch and roll, False for azimuth and elevation.
 
     Returns:
-        Angle → source → variance, rad²; of the azimuth times the squared cosine of the elevation. NaN if the budget is
-        unknown, or if the line of sight points to the zenith.
+        Angle → source → variance, rad². The variance of the azimuth is multiplied by the squared cosine of the
+        elevation. The variance is NaN if the budget is unknown, or if the line of sight points to the zenith.
 
     Example:
         A tilt about North by 1 mrad is pitch on an eastern course, and roll on a northern:

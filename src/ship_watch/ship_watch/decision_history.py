@@ -18,17 +18,17 @@ MIN_DISPLAY_NS = 2_000_000_000
 """Minimum time for which a fault is displayed after its last report, ns."""
 
 _DECISIONS_KEPT = 24
-"""Minimum number of decisions that are kept: later messages may revise them."""
+"""Minimum number of stored decisions, which later messages may revise."""
 
 _IN_A_ROW_PERIODS = 1.5
-"""Interval between rejections, in periods, above which messages between them were accepted without a report."""
+"""Interval between two rejections, in periods, above which unreported acceptances between the two are assumed."""
 
 _DEGREE_FROM_ARCSEC = 3600.0
 
 _ROTATION_SENSES = {
     "forward": ("clockwise", "counterclockwise"), "up": ("to the left", "to the right"), "right": ("high", "low")
 }
-"""Axis of a device → sense of an attitude rotated about it, positive and negative, looking forward."""
+"""Axis of a device → words for a positive and a negative rotation about this axis, looking forward."""
 
 _DIRECTION_SENSES = {
     "up": ("stars", "high", "low"),
@@ -36,13 +36,13 @@ _DIRECTION_SENSES = {
     "x": ("lights", "to the left", "to the right"),
     "z": ("lights", "low", "high"),
 }
-"""Axis of a direction → what is measured along it, and the sense of a positive and of a negative residual. The image
-with the axes x and z is inverted."""
+"""Axis of a direction → measured objects, and words for a positive and a negative residual. The image with the axes x
+and z is inverted."""
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Component in which a source is furthest off: text for people ("reads 49″ high"), mean of residual over sigma."""
+    """Largest offset of a source: text for people ("reads 49″ high"), and mean of residual over sigma."""
 
     text: str
     sigmas: float
@@ -54,17 +54,17 @@ NO_DISAGREEMENT = Disagreement("", math.nan)
 class DecisionHistory:
     """Measurement decisions on one source at one node, in the order of their messages.
 
-    For some sources (star sensors, lights) each measurement is reported, for others (INS, encoders) rejected ones only.
+    For star sensors and lights each measurement is reported, for INS and encoders only rejected measurements.
 
     Args:
         rejections_until_out: number of rejections in a row after which the source is OUT.
-        acceptances_until_in: number of acceptances in a row after which it is IN again.
+        acceptances_until_in: number of acceptances in a row after which the source is IN again.
 
     Attributes:
         is_out: True after enough rejections in a row, until enough acceptances in a row.
         rejected_in_a_row: current number of rejections in a row.
-        out_since_ns: stamp of the first rejection of the run that put it OUT; 0 if IN.
-        last_rejection_ns: arrival of the last rejection; None if there was none yet.
+        out_since_ns: stamp of the first of the rejections due to which the source is OUT; 0 if it is IN.
+        last_rejection_ns: arrival of the last rejection; None before the first rejection.
         reason: reason of the last rejection.
         has_acceptances: True if accepted measurements are reported too.
     """
@@ -87,7 +87,8 @@ class DecisionHistory:
             self.last_rejection_ns = now_ns
             if not revised:
                 self.reason = Reason(message.reason) if message.reason in _REASONS else Reason.NONE
-            # An excluded source is estimated again and soon fits: only rejections by the gate show how it is off.
+            # The estimate adapts to an excluded source, whose residuals are then small: its offset is computed only
+            # from rejections by the gate.
             if len(message.residual) and not message.nis <= message.gate:
                 self._rejected_messages.append(message)
         self._add_decision(stamp_ns, accepted, revised, period_ns)
@@ -102,7 +103,7 @@ class DecisionHistory:
         self._update_presence()
 
     def reinstate_if_used(self, now_ns: int, period_ns: float, used_since: int) -> None:
-        """Set a source IN of which only rejections are reported: none for some periods, and enough used since.
+        """Reinstate a source without reported acceptances, after some periods without rejection and with enough use.
 
         Args:
             now_ns: caller's time, ns.
@@ -124,11 +125,11 @@ class DecisionHistory:
 
     @property
     def disagreement(self) -> Disagreement:
-        """Component and size of the last rejected residuals."""
+        """Largest offset in the last rejected residuals."""
         return disagreement(self._rejected_messages) if self._rejected_messages else NO_DISAGREEMENT
 
     def _add_decision(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
-        """Append a decision in the order of arrival, whatever its stamp, or revise the one with the same stamp."""
+        """Append a decision, in the order of arrival, or revise the decision with the same stamp."""
         decisions = self._decisions
         index = next((place for place in range(len(decisions) - 1, -1, -1) if decisions[place][0] == stamp_ns), None)
         if index is not None:
@@ -139,7 +140,7 @@ class DecisionHistory:
         if accepted:
             self.rejected_in_a_row = 0
         else:
-            # With NaN, an unknown period, the rejections count as a run.
+            # If the period is unknown (NaN), all rejections count as one run.
             is_separate = (
                 decisions and stamp_ns - decisions[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.has_acceptances
             )
@@ -151,7 +152,7 @@ class DecisionHistory:
             del decisions[0]
 
     def _revise_decision(self, index: int, accepted: bool, revised: bool) -> None:
-        """Update a decision: a measurement is accepted if any part of it is, unless the message revises it."""
+        """Update a decision: a measurement is accepted if any of its parts is, unless the message is a revision."""
         decisions = self._decisions
         stamp_ns, was_accepted = decisions[index]
         decisions[index] = (stamp_ns, accepted if revised else accepted or was_accepted)
@@ -182,11 +183,11 @@ _REASONS = {int(reason) for reason in Reason}
 
 
 def disagreement(messages: "deque[Any]") -> Disagreement:
-    """Return the component with the largest mean of residual over sigma.
+    """Return the axis or the component with the largest mean of residual over sigma.
 
-    The last word of a component's name is its axis, the words before it are a star or a light. Equal residuals of all
-    stars along an axis are a rotation of the device: their mean is returned. Otherwise the star or light that is
-    furthest off is returned.
+    The last word of a component's name is the axis; the words before the axis name a star or a light. Similar residuals
+    of all stars along an axis show a rotation of the device, and their mean is returned. Otherwise the star or light
+    with the largest offset is returned.
 
     Args:
         messages: innovations with residuals and sigmas, rad.
@@ -211,9 +212,9 @@ def _offset_text(name: str, residual: float, components: Collection[str]) -> str
     """Return the offset of a component, or of an axis: "reads 49″ high", "HIP 85355 reads 90″ to the left".
 
     Args:
-        name: name of a component, or an axis of several.
-        residual: measured minus predicted, rad.
-        components: names of all components; that of an attitude is the axis of the rotation alone.
+        name: name of a component, or of an axis that several components share.
+        residual: measured minus predicted value, rad.
+        components: names of all components; the name of a component of an attitude is only the axis of rotation.
     """
     thing, _, axis = name.rpartition(" ")
     size, is_negative = angle_text(residual), residual < 0.0
@@ -226,7 +227,7 @@ def _offset_text(name: str, residual: float, components: Collection[str]) -> str
 
 
 def angle_text(angle: float) -> str:
-    """Return the size of an angle, rad, as text: in seconds of arc, from one degree on in degrees."""
+    """Return the size of an angle, rad, as text: in seconds of arc below one degree, else in degrees."""
     size = abs(angle / ARCSEC)
     return f"{size / _DEGREE_FROM_ARCSEC:.1f}°" if size >= _DEGREE_FROM_ARCSEC else f"{size:.0f}″"
 

@@ -1,6 +1,7 @@
 """Detected stars and lights, joined with their innovations.
 
-The detections arrive in one message, decision and residuals in another of the same stamp, in any order.
+The detections arrive in one message, decision and residuals in another message with the same stamp. Either message may
+arrive first.
 """
 
 import math
@@ -47,7 +48,7 @@ class StarExposures:
         self._join(source)
 
     def _join(self, source: str) -> None:
-        """Store the newest exposure with an innovation; for a sensor without star messages the newest innovation."""
+        """Store the newest exposure that has an innovation, or the newest innovation of a sensor without exposures."""
         innovations, exposures = self._innovations.get(source, ()), self._exposures.get(source)
         if not innovations:
             return
@@ -138,7 +139,7 @@ def _residuals_by_object(innovation: Any) -> Mapping[str, dict[str, float]]:
 
 
 def _star_residuals(names: list[str], residuals: Mapping[str, dict[str, float]], axis: str) -> FloatArray:
-    """Return the residuals of stars along an axis, rad, NaN for stars without one; empty if no star has one."""
+    """Return the residuals of stars along an axis, rad: NaN for a star without residual, empty if all are without."""
     if not any(name in residuals for name in names):
         return _NO_VALUES
     return np.array([residuals.get(name, {}).get(axis, math.nan) for name in names])

@@ -39,7 +39,7 @@ class EventLog:
             self.add("node", node, f"{node} started", utc_ns)
 
     def add_source_changes(self, sources: Iterable[SourceState], utc_ns: int) -> None:
-        """Add the sources that went OUT or IN, and those whose reason or correction changed."""
+        """Add the sources that went OUT or IN, and the sources whose reason or correction changed."""
         for source in sources:
             is_out = source.presence is Presence.OUT
             text = source.reason if is_out else source.disagreement
@@ -56,7 +56,7 @@ class EventLog:
                 self.add("source", source.name, text, utc_ns)
 
     def add_alert_changes(self, before: Iterable[AlertEntry], now: Iterable[AlertEntry], utc_ns: int) -> None:
-        """Add the alerts whose state changed, and those that are over."""
+        """Add the alerts whose state changed, and the alerts that are no longer published, which are over."""
         states = {(alert.id, alert.instance): alert.state for alert in before}
         for alert in now:
             if states.pop((alert.id, alert.instance), None) != alert.state:
@@ -67,7 +67,7 @@ class EventLog:
 
 
 def alerts_from_message(message: Any) -> list[AlertEntry]:
-    """Return the alerts of an AlertArray in its order, without those of an unknown priority."""
+    """Return the alerts of an AlertArray in its order, without alerts of an unknown priority."""
     return [_alert_from_message(alert) for alert in message.alerts[:MAX_NAMES] if alert.priority in _PRIORITIES]
 
 

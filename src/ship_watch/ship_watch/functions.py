@@ -1,7 +1,8 @@
-"""Functions of a suite: heading, tilt and pointing, each within its limit.
+"""Functions of a suite: heading, tilt and pointing, each with a limit of its accuracy.
 
 A function has the safety of its worst angle. :func:`functions` returns the state of each function, the source that
-causes it and the sources it depends on. The alerts and the tree in `/diagnostics` are made from it.
+causes this state, and the sources that the function depends on. The alerts and the tree in `/diagnostics` are made from
+these states.
 """
 
 import math
@@ -15,7 +16,7 @@ from ship_watch.suite_state import AngleState, Presence, Priority, Safety, Sourc
 from ship_watch.value_texts import without_changing_figures
 
 ATTITUDE, POINTING = "attitude", "pointing"
-"""Outputs of the functions."""
+"""Outputs that provide the functions."""
 
 _ANGLES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
 _SHIP = ("ins", "star", "reference", "gnss", "weather")
@@ -40,9 +41,10 @@ class FunctionState:
         angle: the worst of its angles.
         because_of: the source that causes a safety other than SAFE, or "attitude" for a pointing that is lost with the
             attitude; empty if no cause is known.
-        is_output_missing: True if its output is no longer received, or never was.
-        over_limit_s: time for which the accuracy of one of its angles has been over its limit, s; 0 if none is.
-        sources: the sources it depends on, in the order of the suite state.
+        is_output_missing: True if its output is no longer received, or was never received.
+        over_limit_s: longest time for which the accuracy of one of its angles has been over the limit, s; 0 if the
+            accuracies of all its angles are within the limit.
+        sources: the sources that the function depends on, in the order of the suite state.
     """
 
     name: str
@@ -71,7 +73,7 @@ class FunctionState:
 
     @property
     def priority(self) -> Priority | None:
-        """Priority of its state: alarm if lost, warning if over its limit, caution if unchecked, None if SAFE."""
+        """Priority of the state: alarm if lost, warning if over its limit, caution if unchecked, None if SAFE."""
         if not self.safety:
             return None
         if self.safety is Safety.UNSAFE:
@@ -80,7 +82,7 @@ class FunctionState:
 
     @property
     def text(self) -> str:
-        """Name and state of the function, the same as long as the situation is."""
+        """Name and state of the function; the text changes only with the situation."""
         if self.safety is None:
             return f"{self.name} off"
         if self.angle.is_recovering:
@@ -89,7 +91,7 @@ class FunctionState:
 
     @property
     def reason(self) -> str:
-        """Reason of the worst angle without changing figures; for an accuracy over its limit, where to find causes."""
+        """Reason of the worst angle without changing figures, or a reference to the error budget."""
         return (
             "see the error budget"
             if self.angle.reason == OVER_THE_LIMIT
@@ -115,7 +117,7 @@ def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:
         because_of = worst.because_of if safety else ""
         lost_before = [one for one in found if one.safety is Safety.UNSAFE]
         if output == POINTING and safety is Safety.UNSAFE and lost_before:
-            # Without the attitude there is no pointing: it has the cause of the lost attitude.
+            # The pointing needs the attitude, so the cause of the lost attitude is also the cause of the lost pointing.
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
         kinds = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
         sources = tuple(one for one in suite_state.sources if one.name.partition(".")[0] in kinds)
@@ -142,7 +144,7 @@ class DiagnosticEntry:
 
 
 def diagnostic_entries(suite_state: SuiteState, limits: Limits) -> tuple[DiagnosticEntry, ...]:
-    """Return the functions with their limits, each followed by the sources it depends on."""
+    """Return the functions with their limits, each followed by the sources that it depends on."""
     limit_arcsec = {
         "heading": limits.heading_arcsec, "tilt": limits.tilt_arcsec, "pointing": limits.pointing_arcsec
     }

@@ -1,6 +1,6 @@
 """Data of the plots: ring buffers of the last minutes, filled by :class:`ship_watch.suite_monitor.SuiteMonitor`.
 
-Every series is a bounded queue of points in the order of their times. A plot reads the points after its last one.
+Every series is a bounded queue of points in the order of their times. A plot reads the points after its last point.
 """
 
 import math
@@ -34,14 +34,14 @@ class InnovationPoint:
         utc_ns: time of the measurement, UTC as POSIX time.
         axes: names of its axes.
         mean: mean of its residuals along each axis, rad or m, shape (axes,).
-        sigma: root mean square of their stated sigmas, shape (axes,). It is not divided by the root of their number,
-            since the residuals share much of their error.
+        sigma: root mean square of the stated sigmas of the residuals, shape (axes,). This value is not divided by the
+            root of their number, because the residuals share much of their error.
         object_residuals: residuals of its single stars or lights along the same axes, shape (n, axes); one row for an
             attitude or an encoder.
         nis: normalised innovation squared.
         gate: limit of ``nis``.
-        is_accepted: True if it was accepted.
-        reason: reason of the rejection; empty if there is none.
+        is_accepted: True if the measurement was accepted.
+        reason: reason of the decision; empty if no reason was given.
         object_names: names of the stars or lights ("HIP 85355", "a"); empty for an attitude or an encoder.
     """
 
@@ -71,7 +71,7 @@ class BudgetPoint:
     """Error budget at one time.
 
     Attributes:
-        utc_ns: its time, UTC as POSIX time.
+        utc_ns: time of the budget, UTC as POSIX time.
         variances: source of error → variance about East, North and Up, rad², shape (3,).
         total: variance of all sources, rad², shape (3,).
         by_angle: angle → source of error → variance, rad², from :func:`ship_watch.budget.angle_variances`: heading,
@@ -94,7 +94,7 @@ class SafetyPoint:
 
 @dataclass(frozen=True)
 class BeaconPoint:
-    """A light on the detector, m along right and up, and its residual on the sky, rad, NaN if unknown."""
+    """Position of a light on the detector along right and up, m, and its residual on the sky, rad, NaN if unknown."""
 
     utc_ns: int
     x: float
@@ -110,8 +110,8 @@ class ExposurePoint:
 
     Attributes:
         utc_ns: middle of the exposure, UTC as POSIX time.
-        u: columns, pixel.
-        v: rows, pixel.
+        u: columns of the stars on the detector, pixel.
+        v: rows of the stars on the detector, pixel.
         is_accepted: True if the filter accepted the solution.
         star_count: number of used stars.
         rejected_count: number of rejected stars.
@@ -119,7 +119,7 @@ class ExposurePoint:
         elevation: elevation of the boresight, rad; NaN without a solution.
         residual_right: measured minus predicted position of each star along the sensor's right axis, rad, in the order
             of ``u``. NaN for a star that was not used; empty if the innovation contains no stars.
-        residual_up: the residuals along the sensor's up axis, in the same form.
+        residual_up: residuals along the sensor's up axis, in the form of ``residual_right``.
     """
 
     utc_ns: int
@@ -138,8 +138,8 @@ class ExposurePoint:
 class ParameterEstimate:
     """An estimated alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m, px, 1).
 
-    States that are errors are nominally zero. The nominal values of installation angles and of a focal length are in
-    the configuration, which is not published: the first received value is used, NaN if there is none.
+    States that are errors are nominally zero. The nominal values of installation angles and focal lengths are in the
+    configuration, which is not published. The first received value is used instead, or NaN before the first value.
     """
 
     name: str
@@ -155,15 +155,15 @@ class History:
     """Data of all plots.
 
     Attributes:
-        innovations: by source, as ``star.bow``.
-        errors: by topic, as ``ship/error_arcsec``, also if they are computed here.
-        budgets: by topic, as ``ship/error_budget``.
+        innovations: source (``star.bow``) → innovations of its measurements.
+        errors: topic (``ship/error_arcsec``) → errors from this topic, or computed against the truth.
+        budgets: topic (``ship/error_budget``) → error budgets.
         safety: worst safety of each angle, one point a second.
-        beacons: by beacon.
-        star_exposures: by source, as ``star.bow``.
+        beacons: id of a light → its positions on the detector.
+        star_exposures: source (``star.bow``) → last exposure.
         alignment: the states of the last ``ship/alignment``.
         calibration: the parameters of the last ``theodolite/calibration``.
-        position: geodetic latitude and longitude of the last fix, rad; None if there was none yet.
+        position: geodetic latitude and longitude of the last fix, rad; None before the first fix.
     """
 
     innovations: dict[str, deque[InnovationPoint]] = field(default_factory=dict)
@@ -213,7 +213,7 @@ def append_point(buffer: deque[Point], point: Point) -> None:
 
 
 def replace_or_append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
-    """Replace the point of the same time; add the point if there is none."""
+    """Replace the point of the same time; add the point if no point has this time."""
     buffer = buffers.get(name, deque())
     for place in range(len(buffer) - 1, -1, -1):
         if buffer[place].utc_ns == point.utc_ns:
@@ -233,17 +233,17 @@ def points_after(points: Sequence[Point], after_ns: int | None) -> list[Point]:
     """
     if after_ns is None:
         return list(points)
-    # From the end: few of the points of ten minutes are new.
+    # The points are read from the end, because only a few are new.
     return list(takewhile(lambda point: point.utc_ns > after_ns, reversed(points)))[::-1]
 
 
 def extreme_rows(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
-    """Return the rows with the minimum and maximum of each column in each section, for a line of few points.
+    """Return the rows with the minimum and maximum of each column in each section, to draw a line with few points.
 
     Args:
-        values: shape (n, columns); values that are not finite are ignored, but a section without finite values keeps
+        values: table of shape (n, columns). Non-finite values are ignored, but a section without finite values keeps
             its first row, so that a gap stays.
-        starts: first rows of the sections, rising from 0; the last section ends with the rows.
+        starts: first rows of the sections, rising from 0; the last section ends with the last row.
     """
     kept: list[int] = []
     for start, end in pairwise([*starts, len(values)]):

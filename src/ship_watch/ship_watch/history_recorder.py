@@ -38,17 +38,17 @@ _MAX_PENDING = 20
 """Number of outputs that wait for the truth at their stamps."""
 
 _INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
-"""Prefixes of parameters that are not errors."""
+"""Prefixes of states that are not errors."""
 
 _ERRORS = ".time_offset", ".focal_length", ".principal_u", ".principal_v", ".distortion_k1"
-"""Endings of a device's states that are errors in spite of their prefix."""
+"""Endings of states that are errors in spite of a prefix of :data:`_INSTALLED`."""
 
 
 class ErrorsAgainstTruth:
-    """Errors of an output, from its error topic or computed against a truth that is played with it.
+    """Errors of an output, from its error topic or computed against the truth topic.
 
-    An estimator has no truth, so that live its error topic contains NaN. The outputs are then compared with the truth
-    interpolated to their stamps.
+    A live estimator does not receive the truth, so its error topic contains NaN. The outputs are then compared with the
+    truth topic, interpolated to their stamps.
     """
 
     def __init__(self, orientation: Orientation, history: History) -> None:
@@ -59,7 +59,7 @@ class ErrorsAgainstTruth:
         self._has_published_errors = False
 
     def record_published_error(self, message: Any) -> None:
-        """Record a message of the output's own error topic."""
+        """Record a message of the output's error topic."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
         has_values = any(math.isfinite(value) for value in error.values())
@@ -80,7 +80,7 @@ class ErrorsAgainstTruth:
                 self._pending.append((stamp_ns, angles, variances))
 
     def record_truth(self, message: Any) -> None:
-        """Record a sample of the truth, and add the errors of the outputs before it."""
+        """Record a sample of the truth, and add the errors of the outputs up to its time."""
         sample = self._orientation.sample(message)
         if sample is not None:
             self._truth.insert(sample)
@@ -208,7 +208,7 @@ class HistoryRecorder:
             self.history.calibration = tuple(estimates)
 
     def record_safety(self, utc_ns: int, safety: Mapping[str, Safety | None]) -> None:
-        """Record the safety of each angle; the worst of each second is added when the second is over."""
+        """Record the safety of each angle; the worst safety of each second is added at the end of the second."""
         second = utc_ns // NS_PER_S
         if second != self._second:
             if self._safety and second > self._second:
@@ -229,7 +229,10 @@ class HistoryRecorder:
 
 
 def innovation_point(message: Any) -> InnovationPoint:
-    """Return an Innovation for the plots: the last word of a component's name is its axis, the rest a star or light."""
+    """Return the plot point of an Innovation.
+
+    The last word of a component's name is the axis; the words before the axis name a star or a light.
+    """
     split = [str(name).rpartition(" ") for name in message.components]
     axes = tuple(dict.fromkeys(axis for _, _, axis in split))
     names = tuple(dict.fromkeys(part for part, _, _ in split))
@@ -252,7 +255,7 @@ def innovation_point(message: Any) -> InnovationPoint:
 
 
 def _mean(values: FloatArray) -> FloatArray:
-    """Return the mean of the finite values of each column; NaN for a column without any."""
+    """Return the mean of the finite values of each column; NaN for a column without finite values."""
     finite = np.isfinite(values)
     if len(values) == 1:
         return np.where(finite[0], values[0], math.nan)

@@ -22,7 +22,7 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
 
 INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
-"""Kinds of sources: the name of a source, or its part before the id, as in ``star.bow``."""
+"""Kinds of sources. A kind is the name of a source, or the part of the name before the id: "star" of ``star.bow``."""
 
 _DEVICE_NAME = re.compile(r"(star|reference)_.+")
 
@@ -174,7 +174,7 @@ class Limits:
         return float(np.radians(limits_arcsec[angle] / 3600.0))
 
     def input_limits(self, source: str) -> InputLimits:
-        """Return the limits of a source by its name: its own, else those of its kind, else those of every input."""
+        """Return the limits of a source: the entry of its name, else of its kind, else ``every_input``."""
         own = self.inputs.get(source.replace(".", "_"))
         return own or self.inputs.get(source.partition(".")[0], self.every_input)
 

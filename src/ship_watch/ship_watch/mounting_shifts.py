@@ -27,8 +27,8 @@ _THRESHOLD = 16.27
 _PERIOD_NS = NS_PER_S
 _KEPT = 10
 _BEFORE_NS = 2 * NS_PER_S
-"""Time before the first rejection of the estimate that counts as the mounting before the fault, ns: later estimates may
-contain the fault."""
+"""Minimum time from the estimate of the mounting before a fault to the first rejection, ns. Later estimates may contain
+the fault."""
 
 
 @dataclass(frozen=True)
@@ -108,5 +108,5 @@ def significant_shift(before: MountingEstimate, after: MountingEstimate) -> floa
 
 
 def _estimate_before(kept: deque[MountingEstimate], out_since_ns: int) -> MountingEstimate:
-    """Return the newest mounting estimated before the fault of a source; the oldest one if there is none."""
+    """Return the newest mounting estimated before a fault; the oldest mounting if all were estimated later."""
     return next((each for each in reversed(kept) if each.utc_ns <= out_since_ns - _BEFORE_NS), kept[0])

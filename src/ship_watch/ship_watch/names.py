@@ -1,4 +1,4 @@
-"""Bound of the entries stored by name: names come from the network, which can deliver any number of them.
+"""Limit of the number of names that are stored, because the network can deliver any number of names.
 
 The first names are kept, so that further names never displace a known source.
 """

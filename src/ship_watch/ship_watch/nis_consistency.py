@@ -9,10 +9,10 @@ WINDOW_NS = 60_000_000_000
 """Length of the window of innovations, ns."""
 
 BAND_SIGMAS = 3.3
-"""Half width of the band in which the sigma is consistent, in sigmas of the ratio: two-sided probability 99.9 %."""
+"""Half width of the band in which the sigma is consistent, in sigmas of the ratio (two-sided probability 99.9 %)."""
 
 MAX_BAND = 0.5
-"""Largest half width of the band for which a text is given: at least 22 degrees of freedom."""
+"""Largest half width of the band for which a text is given, reached with 22 degrees of freedom."""
 
 
 class NisWindow:
@@ -29,7 +29,7 @@ class NisWindow:
         Args:
             now_ns: caller's time, ns.
             nis: normalised innovation squared.
-            degrees_of_freedom: number of its residuals.
+            degrees_of_freedom: number of residuals of the innovation.
         """
         if degrees_of_freedom > 0 and math.isfinite(nis):
             self._entries.append((now_ns, nis, degrees_of_freedom))
@@ -39,12 +39,13 @@ class NisWindow:
         self._drop_old(now_ns)
 
     def consistency(self, now_ns: int) -> NisConsistency:
-        """Return the consistency of the last minute: r = √(NIS / N) of N degrees of freedom within 1 ± 3.3/√(2 N).
+        """Return the consistency of the last minute.
 
-        The sum of N squares of unit normals has mean N and variance 2 N, so that r has the sigma 1/√(2 N).
+        With N degrees of freedom, the sigma is consistent if r = √(NIS / N) is within 1 ± 3.3/√(2 N). The sum of N
+        squares of unit normals has the mean N and the variance 2 N, so that r has the sigma 1/√(2 N).
         """
         self._drop_old(now_ns)
-        if self._consistency is None:  # called more often than innovations arrive
+        if self._consistency is None:  # kept, because this method is called more often than innovations arrive
             self._consistency = self._compute_consistency()
         return self._consistency
 
@@ -78,5 +79,5 @@ def consistent_text(ratio: float) -> str:
 def inconsistent_text(ratio: float) -> str:
     """Return the text of an inconsistent ratio: "optimistic by 1.6" if errors exceed the stated sigma."""
     factor = ratio if ratio > 1.0 else 1.0 / ratio
-    # Two digits if one would round to 1.0.
+    # Two decimals if the factor would be 1.0 with one decimal.
     return f"{'optimistic' if ratio > 1.0 else 'pessimistic'} by {factor:.{2 if factor < 1.05 else 1}f}"

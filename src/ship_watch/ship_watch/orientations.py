@@ -1,4 +1,4 @@
-"""Orientations that a suite publishes, their truth in simulated bags, and their errors against it."""
+"""Orientations that a suite publishes, with their truth in simulated bags and their errors against this truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Orientation:
         return np.stack([numbers[name] for name in self.angles], axis=1)
 
     def sample(self, message: Any) -> AttitudeSample | None:
-        """Return the orientation of a message, with its rate if given and finite; None without finite angles."""
+        """Return the orientation of a message, and its angular rate if finite; None if an angle is not finite."""
         angles = self.angles_of(message)
         if not np.all(np.isfinite(angles)):
             return None
@@ -63,7 +63,7 @@ class Orientation:
         )
 
     def samples(self, messages: CdrRows) -> list[AttitudeSample | None]:
-        """Return the orientations of messages as rows, identical to those of :meth:`sample`."""
+        """Return the orientations of messages given as rows, identical to the results of :meth:`sample`."""
         numbers = messages.numbers
         angles, times_ns = self.angles_of_rows(numbers), stamps_of_rows(numbers).tolist()
         rates_d: Sequence[FloatArray | None] = [None] * len(times_ns)
@@ -94,7 +94,7 @@ class Orientation:
 
 
 def _is_row_finite(rows: FloatArray) -> list[bool]:
-    """Return for each row True if all its numbers are finite."""
+    """Return True for each row whose numbers are all finite, else False."""
     finite: list[bool] = np.logical_and.reduce(np.isfinite(rows), axis=1).tolist()
     return finite
 

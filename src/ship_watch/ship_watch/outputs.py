@@ -62,7 +62,7 @@ class OutputRecord:
 
     def is_old(self, now_ns: int) -> bool:
         """True if the last message is older than its limit."""
-        # An INVALID output is published once a second only.
+        # An INVALID output is published only once a second.
         longest_ns = self._max_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
 
@@ -95,7 +95,7 @@ class OutputRecord:
         raise NotImplementedError
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
-        """Return the cause of a reduced accuracy, from the output's own fields; empty if there is none."""
+        """Return the cause of a reduced accuracy, from the fields of the output; empty if no cause is known."""
         raise NotImplementedError
 
     def has_reduced_input(self, beacon_count: int) -> bool:
@@ -104,7 +104,7 @@ class OutputRecord:
 
     def _record_common(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
         """Record the fields common to both outputs; return the changes as :meth:`record` does."""
-        # A message with the stamp and status of the last one is a repetition: it does not renew the arrival time.
+        # A repetition has the stamp and status of the last message, and does not renew the arrival time.
         status = _STATUSES.get(int(message.status))
         if stamp_ns != self.stamp_ns or status is not self.status:
             self._arrived_ns = now_ns
@@ -143,16 +143,16 @@ class AttitudeRecord(OutputRecord):
         return changes
 
     def star_age_s(self, now_ns: int) -> float:
-        """Return the time since the last used star attitude, s; infinite if none was used yet."""
+        """Return the time since the last used star attitude, s; infinite before the first."""
         return self._star_age_s + (self.age_s(now_ns) if self.is_received else 0.0)
 
     def ins_age_s(self, reported_s: float, now_ns: int) -> float:
         """Return the time since the last INS sample, s.
 
-        While the INS is used, each of its samples causes an attitude: the age of the attitude is then an upper bound.
+        While the INS is used, each INS sample leads to an attitude, so the age of the attitude is an upper bound.
 
         Args:
-            reported_s: time since the last INS sample by the reports of the node, s.
+            reported_s: time since the last INS sample according to the reports of the node, s.
             now_ns: current time.
         """
         return min(reported_s, self.age_s(now_ns)) if self._uses_ins else reported_s
@@ -202,13 +202,13 @@ class PointingRecord(OutputRecord):
         return changes
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
-        """Return the number of used lights if it is too low; empty otherwise."""
+        """Return a text on the number of used lights if too few lights are used; empty otherwise."""
         if self.has_reduced_input(beacon_count):
             return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights used"
         return "no lights" if self._mode == _ENCODER else ""
 
     def has_reduced_input(self, beacon_count: int) -> bool:
-        """True if one light is used although there are several."""
+        """True if only one light is used although several are configured."""
         return self._mode == _ONE_LIGHT and beacon_count > 1
 
 
@@ -216,7 +216,7 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def _accuracy_95(variance: float) -> float:
-    """Return 1.96 sigma; NaN for an invalid variance. Zero means that none is given, as in all ROS messages."""
+    """Return 1.96 sigma; NaN for an invalid variance, and for zero, which means "not given" in ROS messages."""
     return NORMAL_95 * math.sqrt(variance) if variance > 0.0 else math.nan
 
 

@@ -1,7 +1,7 @@
-"""Overloaded nodes, which cannot keep up with their inputs, and the sources that are OUT because of them.
+"""Overloaded nodes, which cannot keep up with their inputs, and the sources that are OUT due to an overload.
 
 An overloaded node drops waiting messages. Measurements of good sources then lack their counterparts, in that node and
-in the nodes that read its output: none of these sources is faulty.
+in the nodes that read its output. These sources are not faulty.
 """
 
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ from typing import Any
 from ship_watch.suite_state import Presence, SourceState
 
 REPORT_TIMEOUT_NS = 5_000_000_000
-"""Maximum age of an overload report for the node to count as overloaded, ns. Reports come once a second, and less often
-if the node hardly runs."""
+"""Maximum age of an overload report with which its node counts as overloaded, ns. A node reports once a second, and
+less often if it hardly runs."""
 
 _NEW_OVERLOAD_NS = 2 * REPORT_TIMEOUT_NS
 """Time without a report after which the next report starts a new overload, ns."""
@@ -42,7 +42,7 @@ class OverloadedNodes:
         self._causes: dict[str, str] = {}
 
     def record_report(self, message: Any, now_ns: int) -> None:
-        """Record an Innovation with the reason BEHIND; those of dropped messages are ignored, only nodes count."""
+        """Record an Innovation with the reason BEHIND if its source is a node, not a dropped message."""
         node = str(message.source)
         if node not in _NODES:
             return
@@ -63,7 +63,7 @@ class OverloadedNodes:
         return next((self._nodes[node].text for node in nodes if self._is_overloaded(node, now_ns)), "")
 
     def with_causes(self, sources: Sequence[SourceState], now_ns: int) -> list[SourceState]:
-        """Return the sources; for those that went OUT during an overload, the node is their cause.
+        """Return the sources; a source that went OUT during an overload has the overloaded node as its cause.
 
         The cause stays until the source is IN again.
 

@@ -1,6 +1,6 @@
-"""State of a suite as a message: the node ``alerts`` computes it once, page and terminal display the same.
+"""State of a suite as a message, which the node ``alerts`` publishes and which page and terminal display.
 
-:func:`suite_state_fields` converts a state to the fields of a SuiteState message, :func:`published_state` reads a
+:func:`suite_state_fields` converts a state to the fields of a SuiteState message, and :func:`published_state` reads a
 received message.
 """
 
@@ -21,7 +21,7 @@ PERIOD_NS = 500_000_000
 """Time between two messages while nothing changes, ns."""
 
 MAX_AGE_NS = 4 * PERIOD_NS
-"""Maximum age of a state that is displayed, ns: an older one means that its node or the network has failed."""
+"""Maximum age of a displayed state, ns. If the last state is older, the node or the network has failed."""
 
 _PRESENCES = tuple(Presence)
 _MAX_TEXT_LENGTH = 4 * MAX_NAME_LENGTH
@@ -59,11 +59,11 @@ class PublishedState:
     arrived_ns: int
 
     def is_current(self, now_ns: int) -> bool:
-        """True if it is young enough to be shown."""
+        """True if the state is recent enough to be displayed."""
         return now_ns - self.arrived_ns <= MAX_AGE_NS
 
     def merge_into(self, state: SuiteState, now_ns: int) -> SuiteState:
-        """Return a state with this published one in it. Ages grow only if the next message is overdue."""
+        """Return ``state`` with the published content; ages grow only if the next message is overdue."""
         overdue_s = max(0, now_ns - self.arrived_ns - PERIOD_NS) * 1e-9
         return replace(
             state,
@@ -78,7 +78,7 @@ def published_state(message: Any, arrived_ns: int) -> PublishedState:
     """Return the content of a SuiteState message.
 
     Raises:
-        ValueError: the message contains a safety or a presence that does not exist.
+        ValueError: the message contains an undefined safety or presence.
     """
     return PublishedState(
         angles=tuple(_angle(each) for each in islice(message.angles, MAX_NAMES)),

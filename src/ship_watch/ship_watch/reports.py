@@ -1,4 +1,4 @@
-"""Reports on one input topic in ``input_health``, from one or several nodes that read it."""
+"""Reports on one input topic in ``input_health``, from one or several nodes that read the topic."""
 
 import math
 from collections import deque
@@ -17,7 +17,7 @@ MIN_TIMEOUT_NS = 2_000_000_000
 """Minimum timeout of a topic, ns."""
 
 TIMEOUT_PERIODS = 3.0
-"""Timeout of a topic in its periods."""
+"""Timeout of a topic, in message periods."""
 
 UNKNOWN_RATE_TIMEOUT_NS = 5_000_000_000
 """Timeout of a topic whose rate is not known yet, ns."""
@@ -37,7 +37,7 @@ _REPORT_PERIOD_NS = 1_000_000_000.0
 
 @dataclass
 class _Reporter:
-    """Last report of one node on the topic. The message does not contain the node's name."""
+    """Last report of one node on the topic. A report does not contain the name of the node."""
 
     number: int
     stamp_ns: int
@@ -48,7 +48,7 @@ class _Reporter:
     reasons: dict[str, int]
 
     def may_precede(self, other: "_Reporter") -> bool:
-        """True if ``other`` may be the next report of the same node: its counters never decrease."""
+        """True if ``other`` may be the next report of the same node, whose counters never decrease."""
         return (
             other.stamp_ns > self.stamp_ns
             and other.received >= self.received
@@ -67,11 +67,11 @@ class TopicReports:
 
     Attributes:
         topic: name of the topic.
-        arrived_ns: arrival of its last message, caller's time, ns; None if there was none yet.
-        reported_ns: arrival of the last report, caller's time, ns; None if there was none yet.
+        arrived_ns: arrival of the last message of the topic, caller's time, ns; None before the first message.
+        reported_ns: arrival of the last report, caller's time, ns; None before the first report.
         rate_hz: mean rate of arrival, Hz; NaN until it is known.
         period_ns: usual time between two messages, ns; NaN if unknown.
-        used: number of messages used so far, by the node that has used most of them.
+        used: largest number of messages that one node has used so far.
     """
 
     def __init__(self, topic: str, timeout_s: float = 0.0) -> None:
@@ -92,7 +92,7 @@ class TopicReports:
         self._rejections: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MAX_REPORTS)
 
     def record_report(self, message: Any, now_ns: int) -> bool:
-        """Record a report; return True if it comes from a node that has started since the last one."""
+        """Record a report; return True if it is from a node that has started since the last report."""
         reasons = zip(message.reasons, message.reason_counts, strict=False)
         report = _Reporter(
             0,
@@ -122,9 +122,10 @@ class TopicReports:
         return self._level > 0 and bool(self._reporters) and not any(one.received for one in self._reporters)
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message arrived, s; infinite if there was none yet.
+        """Return the time since the last message arrived, s; infinite before the first message.
 
-        Between two reports it stays constant if messages arrived until the last one: single arrivals are not reported.
+        Single arrivals are not reported, so the time stays constant after a report with new messages until the next
+        report is overdue.
         """
         if self.arrived_ns is None:
             return math.inf
@@ -135,8 +136,8 @@ class TopicReports:
     def is_timed_out(self, now_ns: int) -> bool:
         """True if no message arrived within the timeout.
 
-        After a report with new messages, only the next report can show that they have stopped. A late report, as on a
-        busy computer, is not a timeout of the topic; an overdue one is (:meth:`is_report_overdue`).
+        After a report with new messages, only the next report can show that the messages have stopped. A late report,
+        as on a busy computer, is not a timeout of the topic. An overdue report is (:meth:`is_report_overdue`).
         """
         if self.arrived_ns is None or (self._has_new_messages and not self.is_report_overdue(now_ns)):
             return False
@@ -165,7 +166,7 @@ class TopicReports:
         """Return the displayed state of the topic."""
         while self._rejections and now_ns - self._rejections[0][0] > WINDOW_NS:
             self._rejections.popleft()
-        # Nodes that read the same messages reject the same ones: the largest count of any node is taken.
+        # Nodes that read the same messages reject the same messages, so the largest count of one node is taken.
         refused_by: dict[int, int] = {}
         reasons_by: dict[tuple[int, str], int] = {}
         for _, number, count, grown in self._rejections:
@@ -180,10 +181,11 @@ class TopicReports:
         return InputState(self.topic, self.rate_hz, self._latency_s, age_s, int(self._level), refused, reasons)
 
     def _update_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
-        """Compute the arrival of the last message: the report minus its age beyond the mean latency.
+        """Update the period of the topic and the arrival of the last message from a report.
 
-        A report contains no stamp of rejected messages: they are assumed to arrive after the report before, one period
-        apart. Without new messages the mean rate decreases; the period is then not updated.
+        The arrival is the time of the report minus the age of the message beyond the mean latency. A report contains no
+        stamps of rejected messages, which are assumed to arrive after the previous report, one period apart. Without
+        new messages the mean rate decreases, so the period is then not updated.
         """
         come = report.received - (before.received if before else 0)
         self._has_new_messages = come > 0
@@ -197,10 +199,10 @@ class TopicReports:
             self.record_arrival(min(report.received_ns, before.received_ns + round(passed_ns)))
 
     def _match_reporter(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
-        """Replace the report that this one follows; if it may follow several, the oldest.
+        """Replace the previous report of the same node; if several reports may be the previous one, the oldest.
 
         Returns:
-            True if it comes from a new node, and the report before it, None if there is none.
+            True if the report is from a new node, and the previous report of its node, None if there is none.
         """
         before = min(
             (known for known in self._reporters if known.may_precede(report)),

@@ -1,9 +1,9 @@
 """Safety of an angle (SAFE, CAUTION or UNSAFE) and a short reason where it is not SAFE.
 
-The terms are those of IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
-within the ship's limit and the protection levels are met. It is CAUTION if the accuracy is at most three times the
-limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. All else is
-UNSAFE: every comparison is written so that NaN fails it.
+The terms are from IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
+within the ship's limit and the protection levels are met. An angle is CAUTION if the accuracy is at most three times
+the limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. In all
+other cases the angle is UNSAFE, also if a value is NaN, because NaN fails every comparison.
 
 The safety gets worse at once and better after a hold time, with hysteresis. An accuracy that was over its limit must be
 below the limit by a margin for the hold time, or below the limit for several hold times.
@@ -20,13 +20,13 @@ from ship_watch import value_texts
 from ship_watch.suite_state import Safety, SourceState
 
 HYSTERESIS_MARGIN = 0.1
-"""Margin below the limit, as a fraction of it, that ends the hold of an accuracy that was over the limit."""
+"""Margin, as a fraction of the limit, by which an accuracy must be below its limit for the shorter hold."""
 
 WITHIN_MARGIN_FACTOR = 6
 """Number of hold times after which an accuracy within the limit, but not within the margin, counts as better."""
 
 BRIEF_DIP_NS = 1_000_000_000
-"""Time below the limit that does not end a period over the limit, ns."""
+"""Maximum time below the limit that does not end a period over the limit, ns."""
 
 OVER_THE_LIMIT = "over the limit"
 """Reason of a CAUTION that is caused by the accuracy alone, with no faulty source."""
@@ -39,8 +39,8 @@ class AngleProtection:
     """Protection level of one angle from an Integrity message.
 
     Attributes:
-        state: state of the whole message; None without a message, or if the last one is too old.
-        level: protection level, rad; NaN if there is none.
+        state: state of the whole message; None without a message, or if the last message is too old.
+        level: protection level, rad; NaN if unknown.
         alert_limit: alert limit, rad; NaN if none is configured.
     """
 
@@ -63,10 +63,10 @@ class AngleInputs:
         unsafe_factor: ratio of accuracy to limit above which the angle is UNSAFE.
         status: status of the output; None if its number is unknown.
         diagnosis_hint: cause of a reduced quality, from the output itself: "no stars for 31 s", "no lights".
-        has_reduced_input: True if the hint alone makes the angle a CAUTION: one of two lights.
+        has_reduced_input: True if the hint alone makes the angle a CAUTION, as with one of two lights.
         protection: protection level of the angle.
-        faulty_source: the source that is OUT by a fault of its own; None if there is none.
-        overload: text of a node in the chain of this angle that cannot keep up with its inputs; empty if there is none.
+        faulty_source: the source that is OUT due to a fault of its own; None if there is no such source.
+        overload: text of an overloaded node that this angle depends on; empty if no such node is overloaded.
     """
 
     topic: str
@@ -85,7 +85,7 @@ class AngleInputs:
 
 
 def safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
-    """Return the safety of an angle and the reason why it is not SAFE, empty if it is."""
+    """Return the safety of an angle and the reason why it is not SAFE; the reason is empty if it is SAFE."""
     safety, reason = _safety_and_reason(inputs)
     return safety, (inputs.overload or reason) if safety else ""
 
@@ -125,8 +125,8 @@ class AngleSafety(NamedTuple):
     """Safety of an angle at one time, without hold.
 
     Attributes:
-        safety: the safety.
-        reason: why it is not SAFE; empty if it is.
+        safety: safety of the angle.
+        reason: reason why the angle is not SAFE; empty if it is SAFE.
         by_accuracy: safety from the accuracy alone.
         by_margin: safety from the accuracy alone with the limit reduced by :data:`HYSTERESIS_MARGIN`.
     """
@@ -168,7 +168,7 @@ class DisplayedSafety(NamedTuple):
 
     Attributes:
         safety: the worst safety within the hold time.
-        cause: the last reason for a safety this bad.
+        cause: last reason for a safety at least as bad.
         next_safety: the safety that follows if nothing changes; None if there is no hold.
         next_in_ns: time until ``next_safety``, ns.
     """
@@ -199,7 +199,7 @@ class SafetyHysteresis:
 
     Attributes:
         safety: last displayed safety; None before the first update.
-        since_ns: time of its last change, caller's time, ns.
+        since_ns: time of the last change of ``safety``, caller's time, ns.
     """
 
     def __init__(self, hold_s: float) -> None:
@@ -226,7 +226,7 @@ class SafetyHysteresis:
         return changed
 
     def displayed_safety(self, now: AngleSafety, now_ns: int) -> DisplayedSafety:
-        """Return the displayed safety for the current one: the worst within the hold time."""
+        """Return the displayed safety: the worst safety within the hold time, including the current safety."""
         for level in (Safety.UNSAFE, Safety.CAUTION):
             if now.safety >= level:
                 return DisplayedSafety(now.safety, now.reason)
@@ -238,7 +238,7 @@ class SafetyHysteresis:
         return DisplayedSafety(Safety.SAFE, "")
 
     def _hold_end_ns(self, level: Safety, now: AngleSafety, now_ns: int) -> int:
-        """Return the time at which the hold of a level ends if nothing changes; ``now_ns`` without a hold."""
+        """Return the time at which the hold of a level ends if nothing changes; ``now_ns`` if there is no hold."""
         hold = self._holds.get(level)
         if hold is None:
             return now_ns
@@ -255,7 +255,7 @@ class _Hold(NamedTuple):
         last_ns: last time at which the safety was this bad.
         last_near_ns: last time at which the safety was this bad, or the accuracy was not within the margin.
         was_over: True if the accuracy was over its limit during the hold.
-        cause: the last reason.
+        cause: last reason for a safety this bad.
     """
 
     last_ns: int
@@ -265,7 +265,7 @@ class _Hold(NamedTuple):
 
 
 class TimeOverLimit:
-    """Duration for which an accuracy has been over its limit; a dip below it of less than a second is ignored."""
+    """Duration for which an accuracy has been over its limit; less than a second below the limit is ignored."""
 
     def __init__(self) -> None:
         self._first_ns = self._last_ns = -BRIEF_DIP_NS
@@ -278,5 +278,5 @@ class TimeOverLimit:
             self._last_ns = now_ns
 
     def duration_s(self, now_ns: int) -> float:
-        """Return the time from the first to the last sample over the limit, s; 0 after a second below it."""
+        """Return the time from the first to the last sample over the limit, s; 0 after a second below the limit."""
         return (self._last_ns - self._first_ns) * 1e-9 if now_ns - self._last_ns < BRIEF_DIP_NS else 0.0

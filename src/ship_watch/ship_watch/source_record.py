@@ -1,4 +1,4 @@
-"""State of one source: its measurement decisions, why it is OUT, and which other source is the cause."""
+"""State of one source: measurement decisions, the reason why it is OUT, and the other source that is the cause."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,24 +20,24 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
     Reason.NO_FIX: {"star": ("gnss",)},
     Reason.NOT_FIXED: {"lights": ("baselines",)},
 }
-"""Reason of a rejection → kind of the rejected source → the sources that may be its cause."""
+"""Reason of a rejection → kind of the rejected source → the sources that may cause the rejection."""
 
 _SELF_REPORTED = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
-"""Reason and source for which the device itself reports that it has no value."""
+"""Pairs of reason and source with which the device itself reports that it has no value."""
 
 _CORRECTIONS = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
-"""Reason of an accepted measurement → text of what was corrected in it."""
+"""Reason of an accepted measurement → text of the correction that was made in it."""
 
 _NO_USABLE_DATA = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
-"""Kind of source → reason while it sends data of which none can be used."""
+"""Kind of source → reason while all data of the source are unusable."""
 
 _UNUSABLE_PERIODS = 5.0
-"""Number of periods without usable data after which a source is OUT; 2 s at least."""
+"""Number of periods without usable data, but at least 2 s, after which a source is OUT."""
 
 
 @dataclass(frozen=True)
 class SourceFault:
-    """Reason why a source is OUT, its time (UTC, ns), and the source that causes it; empty for a fault of its own."""
+    """Reason why a source is OUT, begin of the fault (UTC, ns), and source that causes the fault, empty for its own."""
 
     reason: str
     since_ns: int = 0
@@ -51,17 +51,17 @@ class SourceRecord:
         name: name of the source.
         first_word: kind of the source, the first part of its name: "star" for all star sensors.
         period_ns: usual time between its messages, ns; NaN if unknown.
-        used: number of its messages used so far, by the node that has used most of them.
+        used: largest number of its messages that one node has used so far.
         topics: topic → reports on it, in the order of their names.
         decisions: (innovation topic, name in it) → measurement decisions.
         used_at_rejection: (innovation topic, name in it) → value of ``used`` at the last rejection.
         nis_window: accepted innovations of the last minute.
         excluded_since: integrity topic → time of the exclusion, UTC, ns.
-        evaluated_ns: arrival of the last innovation with components; None if there was none yet.
-        used_ns: arrival of the last accepted innovation; None if there was none yet.
-        corrected_ns: arrival of the last accepted measurement that had to be corrected; None if there was none yet.
-        correction: text of that correction.
-        last_cause: source that was the cause of the last fault; empty if there is none.
+        evaluated_ns: arrival of the last innovation with components; None before the first.
+        used_ns: arrival of the last accepted innovation; None before the first.
+        corrected_ns: arrival of the last accepted measurement that had to be corrected; None before the first.
+        correction: text of the last correction.
+        last_cause: source that was the cause of the last fault; empty if no other source was the cause.
     """
 
     def __init__(self, name: str) -> None:
@@ -91,11 +91,11 @@ class SourceRecord:
         self.used = max(topic.used for topic in self.topics.values())
 
     def age_s(self, now_ns: int) -> float:
-        """Return the time since the last message of the source, s; infinite if there was none yet."""
+        """Return the time since the last message of the source, s; infinite before the first message."""
         return min((topic.age_s(now_ns) for topic in self.topics.values()), default=math.inf)
 
     def record_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:
-        """Record an accepted Innovation; of lights also for each light named in its components."""
+        """Record an accepted Innovation; an Innovation of lights is also recorded for each light in its components."""
         degrees = sum(1 for residual in message.residual if math.isfinite(residual))
         if message.reason != Reason.REVISED:
             self.nis_window.add(now_ns, float(message.nis), degrees)
@@ -110,7 +110,7 @@ class SourceRecord:
     def fault(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """Return the reason why the source is OUT; None if it is IN.
 
-        Missing data are reported before an exclusion, an exclusion before rejections.
+        Missing data have priority over an exclusion, and an exclusion has priority over rejections.
 
         Args:
             now_ns: caller's time, ns.
@@ -137,7 +137,7 @@ class SourceRecord:
         return self._no_usable_data(now_ns, utc_offset_ns)
 
     def _no_usable_data(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
-        """Return the fault of a source that sends data but none that can be evaluated; None otherwise."""
+        """Return the fault of a source that sends only data that cannot be evaluated; None otherwise."""
         word = _NO_USABLE_DATA.get(self.first_word)
         if word is None or self.evaluated_ns is None or math.isnan(self.period_ns):
             return None
@@ -148,11 +148,11 @@ class SourceRecord:
         return SourceFault(word, self.evaluated_ns + utc_offset_ns)
 
     def attribute_fault(self, fault: SourceFault, faulty_names: set[str]) -> SourceFault:
-        """Return the fault with the source that causes it, if a source that this one needs is OUT.
+        """Return the fault, with its cause if a source that this source needs is OUT.
 
         Args:
             fault: fault of this source.
-            faulty_names: names of the sources that are OUT by a fault of their own.
+            faulty_names: names of the sources that are OUT due to a fault of their own.
         """
         reasons = {
             history.reason
@@ -164,12 +164,12 @@ class SourceRecord:
         needed = [name for reason in reasons for name in _NEEDS.get(reason, {}).get(self.first_word, ())]
         cause = next((name for name in needed if name in faulty_names), "")
         if not cause and self.last_cause in needed:
-            cause = self.last_cause  # the needed source is IN again, this one not yet accepted often enough
+            cause = self.last_cause  # the needed source is IN again, but this source is not yet reinstated
         self.last_cause = cause
         return replace(fault, reason=f"needs {cause}", because_of=cause) if cause else fault
 
     def source_state(self, fault: SourceFault | None, now_ns: int) -> SourceState:
-        """Return the state of the source with this fault: IN without one, OFF if nothing was ever received."""
+        """Return the state of the source: OUT with a fault, IN without a fault, OFF if nothing was ever received."""
         if fault is None:
             if not self.decisions and all(topic.arrived_ns is None for topic in self.topics.values()):
                 return unconfigured_source(self.name)
@@ -202,7 +202,7 @@ def unconfigured_source(name: str) -> SourceState:
 
 
 def _rejection_text(source: str, name: str, history: DecisionHistory) -> str:
-    """Return the text of a run of rejections; a rejection by the gate is not named."""
+    """Return the text of a run of rejections, with its reason unless the reason is the gate."""
     if (history.reason, source) in _SELF_REPORTED:
         return "invalid"
     if history.reason is Reason.EXCLUDED:
@@ -224,6 +224,6 @@ def _with_member(text: str, name: str) -> str:
 
 
 def _with_members(text: str, topics: list[TopicReports], all_topics: list[TopicReports]) -> str:
-    """Return the text, with the names of the members if it does not apply to the whole source."""
+    """Return the text, with the names of the members if the text does not apply to the whole source."""
     members = sorted({source_member(topic.topic) for topic in topics} - {""})
     return f"{', '.join(members)}: {text}" if members and len(topics) < len(all_topics) else text

@@ -1,8 +1,9 @@
-"""Presence of all sources, the reasons of those that are OUT, and the direction in which a faulty one is off.
+"""Presence of all sources, the reasons why sources are OUT, and the offsets of faulty sources.
 
 A source is OUT if a node excludes it, if five of its measurements in a row were rejected, if it sends no data, or if it
-reports itself invalid. After rejections it is IN again when ten in a row were accepted; both numbers are limits of the
-ship. A source that cannot be used because another one is OUT is OUT as well, with that one as its cause.
+reports itself invalid. After rejections the source is IN again when ten measurements in a row were accepted; both
+numbers are limits of the ship. A source that cannot be used because another source is OUT is also OUT, with the other
+source as its cause.
 """
 
 import math
@@ -19,7 +20,7 @@ from ship_watch.suite_state import Presence, SourceDetails, SourceState
 from ship_watch.topics import display_order, source_of_name, source_of_topic
 
 STAR_INNOVATION = "star/innovation"
-"""Innovations of single stars against the solution of their own sensor, along its own axes."""
+"""Topic of the innovations of single stars against the solution of their sensor, along the axes of the sensor."""
 
 _STAR_INVALID = 3
 """Status of a StarHorizonAttitude without an attitude."""
@@ -27,7 +28,7 @@ _STAR_INVALID = 3
 _NS = 1e-9
 
 _UNUSED_S = 5.0
-"""Difference between time since last use and age from which an arriving source counts as unused, s."""
+"""Time since the last use minus age of the last message above which a source counts as unused, s."""
 
 
 class SourceRecords:
@@ -54,19 +55,19 @@ class SourceRecords:
         return topic in self._reports
 
     def used_age_s(self, name: str, now_ns: int) -> float:
-        """Return the time since an innovation of a source was accepted, s; infinite if there was none yet."""
+        """Return the time since an innovation of a source was accepted, s; infinite before the first."""
         source = self._sources.get(name)
         return math.inf if source is None or source.used_ns is None else max(0, now_ns - source.used_ns) * _NS
 
     def age_s(self, name: str, now_ns: int) -> float:
-        """Return the time since the last message of a source, s; infinite if there was none yet."""
+        """Return the time since the last message of a source, s; infinite before the first."""
         source = self._sources.get(name)
         return math.inf if source is None else source.age_s(now_ns)
 
     # -- messages -------------------------------------------------------------------------------------------
 
     def record_health(self, message: Any, now_ns: int) -> bool:
-        """Record an InputHealth; return True if its node has started since the last one."""
+        """Record an InputHealth; return True if its node has started since the last InputHealth."""
         topic = str(message.topic)
         if not has_room(self._reports, topic, "input topic"):
             return False
@@ -106,7 +107,7 @@ class SourceRecords:
         return name
 
     def record_solution(self, name: str, message: Any, now_ns: int) -> None:
-        """Record the solution of a star sensor: `star/innovation` contains only rejected stars, not accepted ones."""
+        """Record the solution of a star sensor, because `star/innovation` contains only rejected stars."""
         if name and has_room(self._sources, name, "source"):
             history = self._decision_history(self._source_record(name), (STAR_INNOVATION, name))
             is_used = message.status != _STAR_INVALID
@@ -174,7 +175,7 @@ class SourceRecords:
 
 
 def first_faulty_source(sources: Iterable[SourceState], kinds: tuple[str, ...]) -> SourceState | None:
-    """Return the first source of some kinds that is OUT by a fault of its own; None if there is none."""
+    """Return the first source of some kinds that is OUT due to a fault of its own; None if there is none."""
     for source in sources:
         if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in kinds:
             return source
@@ -187,8 +188,8 @@ def newest_age_s(kind: str, sources: Iterable[SourceDetails], used_age_s: float)
     Args:
         kind: first part of the names of the kind, as "star".
         sources: all sources.
-        used_age_s: time since one of the kind was used, s. It is returned if all of them are OUT, and if they
-            arrive without being used.
+        used_age_s: time since a source of the kind was used, s. This time is returned if all sources of the kind are
+            OUT, or if their data arrive but are not used.
     """
     is_in = (each for each in sources if each.presence is Presence.IN and each.name.partition(".")[0] == kind)
     age_s = min((each.age_s for each in is_in), default=used_age_s)

@@ -1,9 +1,9 @@
 """State of a suite at any time, from its messages.
 
 The caller passes each message to :meth:`SuiteMonitor.process_message` and gets the state from
-:meth:`SuiteMonitor.current_state`. Times of arrival are the caller's: live those of a steady clock, for a bag the log
-times. Safety and events are evaluated ten times a second of that time, however often the state is requested, so that a
-bag gives the same events as the live messages.
+:meth:`SuiteMonitor.current_state`. The caller also passes the arrival times: times of a steady clock for live messages,
+log times for a bag. Safety and events are evaluated ten times per second of this time, independent of requests for the
+state. Therefore a bag gives the same events as the live messages.
 """
 
 import functools
@@ -44,22 +44,22 @@ EVALUATION_PERIOD_NS = 100_000_000
 """Period at which safety and events are evaluated, ns."""
 
 MAX_GAP_NS = 120 * NS_PER_S
-"""Longest gap without messages that is evaluated, ns: after it all ages are over their limits."""
+"""Longest gap without messages that is evaluated, ns. After such a gap all ages are over their limits."""
 
 CLOCK_TOLERANCE_NS = NS_PER_S // 10
-"""Distance of an output's stamp from the suite's time that confirms this time, ns."""
+"""Maximum delay of an output's stamp behind the suite's time that confirms this time, ns."""
 
 CLOCK_TIMEOUT_NS = 5 * NS_PER_S
 """Time without a confirming output after which the suite's time is set again, ns."""
 
 TIME_JUMP_NS = NS_PER_S
-"""Step back of an output's stamp that resets the history, ns: a bag is played in a loop."""
+"""Step back of an output's stamp that resets the history, ns, as when a bag is played in a loop."""
 
 _SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
 _POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
 _SHIP_REQUIRED = ("ins", "star", "reference")
 _POINTING_REQUIRED = ("encoder", "ship_attitude")
-"""Sources without which there is no output; without the others its quality is only reduced."""
+"""Sources that an output requires. Without another source only the quality of the output is reduced."""
 
 
 class SuiteMonitor:
@@ -67,7 +67,7 @@ class SuiteMonitor:
 
     Args:
         limits: limits of the ship.
-        make_recorder: returns a new recorder of the history, for example one that records less for fewer plots.
+        make_recorder: function that returns a new recorder of the history; it may record less for fewer plots.
     """
 
     def __init__(
@@ -130,13 +130,13 @@ class SuiteMonitor:
         """Process a SuiteState message: while such messages arrive, angles and sources are taken from them.
 
         Raises:
-            ValueError: the message contains a safety or a presence that does not exist.
+            ValueError: the message contains an undefined safety or presence.
         """
         self._evaluate_until(arrival_ns)
         self._published = published_state(message, arrival_ns)
 
     def _handler(self, topic: str) -> Callable[[Any, int], None] | None:
-        """Return the handler of a topic's messages; None if it is not monitored."""
+        """Return the handler of a topic's messages; None if the topic is not monitored."""
         if monitored_topic(topic) is None or not has_room(self._handlers, topic, "topic"):
             return None
         recorder = self._recorder
@@ -206,8 +206,8 @@ class SuiteMonitor:
     def _update_time_offset(self, stamp_ns: int, now_ns: int) -> None:
         """Update the suite's time: the stamp of the output with the least delay, plus the time since its arrival.
 
-        If the stamps of all outputs stay behind this time for some seconds, the stamp was wrong or the clock was set.
-        The time is then set again.
+        If the stamps of all outputs stay behind this time for some seconds, that stamp was wrong or the clock was set.
+        The suite's time is then set again.
         """
         offset_ns = stamp_ns - now_ns
         if (
@@ -223,7 +223,7 @@ class SuiteMonitor:
     # -- state ----------------------------------------------------------------------------------------------
 
     def current_state(self, now_ns: int) -> SuiteState:
-        """Return the state at the caller's time; it does not depend on how often it is requested."""
+        """Return the state at the caller's time; the state does not depend on the number of requests."""
         self._evaluate_until(now_ns)
         utc_ns = now_ns + self._utc_offset_ns
         sources = [
@@ -281,7 +281,7 @@ class SuiteMonitor:
         return self._overload.with_causes(self._sources.source_states(now_ns, self._utc_offset_ns), now_ns)
 
     def _evaluate(self, now_ns: int) -> None:
-        """Evaluate sources and angles and record their events, or those of a current published state instead."""
+        """Evaluate sources and angles, or take them from a current published state; record events and safety."""
         sources, utc_ns = self._source_states(now_ns), now_ns + self._utc_offset_ns
         safety_by_angle: dict[str, tuple[Safety, str]] = {}
         for name, inputs in self._angle_inputs(sources, now_ns).items():
@@ -314,9 +314,9 @@ class SuiteMonitor:
             self._recorder.record_safety(utc_ns, recorded)
 
     def _angle_inputs(self, sources: Sequence[SourceState], now_ns: int) -> dict[str, AngleInputs]:
-        """Return the data for the safety of each angle; those of a theodolite only if there is one.
+        """Return the data for the safety of each angle; angles of a theodolite only if the suite has one.
 
-        If an output is old and a node has stopped reporting, the node is the cause and no source is given.
+        If an output is old and a node has stopped reporting, the node is the cause and no faulty source is given.
         """
         has_node_stopped = any(source.because_of == CAUSE_NODE for source in sources)
         ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_available(now_ns) else _SHIP_REQUIRED)

@@ -1,8 +1,8 @@
 """State of a suite at one time, as page, terminal, alerts and report use it.
 
 :class:`SuiteState` is made by :meth:`ship_watch.suite_monitor.SuiteMonitor.current_state` from the messages of a suite.
-Nothing that displays it evaluates the messages again. Angles are in radians, ages in seconds, times in integer ns. NaN
-means no value, an infinite age that nothing was received.
+Displays do not evaluate the messages again. Angles are in radians, ages in seconds, times in integer ns. NaN means no
+value; an infinite age means that nothing was received.
 """
 
 import enum
@@ -21,7 +21,7 @@ CAUSE_NODE = "its node"
 
 
 class Safety(enum.IntEnum):
-    """Safety of an angle, in the terms of IMO MSC.1/Circ.1575; a worse one is larger."""
+    """Safety of an angle, in the terms of IMO MSC.1/Circ.1575; a worse safety has a larger number."""
 
     SAFE = 0
     CAUTION = 1
@@ -34,7 +34,7 @@ class Presence(enum.Enum):
     IN = "IN"
     OUT = "OUT"
     OFF = "OFF"
-    """Not configured: no node has reported a topic of it."""
+    """Not configured: no node has reported a topic of the source."""
 
 
 class Priority(enum.IntEnum):
@@ -52,20 +52,20 @@ class AngleState:
     Attributes:
         name: one of :data:`ANGLES`.
         value: the angle, rad: heading and azimuth from north to the right, pitch bow up, roll port up, elevation up.
-        accuracy_95: 1.96 sigma, rad; of the azimuth times the cosine of the elevation.
+        accuracy_95: 1.96 sigma, rad; for an azimuth multiplied by the cosine of the elevation.
         limit: the ship's limit of ``accuracy_95``, rad.
         protection_level: bound of the error under any single fault, rad; NaN if there is none.
         safety: the displayed safety.
-        reason: why it is not SAFE, in a few words; during a hold with the time until the safety gets better, as in
+        reason: reason why the angle is not SAFE; during a hold with the time until the safety gets better, as in
             "within 3″ again; SAFE in 4 s". Empty if SAFE.
         age_s: time since the last value arrived, s.
-        is_old: True if the age is over its limit; the value is then greyed, with its age.
-        stamp_ns: time of the value, UTC as POSIX time; 0 if there was none yet.
-        since_ns: UTC of the last change of ``safety``; 0 if there was none yet.
+        is_old: True if the age is over its limit; the value is then displayed in grey, with its age.
+        stamp_ns: time of the value, UTC as POSIX time; 0 before the first value.
+        since_ns: UTC of the last change of ``safety``; 0 before the first value.
         because_of: the source that causes a safety other than SAFE; empty if none is known.
-        over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is not.
-        unheld_safety: current safety and reason without hold; None if they are the displayed ones. The displayed ones
-            follow at once if they are worse, after the hold time if they are better.
+        over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is within the limit.
+        unheld_safety: current safety and reason without hold; None if equal to the displayed safety and reason. A worse
+            safety is displayed at once, a better safety after the hold time.
     """
 
     name: str
@@ -85,14 +85,14 @@ class AngleState:
 
     @property
     def is_recovering(self) -> bool:
-        """True if the safety without hold is SAFE and the displayed one is not yet."""
+        """True if the safety without hold is SAFE but the displayed safety is not yet SAFE."""
         return (
             self.unheld_safety is not None and self.unheld_safety[0] is Safety.SAFE and self.safety is not Safety.SAFE
         )
 
     @property
     def without_hold(self) -> "AngleState":
-        """The angle with its safety without hold, for users with a hold of their own."""
+        """The angle with its safety without hold, for callers with a hold of their own."""
         if self.unheld_safety is None:
             return self
         safety, reason = self.unheld_safety
@@ -125,9 +125,9 @@ class SourceState:
     Attributes:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
         presence: IN, OUT or OFF.
-        reason: why it is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
-        disagreement: the largest offset, "reads 49″ high". Of a source that is IN: what is corrected in its
-            data, "names exchanged" of lights. Empty if unknown.
+        reason: reason why the source is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
+        disagreement: largest offset of a source that is OUT, as "reads 49″ high", or correction in the data of a source
+            that is IN, as "names exchanged" for lights. Empty if unknown.
         residual: mean of its last rejected residuals over their sigma; NaN if there is none.
         out_since_ns: UTC of the first rejection or of the last message; 0 if IN.
         because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
@@ -152,7 +152,7 @@ class SourceDetails(SourceState):
         age_s: time since the last message arrived, s.
         rate_hz: mean rate of arrival, Hz; NaN before two messages.
         rejected_in_a_row: messages rejected in a row, at the input or by the filter.
-        topics: relative topics on which it publishes.
+        topics: topics on which the source publishes, relative to the namespace of the suite.
         mounting_shift: angle between its mounting before an exclusion and after its reinstatement, rad, for ten minutes
             after the reinstatement; NaN otherwise.
     """
@@ -183,12 +183,12 @@ class AlertEntry:
 
     @property
     def is_acknowledged(self) -> bool:
-        """True if it needs no acknowledgement: it is acknowledged or NORMAL."""
+        """True if the alert needs no acknowledgement, because it is acknowledged or NORMAL."""
         return self.state in (0, 3)
 
     @property
     def is_over(self) -> bool:
-        """True if its situation is over and it is not acknowledged."""
+        """True if the situation is over and the alert is not acknowledged."""
         return self.state == 4
 
     @property
@@ -198,7 +198,7 @@ class AlertEntry:
 
     @property
     def urgency(self) -> tuple[int, int, int, int, str]:
-        """Sort key: unacknowledged, over but unacknowledged, acknowledged; in each by priority, last change first."""
+        """Sort key: group (unacknowledged, over but unacknowledged, acknowledged), then priority, then last change."""
         tier = 2 if self.is_acknowledged else int(self.is_over)
         return tier, -self.priority, -self.changed_ns, -self.raised_ns, self.id
 
@@ -221,7 +221,7 @@ class Event:
     """One change in the suite.
 
     Attributes:
-        utc_ns: its time, UTC as POSIX time.
+        utc_ns: time of the change, UTC as POSIX time.
         kind: "state", "status", "mode", "source", "alert" or "node".
         subject: the angle, source, alert or node.
         text: the change, for people: "roll SAFE → CAUTION, over the limit".
@@ -239,7 +239,7 @@ class OverallState:
 
     Attributes:
         safety: the worst safety of all angles; UNSAFE without an angle.
-        text: the shortest reason, followed by the angles that have it unless all have; empty if all are SAFE.
+        text: the shortest reason, followed by the angles with this reason unless all angles have it; empty if SAFE.
     """
 
     safety: Safety
@@ -251,17 +251,19 @@ class SuiteState:
     """State of a suite at one time.
 
     Attributes:
-        utc_ns: time of the suite, UTC as POSIX time: newest stamp plus the time since its arrival; 0 if there
-            was none yet.
-        angles: angles in the order of :data:`ANGLES`; those of a theodolite only if one was received.
-        ages_s: age of stars, lights and INS, keys "stars", "lights", "ins": of the newest source of the kind that is
-            IN; if all are OUT, the time since one was used.
-        pointing_by: "2 lights", "1 light", "encoder", "no pointing"; empty without a theodolite.
-        horizon: "geodetic", "gravity"; empty before the first attitude.
-        sources: OUT first, each followed by those that are OUT because of it, then in a fixed order.
-        alerts: as last published, the most urgent first; None without an alert node.
-        inputs: in the order of their topics.
-        events: the newest first, at most 200.
+        utc_ns: time of the suite, UTC as POSIX time: stamp of the output with the least delay plus the time since its
+            arrival; 0 before the first stamp.
+        angles: angles in the order of :data:`ANGLES`; angles of a theodolite only if the suite has one.
+        ages_s: "stars", "lights" or "ins" → age of the newest source of this kind that is IN, s; if all sources of the
+            kind are OUT, the time since one of them was used.
+        pointing_by: method of the pointing: "2 lights", "1 light", "encoder", "no pointing"; empty without a
+            theodolite.
+        horizon: horizon of the attitude: "geodetic", "gravity"; empty before the first attitude.
+        sources: sources that are OUT first, each followed by the sources that are OUT because of it, then the others in
+            a fixed order.
+        alerts: alerts as last published, the most urgent first; None without an alert node.
+        inputs: input topics in the order of their names.
+        events: events, the newest first, at most 200.
         waiting_for: the required output that was never received, "ship/attitude"; empty if none is missing.
     """
 
@@ -278,12 +280,12 @@ class SuiteState:
 
     @property
     def is_old(self) -> bool:
-        """True if no output is received any more: no tick, age or count of this state is then current."""
+        """True if no output is received any more; no age or count of this state is then current."""
         return all(angle.is_old for angle in self.angles)
 
     @property
     def overall(self) -> OverallState:
-        """Worst safety of all angles, with the shortest reason that names a source, else the shortest."""
+        """Worst safety of all angles, with the shortest reason of an angle whose cause is known, else of any angle."""
         worst = max((angle.safety for angle in self.angles), default=Safety.UNSAFE)
         if worst is Safety.SAFE:
             return OverallState(worst, "")
@@ -314,5 +316,5 @@ class SuiteStateSource(Protocol):
         ...
 
     def current_state(self) -> SuiteState:
-        """Return the current state. Displays call it twice a second; a source for several displays caches it."""
+        """Return the current state. Displays read it twice a second; a source for several displays caches it."""
         ...

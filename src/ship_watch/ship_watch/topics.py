@@ -15,9 +15,10 @@ class MonitoredTopic:
     """A monitored topic.
 
     Attributes:
-        pattern: its name; ``<id>`` stands for one word.
-        type_name: its type.
-        keeps_every_message: True if each message is needed; otherwise the newest one, a few times a second, is enough.
+        pattern: name of the topic; ``<id>`` stands for one word.
+        type_name: type of the messages.
+        keeps_every_message: True if each message is needed; otherwise the newest message a few times a second is
+            enough.
     """
 
     pattern: str
@@ -53,7 +54,7 @@ TOPICS = (
     MonitoredTopic("truth/attitude", MESSAGES + "ShipAttitude", True),
     MonitoredTopic("truth/pointing", MESSAGES + "OpticalAxisPointing", True),
 )
-"""All monitored topics. Inputs at a high rate are not among them: ``input_health`` reports their state."""
+"""All monitored topics. They do not include inputs at a high rate, whose state ``input_health`` reports."""
 
 
 def monitored_topic(topic: str, type_name: str | None = None) -> MonitoredTopic | None:
@@ -65,7 +66,7 @@ def monitored_topic(topic: str, type_name: str | None = None) -> MonitoredTopic 
 
 
 def source_of_topic(topic: str) -> str:
-    """Return the source of an input topic; empty if it has none."""
+    """Return the source of an input topic; empty if the topic has no source."""
     first, _, rest = topic.partition("/")
     if first in ("star", "reference") and "/" in rest:
         name = rest.partition("/")[0]
@@ -77,7 +78,7 @@ def source_of_topic(topic: str) -> str:
 
 
 def source_of_name(name: str) -> str:
-    """Return the source of a name in an innovation or a list of excluded sources; empty if it is none."""
+    """Return the source of a name in an innovation or a list of excluded sources; empty if there is none."""
     first, _, rest = name.partition(".")
     if first in ("star", "reference") and rest:
         return "" if rest == "joint" else name  # the joint solution of all sensors is not a source
@@ -108,7 +109,7 @@ def reading_node(topic: str) -> str:
 
 
 def source_member(name: str) -> str:
-    """Return the member of a source in a name or topic: "a" of "baseline.a" and "beacon/a/imu"; empty for all."""
+    """Return the member of a source in a name or topic: "a" of "baseline.a" and "beacon/a/imu"; empty if not named."""
     if "/" in name:
         words = name.split("/")
         if words[0] == "beacon" and len(words) > 2:

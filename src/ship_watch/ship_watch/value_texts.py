@@ -33,13 +33,13 @@ _FAULT_TEXTS = {
     "no stars": "no stars seen by {source}",
     "no lights": "no lights seen",
 }
-"""Reason why a source is OUT → text with its name; the others follow the name."""
+"""Reason why a source is OUT → text with the name of the source; any other reason is put after the name."""
 
 _SENSES = {"pitch": ("bow up", "bow down"), "roll": ("port up", "port down")}
 
 
 class Reading(NamedTuple):
-    """Number of an angle with its degree sign, and the word for its sense or its north."""
+    """Number of an angle with the degree sign, and the word for the sense of the angle or for its north reference."""
 
     number: str
     sense: str
@@ -75,7 +75,7 @@ def small_angle(value: float) -> str:
 
 
 def limit_text(value: float) -> str:
-    """Return a limit: 5″, 2.5″; a dash without one. ``value`` in rad."""
+    """Return a limit as text: 5″, 2.5″; a dash if there is no limit. ``value`` is in rad."""
     return f"{abs(value) / ARCSEC:.6g}″" if math.isfinite(value) else NO_VALUE
 
 
@@ -112,7 +112,7 @@ def fault_text(source: str, reason: str) -> str:
 
     Args:
         source: name of the source.
-        reason: why it is OUT, as in :class:`~ship_watch.suite_state.SourceState`.
+        reason: reason why the source is OUT, as in :class:`~ship_watch.suite_state.SourceState`.
     """
     reason = without_changing_figures(reason)
     if members := _MEMBERS.match(reason):

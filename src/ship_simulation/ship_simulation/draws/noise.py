@@ -1,7 +1,7 @@
 """Common parts of all simulated devices: random streams, correlated errors, arrival times, exposures of moving points.
 
 The centroid of a point that moves during the exposure is the mean of its path, and its error along the path is larger.
-Nothing here is shared with the estimators: the mean is a Gauss–Legendre sum over the true motion.
+This module shares nothing with the estimators, and computes the mean as a Gauss–Legendre sum over the true motion.
 """
 
 import math
@@ -23,7 +23,7 @@ TRUTH_RATE_HZ = 10.0
 """Rate of the truth in a simulated bag, Hz."""
 
 _MIN_NODES, _NODES_PER_SECOND = 7, 5.0
-"""Number of nodes of the sum over an exposure: the least, and the additional nodes per second."""
+"""Number of quadrature nodes of an exposure: minimum, and additional nodes per second."""
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
@@ -73,7 +73,7 @@ class CorrelatedError:
 
     Args:
         rng: source of the noise.
-        duration_s: the processes are defined from zero to here.
+        duration_s: end of the time span of the processes, which begins at zero.
         sigma: stationary standard deviation of each process, shape (n,).
         time_s: correlation time.
     """
@@ -126,12 +126,12 @@ def is_outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndar
 
 
 def truth_indices(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
-    """Return the first sample in each tenth of a second, and the last one if the samples end here, shape (m,)."""
+    """Return indices of the first sample in each tenth of a second, and of the last sample if ``ends``, shape (m,)."""
     return _first_in_each(round(SECOND_NS / TRUTH_RATE_HZ), time_ns, start_ns, ends)
 
 
 def first_in_each_second(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
-    """Return the first sample in each second, and the last one if the samples end here, shape (m,)."""
+    """Return indices of the first sample in each second, and of the last sample if ``ends``, shape (m,)."""
     return _first_in_each(SECOND_NS, time_ns, start_ns, ends)
 
 

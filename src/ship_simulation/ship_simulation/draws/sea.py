@@ -1,15 +1,18 @@
-"""A sea state as a spectrum, and the ship's response to it, as a sum of sinusoids.
+"""A sea state as a wave spectrum, and the ship's response to the sea as a sum of sinusoids.
 
-Spectrum of the wave elevation: the two-parameter spectrum of Bretschneider (1959), which ITTC (15th conference, 1978;
+The wave elevation has the two-parameter spectrum of Bretschneider (1959), which ITTC (15th conference, 1978;
 Recommended Procedure 7.5-02-07-01.1) recommends for the open ocean:
 
     S(w) = 5/16 Hs² wp⁴ / w⁵ exp(-5/4 (wp / w)⁴)
 
-Sea state 5 of STANAG 4194: Hs 2.5 m to 4 m, mean 3.25 m, modal period 9.7 s in the North Atlantic.
+Hs is the significant wave height, w the angular frequency, and wp its modal value. Sea state 5 of STANAG 4194 has Hs of
+2.5 m to 4 m, mean 3.25 m, and a modal period of 9.7 s in the North Atlantic.
 
 The response of each angle is a damped resonance, excited by the wave slope averaged over the hull, at zero speed:
 
     angle / elevation = direction factor * gain * k * sinc(k L / 2) / (1 - (w / wn)² + 2 i z w / wn),  k = w² / g
+
+L is the length of hull that averages the slope, wn the natural frequency, and z the damping ratio.
 """
 
 from collections.abc import Sequence
@@ -22,8 +25,8 @@ from ship_geometry.rotations import FloatArray
 _GRAVITY = 9.80665
 """Standard gravity, m/s²."""
 
-# Outside these multiples of the modal frequency lies 0.5 % of the elevation's variance, at the high end,
-# where the hull does not respond.
+# Multiples of the modal frequency. Only 0.5 % of the variance of the elevation lies outside them, at high frequencies
+# to which the hull does not respond.
 _LOWEST, _HIGHEST = 0.5, 4.0
 
 
@@ -32,7 +35,7 @@ class Response:
     """Response of one angle of the ship to the slope of the waves.
 
     Attributes:
-        direction_factor: factor of the slope by the direction of the waves.
+        direction_factor: factor of the slope due to the direction of the waves.
         gain: angle per slope of a long wave.
         period_s: natural period.
         damping: damping ratio.
@@ -58,8 +61,8 @@ def wave_components(
 ) -> tuple[FloatArray, np.ndarray]:
     """Return a realisation of the sea as sinusoids: angular frequencies, rad/s, and complex amplitudes, m, each (n,).
 
-    Each of the equal frequency bands contains one component with a random frequency, so that the sum is not periodic, a
-    random phase, and the exact variance of its band.
+    Each of the equal frequency bands contains one component with a random frequency, a random phase, and the exact
+    variance of the band. Due to the random frequencies the sum is not periodic.
     """
     modal = 2.0 * np.pi / modal_period_s
     edges = modal * np.linspace(_LOWEST, _HIGHEST, count + 1)

@@ -1,7 +1,7 @@
-"""Division of a voyage into stretches, so that memory does not grow with its length, and the state between them.
+"""Division of a voyage into stretches, so that memory does not grow with its length, and draws for all stretches.
 
-The numbers do not depend on the stretches: each random stream and each correlated error continues from the previous
-stretch, and constant draws depend only on the seed.
+The numbers do not depend on the stretches, because each random stream and each correlated error continues from the
+previous stretch, and constant draws depend only on the seed.
 """
 
 import functools
@@ -17,7 +17,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, random_stream
 
 STRETCH_S = 20
-"""Length of a stretch when a bag is written, s: some thousand samples, which is as fast as all at once."""
+"""Length of a stretch when a bag is written, s. Its some thousand samples are enough for the full speed."""
 
 _HISTORY_S = 10.0
 """Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
@@ -53,7 +53,7 @@ class Stretch:
 
     def count(self, rate_hz: float, phase_s: float) -> int:
         """Return the number of regular samples from ``phase_s`` after the start to the end of the voyage."""
-        # The margin includes the end of a duration of whole periods in spite of rounding.
+        # Due to the margin, the last sample of a duration of whole periods is included in spite of rounding.
         return max(int(np.floor((self.duration_s - phase_s) * rate_hz + 1e-6)) + 1, 0)
 
     def stamps(self, rate_hz: float, phase_s: float) -> np.ndarray:
@@ -62,12 +62,12 @@ class Stretch:
         return self.start_ns + offsets_ns[numbers < self.count(rate_hz, phase_s)]
 
     def contains_last(self, rate_hz: float, phase_s: float) -> bool:
-        """True if the last one of these samples is in the stretch."""
+        """True if the last regular sample of the voyage is in the stretch."""
         numbers, _ = self._samples(rate_hz, phase_s)
         return self.count(rate_hz, phase_s) - 1 in numbers
 
     def _samples(self, rate_hz: float, phase_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return numbers and times after the start, ns, of the samples in the stretch of an unlimited voyage."""
+        """Return numbers and times after the start, ns, of the regular samples in the stretch."""
         last = self.count(rate_hz, phase_s)
         # One more at each end, because times are rounded to nanoseconds.
         first = max(math.floor((self.begin_s - phase_s) * rate_hz) - 1, 0)
@@ -141,6 +141,6 @@ class Draws:
         return cast(PersistentDrawT, self._persistent_draws[component])
 
     def begin_stretch(self, stretch: Stretch) -> None:
-        """Drop the parts of all draws that a stretch and later ones do not need."""
+        """Drop the parts of all draws that neither this stretch nor a later stretch needs."""
         for draw in self._persistent_draws.values():
             draw.drop_before(stretch.begin_s - _HISTORY_S)

@@ -24,7 +24,8 @@ _REPETITION_AFTER_NS = 1_000_000
 _LONGEST_PERIOD_NS = SECOND_NS
 
 WATERMARK = object()
-"""Marks a time without a message: all further deliveries arrive later. Faults do not affect it."""
+"""Placeholder for a message in a delivery that marks a time, after which all further deliveries arrive. Faults do not
+affect such a delivery."""
 
 
 @dataclass(slots=True)
@@ -34,9 +35,9 @@ class Delivery:
     Attributes:
         message: the message, which may be changed; None if it cannot be decoded.
         log_time_ns: arrival time.
-        stamp_ns: its stamp before all faults; None if it has no header.
-        order: its place in the bag, the order of equal arrival times.
-        data: its original bytes; None once the message has been changed.
+        stamp_ns: stamp of the message before all faults; None if the message has no header.
+        order: position of the message in the bag, which orders equal arrival times.
+        data: original bytes of the message; None once the message has been changed.
     """
 
     message: Any
@@ -55,10 +56,10 @@ def apply_faults(
     """Return the deliveries of one topic with its faults, in order of arrival.
 
     Args:
-        deliveries: in order of arrival.
+        deliveries: messages of the topic in order of arrival.
         type_name: message type.
-        faults: name → fault, of this topic; they are applied in the order of their names.
-        start_ns: time from which the faults' times count.
+        faults: name → fault of this topic. The faults are applied in the order of their names.
+        start_ns: time zero of the times of the faults.
         seed: seed of the faults' draws.
         optics: cameras of the devices.
     """
@@ -98,7 +99,7 @@ class _FaultWindow:
 
 
 class _DeliveryQueue:
-    """Deliveries that wait for others that arrive before them."""
+    """Deliveries that wait until all earlier arrivals are known."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, Delivery]] = []
@@ -109,7 +110,7 @@ class _DeliveryQueue:
         self._count += 1
 
     def pop_until(self, now_ns: int | None) -> Deliveries:
-        """Yield the deliveries that have arrived by a time; None: all."""
+        """Yield the deliveries that have arrived by a time; all deliveries for None."""
         while self._heap and (now_ns is None or self._heap[0][0] <= now_ns):
             yield heapq.heappop(self._heap)[2]
 
@@ -135,7 +136,7 @@ def _delay(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
             share = window.rng.random() if window.fault.kind == "reorder" else 1.0
             delivery.log_time_ns += round(share * window.fault.delay_s * SECOND_NS)
         queue.push(delivery)
-        # Later deliveries arrive later than this one did without the fault.
+        # All later deliveries arrive after the original arrival time of this delivery.
         yield from queue.pop_until(now_ns)
     yield from queue.pop_until(None)
 
@@ -201,12 +202,12 @@ def _flood(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
 
 
 def _repeat(delivery: Delivery, log_time_ns: int) -> Delivery:
-    """Return a copy of the delivery: a further fault may change one and not the other."""
+    """Return a copy of the delivery, whose message a further fault may change independently."""
     return replace(delivery, message=copy.deepcopy(delivery.message), log_time_ns=log_time_ns)
 
 
 def _copy_with_values(delivery: Delivery, other: Delivery) -> Delivery:
-    """Return a message with the stamp of one delivery and the values of another, shortly after the first one."""
+    """Return a message with the stamp of one delivery and the values of another, shortly after the former."""
     message = copy.deepcopy(other.message)
     message.header = delivery.message.header
     return replace(delivery, message=message, log_time_ns=delivery.log_time_ns + _REPETITION_AFTER_NS, data=None)
@@ -221,4 +222,4 @@ _STREAMS: dict[str, Callable[[Deliveries, _FaultWindow], Deliveries]] = {
     "freeze": _freeze,
     "flood": _flood,
 }
-"""Functions of the kinds that change number or arrival time of messages."""
+"""Kind → function, for the kinds that do more than change the values of single messages."""

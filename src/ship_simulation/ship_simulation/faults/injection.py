@@ -44,11 +44,11 @@ class FaultEffect:
     """Effect of one fault by itself on the messages of its topic.
 
     Attributes:
-        times_ns: arrival times, without the fault, of the messages that it affects, in order.
+        times_ns: original arrival times of the affected messages, in order.
         dropped: number of messages that do not arrive.
         added: number of additional messages.
-        changed: number of messages with other bytes.
-        delayed: number of messages with the same bytes at another time.
+        changed: number of messages with changed bytes.
+        delayed: number of messages with unchanged bytes and another arrival time.
     """
 
     times_ns: list[int]
@@ -81,10 +81,10 @@ class Injection:
     namespace: str = ""
 
     def records(self, bag: Bag) -> Iterator[BagRecord]:
-        """Yield all messages in order of arrival; unaffected ones are the bag's own, to the byte.
+        """Yield all messages in order of arrival; the bytes of unaffected messages are unchanged.
 
         Args:
-            bag: the bag, open.
+            bag: the open bag.
 
         Raises:
             BadInput: a fault needs a camera that the bag does not describe.
@@ -160,7 +160,7 @@ def _unaffected_records(bag: Bag, hit: set[str]) -> Iterator[tuple[int, int, Bag
 
 
 def _deliveries(bag: Bag, name: str) -> Iterator[Delivery]:
-    """Yield the messages of a topic of a bag; one that cannot be decoded passes unchanged."""
+    """Yield the messages of a topic of a bag; a message that cannot be decoded passes unchanged."""
     for order, record in enumerate(bag.records()):
         if record.topic == name:
             try:

@@ -1,4 +1,4 @@
-"""Cameras of devices, from a suite file; with them a rotation of a device moves its image points."""
+"""Cameras of devices from a suite file, with which image points are moved when a fault rotates a device."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,13 +21,18 @@ _SPOTS = ("false_stars", "false_lights")
 
 @dataclass(frozen=True)
 class Optics:
-    """Cameras that observe stars, by the topic of these, and that of the calibration telescope if there is one."""
+    """Cameras of the devices.
+
+    Attributes:
+        stars: topic of stars → camera that observes them.
+        telescope: camera of the calibration telescope; None if there is no such telescope.
+    """
 
     stars: Mapping[str, StarCamera] = field(default_factory=dict)
     telescope: Camera | None = None
 
     def missing_camera_reason(self, fault: Fault, type_name: str) -> str:
-        """Return a text stating which camera a fault needs but is not described; empty if none is missing."""
+        """Return a text on the camera that a fault needs but the suite file does not describe; else empty."""
         if fault.kind not in (*_TURNS, *_SPOTS):
             return ""
         if type_name == OBSERVATIONS and fault.topic not in self.stars:
@@ -41,7 +46,7 @@ def optics_of_suite(text: str) -> Optics:
     """Return the cameras that a suite file describes.
 
     Raises:
-        BadInput: it is not a parameter file, or a camera in it is invalid.
+        BadInput: the text is not a parameter file, or a camera in it is invalid.
     """
     stars: dict[str, StarCamera] = {}
     telescope = None
@@ -58,7 +63,7 @@ def optics_of_suite(text: str) -> Optics:
 
 
 _WITH_STARS = {"star_sensors": "star/{}/observations".format, "telescopes": mount_stars_topic}
-"""Parameter groups of devices that give single stars → the topic of the stars by id."""
+"""Parameter group of devices that give single stars → function from the id of a device to the topic of its stars."""
 
 _TELESCOPE = ("focal_length_m", "principal_x_m", "principal_z_m")
 

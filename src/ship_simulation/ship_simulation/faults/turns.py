@@ -1,8 +1,8 @@
 """Rotation of devices in their messages: attitude, angular rate, and image points.
 
-A rotation is given by a rotation vector, rad. In the device's own frame (forward, up, right) it is a mounting shift: R'
-= R exp(turn); fixed stars and lights then appear in directions rotated by exp(-turn). In the horizon frame (North, Up,
-East) it is an attitude error: R' = exp(turn) R.
+A rotation is given by a rotation vector ``turn``, rad. A rotation in the frame of the device (forward, up, right) is a
+mounting shift, R' = R exp(turn). Fixed stars and lights then appear in directions rotated by exp(-turn). A rotation in
+the horizon frame (North, Up, East) is an attitude error, R' = exp(turn) R.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ _FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, optics: Optics) -> None:
-    """Rotate a device in its own frame; its rates are then in the new axes."""
+    """Rotate a device in its own frame; the angular rates are then in the rotated axes."""
     back = exp_rotation(-turn)
     if type_name == OBSERVATIONS:
         camera = optics.stars[topic]
@@ -55,7 +55,7 @@ def turn_in_horizon(message: Any, type_name: str, turn: FloatArray) -> None:
 
 
 def convert_axes(message: Any, type_name: str, axes: str) -> None:
-    """Convert an attitude or a baseline to the axes of a wrong driver."""
+    """Convert an attitude or a baseline to the wrong axes of a faulty driver."""
     ned = axes == "ned_frd"
     if not hasattr(message, "orientation"):
         x, y, z = _xyz(message.enu)

@@ -1,6 +1,6 @@
 """Effects of faults on the values of one message.
 
-A message's arrays may be shared with other messages, so they are replaced, not changed.
+The arrays of a message may be shared with other messages, and are therefore replaced, not changed.
 """
 
 import copy
@@ -43,9 +43,9 @@ _FIXED = 4
 _MINUTE_S = 60.0
 _EARTH_RADIUS_M = 6_371_000.0
 _BRIGHT = 5.5
-"""Magnitude limit (Hp) of the stars from which false stars take their magnitude."""
+"""Magnitude limit (Hp) of the stars whose magnitudes and identities false stars have."""
 _HALF_FIELD = math.tan(math.radians(3.0))
-"""Largest distance of false lights from the axis, 3°, in focal lengths."""
+"""Largest offset of false lights from the axis along each coordinate, 3°, in focal lengths."""
 
 _RATES = ("angular_velocity.x", "angular_velocity.y", "angular_velocity.z")
 _DEGREES = 180.0 / math.pi
@@ -67,13 +67,13 @@ _UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
 
 @dataclass(frozen=True)
 class ValueFault:
-    """A fault of messages of one type.
+    """A fault that changes the values of messages of one type.
 
     Attributes:
         fault: the fault.
         type_name: type of the messages.
         optics: cameras of the devices.
-        rng: the fault's own source of randomness.
+        rng: random generator of the fault.
     """
 
     fault: Fault
@@ -82,7 +82,7 @@ class ValueFault:
     rng: np.random.Generator
 
     def apply(self, message: Any, since_s: float) -> None:
-        """Apply the fault to a message stamped ``since_s`` after its start."""
+        """Apply the fault to a message stamped ``since_s`` after the start of the fault."""
         _VALUE_FAULTS[self.fault.kind](self, message, since_s)
 
 
@@ -115,7 +115,7 @@ def _change(message: Any, path: str, new: Callable[[float], float]) -> None:
 
 
 def _select_items(value: Any, index: str) -> list[Any]:
-    """Return the messages of a list by an index; a single message is its own list."""
+    """Return the messages of a list that an index selects; a single message is returned as a list of one."""
     if not isinstance(value, list):
         return [value]
     return value if index == "*" else value[int(index) : int(index) + 1]
@@ -149,7 +149,7 @@ def _change_covariance(value_fault: ValueFault, message: Any, since_s: float) ->
         faulty = np.zeros(given.size)
         if value_fault.fault.kind == "covariance_negative":
             faulty[:] = given
-            # The second variance is used, because a negative first one means "not given" in ROS.
+            # The second variance is used, because a negative first variance means "not given" in ROS.
             second = math.isqrt(given.size) + 1
             faulty[second] = -abs(faulty[second])
         setattr(message, name, faulty)

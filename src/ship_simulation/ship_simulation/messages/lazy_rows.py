@@ -7,17 +7,17 @@ from typing import Generic, TypeVar
 Row = TypeVar("Row")
 
 BLOCK_ROWS = 4096
-"""Number of rows computed at a time: as fast as all at once."""
+"""Number of rows computed at a time, large enough for the full speed."""
 
 _KEPT_BLOCKS = 2
-"""Number of cached blocks: samples are used in order of arrival, which differs slightly from that of stamps."""
+"""Number of cached blocks. Samples are used in order of arrival, which differs slightly from the order of stamps."""
 
 
 class LazyRows(Generic[Row]):
     """One row per sample, with a cache of the last blocks.
 
     Args:
-        compute: returns the rows of a slice of samples; each row depends on its own sample only.
+        compute: function that returns the rows of a slice of samples; each row depends on its sample only.
     """
 
     def __init__(self, compute: Callable[[slice], Sequence[Row]]) -> None:

@@ -61,7 +61,7 @@ TRUTH_TYPES = {
     TRUTH_DIRECTION: "ship_msgs/msg/TargetDirection",
     TRUTH_POINTING: "ship_msgs/msg/OpticalAxisPointing",
 }
-"""Topic → type of the truth, which no node receives; the scenario determines which of them a bag contains."""
+"""Topic of the truth, which no node receives → type. The scenario determines which of these topics a bag contains."""
 
 LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""
@@ -90,7 +90,7 @@ def generate_messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> 
 
 
 def _merge_by_log_time(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[LogEntry]:
-    """Merge messages by log time; those of equal time are in the order of the topics."""
+    """Merge messages by log time; messages of equal time are in the order of the topics."""
     return heapq.merge(*streams.values(), key=lambda entry: entry[2])
 
 
@@ -151,14 +151,14 @@ def _log_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator[Lo
 
 
 class _Topic:
-    """The messages of a topic; those that arrive after their stretch are delivered in a later one.
+    """The messages of a topic; a message that arrives after its stretch is delivered in a later stretch.
 
     Args:
-        run: a stretch of the voyage.
-        topic: its name.
+        run: first stretch of the voyage.
+        topic: name of the topic.
 
     Attributes:
-        watermark_ns: time after which all messages arrive that are not delivered yet.
+        watermark_ns: time after which all undelivered messages arrive.
     """
 
     def __init__(self, run: SimulatedRun, topic: str) -> None:
@@ -184,7 +184,7 @@ class _Topic:
             yield self._topic, delivery.message, delivery.log_time_ns
 
     def _all_deliveries(self) -> Iterator[Delivery]:
-        """Yield the deliveries of all stretches; WATERMARK follows each one but the last."""
+        """Yield the deliveries of all stretches; a delivery of WATERMARK follows each stretch except the last."""
         is_watermark = True
         while is_watermark:
             is_watermark = False
@@ -198,7 +198,7 @@ class _Topic:
         order = np.argsort(log_time_ns, kind="stable").tolist()
         made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
         pending, self._pending = self._pending, []
-        # Of deliveries with equal arrival times, the one with the earlier stamp comes first.
+        # If arrival times are equal, the delivery with the earlier stamp comes first.
         for delivery in heapq.merge(pending, made, key=lambda delivery: delivery.log_time_ns):
             if delivery.log_time_ns < run.stretch.end_ns:
                 yield delivery
@@ -237,7 +237,7 @@ def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tupl
 
 
 def truth_deflections(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """Yield (stamp, Deflection) once per second at stamps of the truth, and at the last one of the voyage."""
+    """Yield (stamp, Deflection) once per second at stamps of the truth, and at the last stamp of the voyage."""
     time_ns = run.ins.time_ns[run.truth.ins_index]
     make = deflection_maker(time_ns, run.truth.deflection, np.zeros((2, 2)), factory)
     ends = run.stretch.contains_last(run.scenario.ins.rate_hz, 0.0)
@@ -246,7 +246,7 @@ def truth_deflections(run: SimulatedRun, factory: MessageFactory) -> Iterator[tu
 
 
 def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """Yield (stamp, AlignmentState) once per second at stamps of the truth, and at the last one of the voyage."""
+    """Yield (stamp, AlignmentState) once per second at stamps of the truth, and at the last stamp of the voyage."""
     index = run.truth.ins_index
     ends = run.stretch.contains_last(run.scenario.ins.rate_hz, 0.0)
     chosen = index[first_in_each_second(run.ins.time_ns[index], run.start_ns, ends)]

@@ -1,7 +1,7 @@
 """Messages of the ship's devices from arrays of a run: INS, other attitude systems, satellite receiver, weather.
 
-Each function returns a maker of single messages. A maker takes the index of the sample whose stamp a message has, and
-that of the sample whose values it has. The two are equal except under a fault.
+Each function ``…_maker`` returns a maker of single messages. A maker takes two indices: of the sample that gives the
+stamp of a message, and of the sample that gives its values. A run uses equal indices. Faults change messages later.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 
 
 def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Maker:
-    """Return the maker of ins/imu. The orientation's covariance is that of the INS's total error."""
+    """Return the maker of ins/imu. The covariance of the orientation describes the total error of the INS."""
     sigma_enu = np.array([config.tilt_sigma_arcsec, config.tilt_sigma_arcsec, config.heading_sigma_arcsec])
     variance = ARCSEC**2 * (sigma_enu**2 + config.white_sigma_arcsec**2)
     covariance = np.diag(variance).ravel()
@@ -50,7 +50,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 
 
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
-    """Return the maker of reference/<name>/imu. Its covariance is that of the white noise only; it has no rate."""
+    """Return the maker of reference/<name>/imu, with the covariance of the white noise only, and without a rate."""
     quaternions = quaternion_rows(samples.rotation_nv)
     covariances = LazyRows(lambda part: list(enu_covariance(white_covariance_in_horizon(samples, part)).reshape(-1, 9)))
 
@@ -62,7 +62,7 @@ def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) 
 
 
 def white_covariance_in_horizon(samples: DeviceSamples, part: slice) -> FloatArray:
-    """Return the white covariance of samples about the horizon's axes by the measured attitude, shape (n, 3, 3)."""
+    """Return the covariance of the white noise of samples about the horizon's axes, rad², shape (n, 3, 3)."""
     rotation_nv = samples.rotation_nv[part]
     return rotation_nv @ samples.noise_v @ np.swapaxes(rotation_nv, -1, -2)
 
@@ -78,7 +78,7 @@ def angle_rows(rotation: FloatArray) -> LazyRows[list[float]]:
 
 
 def rate_rows(rate: FloatArray) -> LazyRows[list[float]]:
-    """Return angular velocities in FLU from those in the axes of the device, rad/s, shape (n, 3)."""
+    """Return angular velocities in FLU from angular velocities in the axes of the device, rad/s, shape (n, 3)."""
     return LazyRows(lambda part: flu_from_device_vector(rate[part]).tolist())
 
 
@@ -193,7 +193,7 @@ def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
 def deflection_maker(
     time_ns: np.ndarray, deflection: FloatArray, covariance: FloatArray, factory: MessageFactory
 ) -> Maker:
-    """Return the maker of Deflection, of shape (n, 2) at n stamps, with the covariance of each, shape (2, 2)."""
+    """Return the maker of Deflection from deflections at n stamps, shape (n, 2), and their covariance, shape (2, 2)."""
 
     def make(stamp: int, value: int) -> object:
         header = make_header(factory, int(time_ns[stamp]), "gravity")

@@ -35,7 +35,7 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
         return list(zip(*blocks, strict=True))
 
     rows = LazyRows(covariances)
-    # The solution's error across the boresight is that of one star over the root of their number.
+    # The error of a solution across the boresight is the error of one star divided by the root of the number of stars.
     residual_rms = ARCSEC * np.hypot(config.sigma_up_arcsec, config.sigma_right_arcsec) * np.sqrt(config.star_count)
 
     def make(stamp: int, value: int) -> Any:
@@ -97,7 +97,7 @@ def observations_maker(
 
 def inertial_maker(sensor_id: str, samples: InertialSamples, factory: MessageFactory) -> Maker:
     """Return the maker of star/<id>/inertial_attitude."""
-    # ICRS <- forward, left, up.
+    # The quaternions rotate from (forward, left, up) to the ICRS.
 
     def quaternions_of(part: slice) -> list[list[float]]:
         rotations = Rotation.from_matrix(samples.rotation_cv[part] @ FLU_FROM_DEVICE.T)

@@ -58,10 +58,10 @@ CALIBRATION_NAMES = (
     "deformation_up",
     "deformation_starboard",
 )
-"""Names in truth/calibration; telescope_...: angles of the main axis in the telescope."""
+"""Names in truth/calibration; the names telescope_... are angles of the main axis in the telescope."""
 
 _CAMERA_ANGLES = "azimuth", "elevation", "roll"
-"""Names of the same angles for each camera that observes stars, as telescopes.<id>.…."""
+"""Names of the angles of the main axis in a star camera, after the prefix ``telescopes.<id>.``"""
 
 
 def theodolite_sources(
@@ -152,7 +152,7 @@ def baseline_maker(rover_id: str, samples: BaselineSamples, factory: MessageFact
 
 
 def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) -> Maker:
-    """Return the maker of beacon/<id>/imu. The orientation's covariance is that of its total error."""
+    """Return the maker of beacon/<id>/imu. The covariance of the orientation describes its total error."""
     quaternions = quaternion_rows(samples.rotation_nb)
     rates = rate_rows(samples.rate_b)
     covariance = enu_covariance(samples.covariance_n).ravel()
@@ -210,7 +210,7 @@ def true_directions(samples: TargetSamples, factory: MessageFactory) -> Iterator
 
 
 def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """Yield (stamp, OpticalAxisPointing) at the stamps of the truth; mode by the lights in the telescope's view."""
+    """Yield (stamp, OpticalAxisPointing) at the stamps of the truth; the mode depends on the lights in view."""
     truth = run.truth
     main = angle_rows(truth.mount.rotation_nm)
     telescope = angle_rows(truth.rotation_nt)
@@ -237,7 +237,7 @@ def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tupl
 def true_calibrations(
     run: TheodoliteRun, start_ns: int, ends: bool, factory: MessageFactory
 ) -> Iterator[tuple[int, Any]]:
-    """Yield (stamp, TheodoliteCalibration) once per second at stamps of the truth, and at the last one of a voyage."""
+    """Yield (stamp, TheodoliteCalibration) once per second at stamps of the truth, and at the voyage's last stamp."""
     truth, time_ns = run.truth, run.encoder.time_ns[run.truth.encoder_index]
     constants = truth.scene.theodolite
     constant = [*constants.axis_errors.vector(), constants.focal_length_m, *constants.parallelism]

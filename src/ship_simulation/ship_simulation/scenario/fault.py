@@ -1,6 +1,6 @@
 """Faults of the messages of a topic: kinds, and the sizes that each kind needs.
 
-Scenarios contain faults, and so does the file for ``inject``. :mod:`ship_simulation.faults` applies them.
+Scenarios and the files for ``inject`` contain faults, which :mod:`ship_simulation.faults` applies.
 """
 
 import dataclasses
@@ -29,8 +29,8 @@ class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        doc: its effect on a message.
-        required: required sizes; of each group one or more.
+        doc: effect of the kind on messages.
+        required: groups of sizes; each group requires one or more of its sizes.
         optional: optional sizes.
     """
 

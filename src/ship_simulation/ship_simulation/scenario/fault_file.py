@@ -34,10 +34,10 @@ def load_faults(source: Path | str, topics: Mapping[str, str], location: str) ->
     Args:
         source: YAML file with a group ``faults`` as in a scenario; a ``str`` is the text itself.
         topics: topic → type of the topics that faults may affect.
-        location: location of these topics, for the message: ``in the bag``.
+        location: words for the location of these topics in an error, as ``in the bag``.
 
     Raises:
-        BadInput: names file, line, key, value and the expected value.
+        BadInput: the file is invalid; the error states file, line, key, value and the expected value.
     """
     file = read_nested_parameters(source)
     try:
@@ -52,7 +52,7 @@ def load_faults(source: Path | str, topics: Mapping[str, str], location: str) ->
 
 
 def fault_problems(faults: Mapping[str, Fault], topics: Mapping[str, str], location: str) -> Iterator[ParameterError]:
-    """Yield the errors of faults whose values are each valid by themselves."""
+    """Yield the inconsistencies of faults whose single values are valid."""
     for name, fault in faults.items():
         key = f"faults.{name}"
         yield from size_problems(key, fault)
@@ -74,7 +74,7 @@ def field_steps(path: str) -> list[tuple[str, str]]:
     """Return (name, index) of each part of a field's path; the index is a number, ``*`` or empty.
 
     Raises:
-        ValueError: it is not a path.
+        ValueError: the text is not a path.
     """
     parts = [_STEP.fullmatch(part) for part in path.split(".")]
     if any(part is None for part in parts):
@@ -83,7 +83,7 @@ def field_steps(path: str) -> list[tuple[str, str]]:
 
 
 def numeric_fields(type_name: str) -> dict[str, str]:
-    """Return path → type (``float64``) of each number in a message; of lists and arrays the first element."""
+    """Return path → type (``float64``) of each number in a message; a list or array has its first element only."""
     found: dict[str, str] = {}
     fields: dict[str, Any] = dict(message_store().fielddefs[type_name][1])
     for name, (node, content) in fields.items():
@@ -98,7 +98,7 @@ def numeric_fields(type_name: str) -> dict[str, str]:
 
 
 def _field_problem(fault: Fault, type_name: str) -> str:
-    """Return why a fault's field cannot be set to a number; empty if it can."""
+    """Return the reason why a fault's field cannot be set to a number; empty if it can be set."""
     if not fault.field:
         return "" if type_name in FIRST_VALUE else f"must be given for {type_name}"
     try:
@@ -121,7 +121,7 @@ def _base_type(steps: list[tuple[str, str]], type_name: str) -> str:
     """Return the type of the number at a path.
 
     Raises:
-        ValueError: there is none.
+        ValueError: there is no number at the path.
     """
     for number, (name, index) in enumerate(steps):
         fields: dict[str, Any] = dict(message_store().fielddefs[type_name][1])

@@ -1,4 +1,4 @@
-"""Parameters of the ship's motion in a scenario file, and units and ranges that all parts share."""
+"""Parameters of the ship's motion in a scenario file, and units and ranges that all parts of a scenario share."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -109,4 +109,4 @@ SECTIONS_OF_KIND = {
     "sea_state": ("heading", "pitch", "roll", "turn", "sea"),
     "recorded": ("recording",),
 }
-"""Groups that each kind of carrier uses."""
+"""Kind of carrier → parameter groups that it uses."""

@@ -58,7 +58,7 @@ FIRST_VALUE = {
     HUMIDITY: "relative_humidity",
     DEFLECTION: "xi",
 }
-"""Message type → the field that NaN replaces if a fault names none."""
+"""Message type → the field in which a fault puts NaN or infinity if it names no field."""
 
 _STAR_TYPES = {"horizon_attitude": STAR, "observations": OBSERVATIONS, "inertial_attitude": INERTIAL}
 

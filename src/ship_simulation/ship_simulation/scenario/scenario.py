@@ -1,7 +1,7 @@
 """Parameters of a scenario file: the voyage, the devices, their errors, and faults.
 
-Each field has a unit, a range and a description. Errors are drawn with the sigmas; the suite file in the bag gives the
-same sigmas to the estimators (:mod:`ship_simulation.suite.suite`).
+Each field has a unit, a range and a description. Errors are drawn with the sigmas of the scenario. The suite file in
+the bag gives the same sigmas to the estimators (:mod:`ship_simulation.suite.suite`).
 """
 
 import re
@@ -81,7 +81,7 @@ class Detector(CameraConfig):
 
     @property
     def edges_px(self) -> FloatArray:
-        """Least and greatest (u, v) on the detector, shape (2, 2): integers are the pixels' centres."""
+        """Least and greatest (u, v) on the detector, shape (2, 2); integers are the centres of pixels."""
         return np.array([[0.0, 0.0], [self.width_px, self.height_px]]) - 0.5
 
     def field_directions(self, prefix: str) -> FloatArray:
@@ -105,7 +105,7 @@ class Detector(CameraConfig):
 class StarImaging:
     """Imaging of stars of the real sky, by a star sensor that gives single stars or by a camera on the theodolite.
 
-    Fields that other star sensors have too define times and rates of the exposures.
+    For a star sensor with another output, the rate, times and delays of the exposures apply to its messages.
     """
 
     rate_hz: float = parameter(5.0, doc="exposures per second", **RATE)
@@ -143,7 +143,7 @@ class StarImaging:
 
 @dataclass(frozen=True, kw_only=True)
 class StarTelescope(StarImaging):
-    """A star camera fixed to the theodolite: known orientation of the main axis in it, and its imaging."""
+    """A star camera fixed to the theodolite: known orientation of the main axis in the camera, and imaging."""
 
     azimuth_deg: float = parameter(doc="known azimuth of the main axis in the camera", **ANGLE)
     azimuth_sigma_arcsec: float = parameter(1.0, doc="error of the azimuth", **SIGMA)
@@ -156,15 +156,15 @@ class StarTelescope(StarImaging):
 
 
 STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
-"""Outputs of a star sensor: the topic's name under ``star/<id>/``."""
+"""Outputs of a star sensor, which are also the names of its topic under ``star/<id>/``."""
 
 
 @dataclass(frozen=True)
 class StarSensor(StarImaging):
     """A star sensor: mounting, output and errors.
 
-    A horizon attitude is the true one with errors; observations and inertial attitudes come from the real sky over the
-    ship. Fields of each output: :data:`ship_simulation.scenario.scenario_file.FIELDS_OF_OUTPUTS`.
+    A horizon attitude is the true attitude with errors. Observations and inertial attitudes come from the real sky over
+    the ship. :data:`ship_simulation.scenario.scenario_file.FIELDS_OF_OUTPUTS` lists the fields of each output.
     """
 
     azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **ANGLE)
@@ -332,7 +332,7 @@ class Scenario:
 
     @property
     def needs_sky(self) -> bool:
-        """True if the suite's attitude of the ship needs the sky: a star sensor observes the real one."""
+        """True if a star sensor observes the real sky, so that the suite needs the sky for the ship's attitude."""
         return any(sensor.output != "horizon_attitude" for sensor in self.star_sensors.values())
 
     @property
@@ -350,7 +350,7 @@ def start_time_ns(start_utc: str) -> int:
     """Return POSIX nanoseconds of a time such as ``2014-07-09T11:50:07.8Z``.
 
     Raises:
-        ValueError: it is not such a time.
+        ValueError: the text is not such a time.
     """
     match = _START_PATTERN.fullmatch(start_utc)
     if match is None:

@@ -34,7 +34,7 @@ FIELDS_OF_OUTPUTS = {
     ("horizon_attitude", "inertial_attitude"): ("sigma_forward_arcsec", "sigma_up_arcsec", "sigma_right_arcsec"),
     ("observations", "inertial_attitude"): ("sun_limit_deg",),
 }
-"""Outputs of a star sensor, and the fields that belong to these only."""
+"""Outputs of a star sensor → fields that belong only to sensors with one of these outputs."""
 
 
 def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
@@ -42,10 +42,10 @@ def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
 
     Args:
         path: YAML file.
-        recording: bag with the motion, in place of the one that the file names.
+        recording: bag with the motion, in place of the bag that the file names.
 
     Raises:
-        BadInput: names file, line, key, value and the expected value.
+        BadInput: the file is invalid; the error states file, line, key, value and the expected value.
     """
     file = read_nested_parameters(Path(path))
     try:
@@ -75,7 +75,7 @@ def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) ->
 
 
 def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterError]:
-    """Yield the errors of a scenario whose values are each valid by themselves."""
+    """Yield the inconsistencies of a scenario whose single values are valid."""
     try:
         start_time_ns(scenario.start_utc)
     except ValueError as problem:
@@ -145,14 +145,14 @@ def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
 def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
     start_ns = start_time_ns(scenario.start_utc)
     ends_ns = np.array([start_ns, start_ns + round(scenario.duration_s * SECOND_NS)])
-    # With a margin of one day for time offsets.
+    # The margin of one day covers time offsets.
     reason = earth_orientation_table().unavailable_text(ends_ns + np.array([-DAY_NS, DAY_NS]))
     if reason is not None:
         yield _parameter_error("start_utc", f"= {scenario.start_utc}: no sky can be computed: {reason}")
 
 
 def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[ParameterError]:
-    """Yield the errors of the theodolite's part; ``given`` is the content of the file."""
+    """Yield the errors in the theodolite's part of a scenario; ``given`` is the content of the file."""
     if not scenario.theodolite.aboard:
         for group in ("theodolite", "beacons", "targets", "telescopes"):
             if given.get(group):

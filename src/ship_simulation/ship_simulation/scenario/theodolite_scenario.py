@@ -192,7 +192,7 @@ class TerrestrialRefraction:
 
 @dataclass(frozen=True)
 class ShipAntenna:
-    """The base antenna of all baselines on board: its error is in all of them."""
+    """The antenna on board that is the base of all baselines, which share its error."""
 
     sigma_m: float = parameter(0.0, doc="correlated error, each axis", **_SMALL_METRES)
     time_s: float = parameter(300.0, doc="correlation time of the error", **CORRELATION)
@@ -276,7 +276,7 @@ class Flight(Course):
 
 
 SECTIONS_OF_COURSE = {"escort": "escort", "hover": "hover", "orbit": "orbit", "legs": "waypoints"}
-"""Group that each kind of course uses."""
+"""Kind of course → parameter group that it uses."""
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class Rtk:
 
 @dataclass(frozen=True)
 class ShipBaseline:
-    """Two antennas on board with satellite positioning between them; none if the three lengths are 0."""
+    """Two antennas on board with satellite positioning between them; there are none if the three lengths are 0."""
 
     forward_m: float = parameter(0.0, doc="from the base to the rover antenna, toward the bow", **_LENGTH_M)
     up_m: float = parameter(0.0, doc="the same, upward", **_LENGTH_M)
@@ -311,7 +311,7 @@ class ShipBaseline:
 
     @property
     def is_aboard(self) -> bool:
-        """True if the ship has one."""
+        """True if the ship has the two antennas."""
         return any((self.forward_m, self.up_m, self.right_m))
 
 

@@ -51,9 +51,9 @@ class InsTruth:
     """The errors of the INS that are correlated from sample to sample.
 
     Attributes:
-        attitude_error_n: correlated error a at each sample (north, up, east), the effect of gravity included, rad,
+        attitude_error_n: correlated error a at each sample (north, up, east), including the effect of gravity, rad,
             shape (n, 3).
-        time_offset_s: a sample is valid at its stamp plus this.
+        time_offset_s: time of validity of a sample minus its stamp.
     """
 
     attitude_error_n: FloatArray
@@ -63,7 +63,10 @@ class InsTruth:
 def simulate_ins(
     scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws, deflection: Deflection
 ) -> tuple[InsSamples, InsTruth]:
-    """Return samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau; a is correlated."""
+    """Return INS samples R_ins(s), where R_true(s + tau) = exp(a) exp(w) R_ins(s), and their true errors.
+
+    The error a is correlated, the error w is white. The angular rate is the true rate at s + tau, plus errors.
+    """
     config = scenario.ins
     time_ns = stretch.stamps(config.rate_hz, 0.0)
     truth = InsTruth(
@@ -84,7 +87,7 @@ def simulate_ins(
 
 
 def _correlated_ins_error(scenario: Scenario, stretch: Stretch, draws: Draws, deflection: Deflection) -> FloatArray:
-    """Return the INS's own correlated error, plus the effect of the deflection, as it levels itself on gravity."""
+    """Return the correlated error of the INS, plus the effect of the deflection, because the INS levels on gravity."""
     config, gravity = scenario.ins, None if scenario.gravity.is_level else deflection
     time_ns = stretch.stamps(config.rate_hz, 0.0)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
@@ -100,7 +103,7 @@ def _correlated_ins_error(scenario: Scenario, stretch: Stretch, draws: Draws, de
 def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
     """Return the errors of the INS's angular rates relative to the horizon, rad/s, shape (n, 3).
 
-    They are noise, a correlated error of the gyroscopes, and the Earth rate if the INS does not remove it.
+    The errors are noise, a correlated error of the gyroscopes, and the Earth rate if the INS does not remove it.
 
     Args:
         scenario: the INS, and the latitude.
@@ -162,7 +165,7 @@ class DeviceTruth:
 
 @dataclass(frozen=True)
 class DeviceExposures:
-    """The exposures of a device that observes stars, and its true attitude at each.
+    """The exposures of a device that observes stars, and the true attitude of the device at each exposure.
 
     Attributes:
         time_ns: stamps, shape (n,).
@@ -195,7 +198,10 @@ class StarSensorMotion(DeviceExposures):
 def star_sensor_motion(
     sensor_id: str, scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws
 ) -> StarSensorMotion:
-    """Return the attitude of a star sensor: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
+    """Return the exposures of a star sensor, with its attitude R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m).
+
+    The rotation vectors are the common error c, the flexure f and the installation error m; R0 is the nominal mounting.
+    """
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     nominal_dv = rotation_from_angles(*np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg]))
     sigma_installation = [
@@ -234,7 +240,7 @@ def star_sensor_motion(
 
 
 def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: StarSensorMotion, draws: Draws) -> DeviceSamples:
-    """Return horizon attitudes by R_star(t) exp(n)."""
+    """Return the measured horizon attitudes R_star(t) exp(n), with white noise n."""
     config = scenario.star_sensors[sensor_id]
     common_sigma = config.common_sigma_arcsec * ARCSEC
     samples = _samples(
@@ -244,7 +250,7 @@ def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: StarSensorM
 
 
 def sigma_of_attitudes(config: StarSensor) -> FloatArray:
-    """Return the white noise of an attitude sensor about its axes (forward, up, right), rad, shape (3,)."""
+    """Return the sigmas of the white noise of an attitude sensor about (forward, up, right), rad, shape (3,)."""
     return ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
 
 
@@ -257,9 +263,10 @@ def simulate_reference(
     draws: Draws,
     deflection: Deflection,
 ) -> tuple[DeviceSamples, DeviceTruth]:
-    """Return samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the rotation from INS to reference axes.
+    """Return the samples R_ref(t) = R_true(t - offset + tau) C exp(n) of another attitude system, and its mounting.
 
-    It levels itself on gravity: R_true is relative to the horizon of gravity.
+    C is the mounting of the reference system relative to the INS, tau the time offset of the INS, and n white noise.
+    The reference system levels itself on gravity, so R_true is relative to the horizon of gravity.
     """
     config = scenario.references[name]
     nominal_dv = rotation_from_angles(*np.deg2rad([config.heading_deg, config.pitch_deg, config.roll_deg]))
@@ -340,7 +347,7 @@ class FusedSamples:
 
 
 def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> FusedSamples:
-    """Return samples by R_true(t) = exp(e) exp(w) R_fused(t), e Gauss–Markov, w white."""
+    """Return samples R_fused(t), where R_true(t) = exp(e) exp(w) R_fused(t); e is Gauss–Markov, w is white."""
     config = scenario.fused_attitude
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS

@@ -40,7 +40,7 @@ class Deflection:
         return known + self._draws.correlated_error(_UNKNOWN, self._duration_s, sigma, time_s).values_at(since_start_s)
 
     def horizon_rotation_n(self, since_start_s: FloatArray) -> FloatArray:
-        """Return the rotation vector of the geodetic horizon against gravity's, (North, Up, East), rad, (n, 3)."""
+        """Return the rotation vector of the geodetic horizon against the horizon of gravity, (North, Up, East), rad."""
         xi, eta = self.deflection_at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
         latitude_deg, _ = self._track.latitude_longitude_deg(time_ns)
@@ -49,11 +49,11 @@ class Deflection:
 
 @dataclass(frozen=True)
 class DeflectionSamples:
-    """The deflection published by a topic; messages arrive at their stamps.
+    """The deflection published on a topic; messages arrive at their stamps.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        deflection: (xi, eta) by maps, rad, shape (n, 2).
+        deflection: (xi, eta) known from maps, rad, shape (n, 2).
         covariance: covariance of the error of each deflection, rad², shape (2, 2).
     """
 

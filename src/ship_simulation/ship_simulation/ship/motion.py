@@ -1,6 +1,6 @@
 """Carriers: the true attitude and angular rate of the ship at any time.
 
-A carrier is exact: its rate is the analytical derivative of its attitude.
+The angular rate of a carrier is the analytical derivative of its attitude.
 """
 
 import functools
@@ -24,8 +24,8 @@ from ship_simulation.scenario.motion_scenario import CarrierMotion, Recording, S
 _HEADING = 0
 """Index of the heading in (heading, pitch, roll)."""
 
-# Rows of the table of wave components computed at a time; bounds the memory of long runs. A product of fewer rows is
-# padded to this number, because its last bits may depend on the number of rows: each time gets the same value always.
+# Number of times for which the wave components are computed at once, to limit the memory of long runs. A product with
+# fewer rows is padded to this number, because the last bits of a product may depend on the number of its rows.
 _ROWS_AT_ONCE = 4096
 
 _IMU = "sensor_msgs/msg/Imu"
@@ -49,7 +49,7 @@ class SteadyTurn:
     """A change of heading whose rate rises linearly, is constant, and falls linearly.
 
     Attributes:
-        start_s: time of its begin.
+        start_s: begin of the turn.
         angle: total change, rad, clockwise positive.
         rate: greatest rate, rad/s, positive.
         ramp_s: length of the rise and of the fall.
@@ -65,11 +65,11 @@ class SteadyTurn:
         return self._sum_over_corners(0.5 * self._since_corners(t_s) ** 2)
 
     def heading_rate(self, t_s: FloatArray) -> FloatArray:
-        """Return the rate of that change, rad/s."""
+        """Return the rate of the change of heading, rad/s."""
         return self._sum_over_corners(self._since_corners(t_s))
 
     def _since_corners(self, t_s: FloatArray) -> FloatArray:
-        """Return the time since each corner of the rate, zero before it, shape (..., 4)."""
+        """Return the time since each corner of the rate, zero before the corner, shape (..., 4)."""
         steady_s = abs(self.angle) / self.rate
         corners = self.start_s + np.array([0.0, self.ramp_s, steady_s, steady_s + self.ramp_s])
         return np.maximum(np.asarray(t_s, dtype=float)[..., None] - corners, 0.0)
@@ -89,7 +89,7 @@ class HarmonicMotion:
         angular_frequency: angular frequency of each component, rad/s, shape (n,).
         phasor: complex amplitude of each component in each angle, rad, shape (n, 3): the angle is Re(phasor * exp(i w
             t)).
-        turns: changes of heading, added to it.
+        turns: turns, whose changes of heading are added to the heading.
     """
 
     def __init__(
@@ -215,7 +215,7 @@ def make_carrier(motion: CarrierMotion, seed: int) -> Carrier:
 
 
 def sea_responses(sea: Sea) -> tuple[Response, Response, Response]:
-    """Return the responses of (heading, pitch, roll): pitch to the slope along the ship, roll to that across."""
+    """Return the responses of (heading, pitch, roll): pitch to the slope along the ship, roll to the slope across."""
     along, across = np.cos(np.deg2rad(sea.direction_deg)), np.sin(np.deg2rad(sea.direction_deg))
     return (
         Response(along * across, sea.heading_gain, sea.heading_period_s, sea.heading_damping, sea.heading_length_m),

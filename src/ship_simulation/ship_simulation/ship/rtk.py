@@ -35,7 +35,7 @@ class BaselineSamples:
     fix: np.ndarray
 
     def select(self, which: np.ndarray) -> "BaselineSamples":
-        """Return some of the samples."""
+        """Return the selected samples."""
         return BaselineSamples(
             self.time_ns[which],
             self.log_time_ns[which],
@@ -51,10 +51,10 @@ def simulate_solutions(
     """Return solutions of true baselines (North, Up, East), m, shape (n, 3), with white and correlated errors.
 
     Args:
-        name: component that names the random streams.
+        name: begin of the names of the random streams.
         config: errors and rate.
         time_ns: stamps.
-        true_n: the baselines, with errors shared with other baselines.
+        true_n: the true baselines, plus the errors that other baselines share.
         stretch: part of the voyage.
         draws: random draws of the run.
     """

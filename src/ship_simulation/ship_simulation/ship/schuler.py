@@ -1,8 +1,8 @@
-"""The error of a simulated free-running INS by its gyroscopes and accelerometers.
+"""The attitude error of a simulated free-running INS due to its gyroscopes and accelerometers.
 
-It is drawn second by second. Each second is exact: matrix exponential of the equations of motion, and of the covariance
-of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978). The equations are
-independent of the estimator's implementation.
+The error is drawn second by second. Each second is exact, with the matrix exponential of the equations of motion and of
+the covariance of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978). The
+equations are independent of the estimator's implementation.
 """
 
 import math
@@ -19,7 +19,7 @@ from ship_simulation.ship.ship_track import ShipTrack
 
 _STEP_S = 1.0
 _STEPS_PER_LATITUDE = 300
-"""Number of steps with the same latitude: in five minutes a ship changes it by a few miles."""
+"""Number of steps computed with the same latitude. In five minutes a ship moves only a few miles."""
 
 _STATES = 11
 """Number of states.
@@ -117,7 +117,7 @@ class SchulerError:
         return transition, moved[:_STATES, _STATES:], vectors * np.sqrt(np.maximum(values, 0.0))
 
     def _state_derivative(self, state: FloatArray, latitude: float) -> FloatArray:
-        """Return the derivative of the states, with the deflection (xi, eta) at their end; linear in all."""
+        """Return the derivative of the states, linear in ``state``, whose last two elements are the deflection."""
         tilt, (north, east), own_latitude, drift = state[:3], state[3:5], state[5], state[6:9]
         (bias_north, bias_east), (xi, eta) = state[9:11], state[11:]
         meridian_m, across_m = horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0))

@@ -13,7 +13,7 @@ from ship_simulation.scenario.scenario import Position, Scenario
 _EARTH_RADIUS_M = 6_371_000.0
 """Mean radius, accurate enough to convert the noise of a fix to degrees."""
 
-# Limits the longitude error near the poles, where it is irrelevant.
+# Minimum cosine of the latitude. It limits the longitude error near the poles, where this error is irrelevant.
 _LEAST_COSINE = 1e-3
 
 
@@ -62,10 +62,10 @@ class FixSamples:
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        latitude_deg: shape (n,).
-        longitude_deg: shape (n,).
-        height_m: shape (n,).
-        covariance_m2: of the total error of each fix in (North, Up, East), shape (3, 3).
+        latitude_deg: geodetic latitudes, shape (n,).
+        longitude_deg: longitudes, shape (n,).
+        height_m: heights above the ellipsoid, shape (n,).
+        covariance_m2: covariance of the total error of each fix in (North, Up, East), shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -80,7 +80,7 @@ class FixSamples:
         return self.time_ns
 
     def position(self, index: int) -> GeodeticPosition:
-        """Return one of the fixes."""
+        """Return the position of a fix."""
         latitude, longitude = np.deg2rad([self.latitude_deg[index], self.longitude_deg[index]])
         return GeodeticPosition(float(latitude), float(longitude), float(self.height_m[index]))
 

@@ -1,8 +1,8 @@
 """The true sky over the ship: air, Earth rotation and star positions, each with an error relative to the known values.
 
-The sky is drawn once per run. The true air differs from the weather station's values, the Earth rotation from the
-table, and each star position from the catalogue. Directions are computed by ERFA's exact algorithm at every time; the
-estimator's algorithm, which refreshes parts periodically, is not used here.
+The sky is drawn once per run. The true air differs from the weather station's values, the true Earth rotation from the
+table, and each true star position from the catalogue. Directions are computed by ERFA's exact algorithm at every time;
+the estimator's algorithm, which refreshes parts periodically, is not used here.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ class TrueSky:
         track: the ship's position.
         model: model of refraction.
         weather: the true air at the ship.
-        ut1_error_s: true UT1 − UTC minus that of the table.
+        ut1_error_s: true UT1 − UTC minus the tabulated value.
         catalogue: the star catalogue.
         positions: true positions of the catalogue's stars, J2000.0, one row each.
     """
@@ -75,9 +75,10 @@ class TrueSky:
         return rotation_ne
 
     def refraction_rotation(self, direction_n: FloatArray) -> FloatArray:
-        """Return the rotation by refraction at apparent directions (N, U, E), shape (..., 3): shape (..., 3, 3).
+        """Return the rotations due to refraction, shape (..., 3, 3), at apparent directions (N, U, E), shape (..., 3).
 
-        It is a rotation about the horizontal axis across the direction. NaN below the range of the refraction model.
+        The axis of each rotation is horizontal and perpendicular to the direction. The rotation is NaN below the range
+        of the refraction model.
         """
         with_air = elevation_of(direction_n)
         angle = np.zeros_like(with_air)
@@ -92,7 +93,7 @@ class TrueSky:
     def sun_elevation(self, time_ns: np.ndarray) -> FloatArray:
         """Return the elevation of the Sun's centre without refraction, rad, shape (n,).
 
-        It is interpolated between minutes: at the horizon the error is less than an arcsecond.
+        The elevation is interpolated between whole minutes, with an error below an arcsecond at the horizon.
         """
         minutes = np.unique(np.concatenate([time_ns // _MINUTE_NS, time_ns // _MINUTE_NS + 1]))
         to_sun_i = -erfa.epv00(*tt_julian_date(minutes * _MINUTE_NS))[0]["p"]
@@ -145,7 +146,7 @@ def _true_air(station: WeatherStation, seed: int) -> Weather:
 
 
 def _draw_true_positions(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
-    """Return the catalogue's positions, each with an error of its standard deviation in that year."""
+    """Return the catalogue's positions, each with an error drawn with its standard deviation in a year."""
     stars = catalogue.at_j2000
     east, north = catalogue.position_sigma_at(np.arange(len(catalogue.hip)), year) * rng.standard_normal(
         (2, len(catalogue.hip))

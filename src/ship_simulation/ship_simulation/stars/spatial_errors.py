@@ -2,8 +2,8 @@
 
 The field-spatial error is a smooth random function of the position: a sum of many waves, minus its mean over the
 detector. The wave numbers are drawn from the normal distribution of a Gaussian correlation, whose length is three
-quarters of a side of the detector. The pixel-spatial error is an independent number for each pixel and axis. Nothing
-here is shared with the estimators, which represent the map as a polynomial.
+quarters of a side of the detector. The pixel-spatial error is an independent number for each pixel and axis. This
+module shares nothing with the estimators, which represent the field-spatial error as a polynomial.
 """
 
 import numpy as np
@@ -12,10 +12,10 @@ from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector
 
 _WAVES, _LENGTH = 200, 1.5
-"""Number of waves, and the correlation length in half sides."""
+"""Number of waves, and correlation length in half sides of the detector."""
 
 _TILE_PX = 512
-"""Period of the pixels' errors, which no star can resolve, px."""
+"""Period with which the pixel-spatial errors repeat, px; the stars do not reveal the repetition."""
 
 
 class DetectorErrors:
@@ -23,16 +23,16 @@ class DetectorErrors:
 
     Args:
         rng: source of the draws.
-        detector: its size, and the sigmas of the errors.
+        detector: size of the detector, and sigmas of the errors.
     """
 
     def __init__(self, rng: np.random.Generator, detector: Detector) -> None:
         least, greatest = detector.edges_px
         self._middle_px, self._half_px = (least + greatest) / 2.0, (greatest - least) / 2.0
-        # Along the two axes of a wave, for the errors in u and in v.
+        # Wave numbers along the two axes of the detector (last index), of the errors in u and in v (middle index).
         self._number = rng.standard_normal((_WAVES, 2, 2)) / _LENGTH
         self._phase = rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 2))
-        # Mean of a wave over the detector, and mean square without it, averaged over phases.
+        # Mean of a wave over the detector, and mean square of the wave without this mean, averaged over phases.
         self._mean = np.prod(np.sinc(self._number / np.pi), axis=-1)
         mean_square = 0.5 * np.mean(1.0 - self._mean**2, axis=0)
         self._amplitude = detector.field_spatial_sigma_px / np.sqrt(_WAVES * mean_square)

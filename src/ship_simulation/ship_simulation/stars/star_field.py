@@ -43,11 +43,11 @@ def stars_in_field(
     """Return the brightest unobstructed stars in the field of each exposure.
 
     Args:
-        sensor: its camera, masks, magnitude limit and number of stars.
-        sky: the true one.
+        sensor: camera, masks, magnitude limit and maximum number of stars of the sensor.
+        sky: the true sky.
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
-        valid_ns: their times, shape (n,).
-        since_start_s: their stamps after the start, increasing, shape (n,).
+        valid_ns: times of the exposures, shape (n,).
+        since_start_s: stamps of the exposures after the start, increasing, shape (n,).
     """
     camera, masks = sensor.camera.camera("camera"), sensor.sight_masks
     bright = sky.catalogue.rows_brighter_than(sensor.magnitude_limit)
@@ -107,7 +107,7 @@ def swap_identities(
     swap, one, other = rng.random((first.size, 3)).T
     chosen = (swap < probability) & (count >= 2)
     first, count = first[chosen], count[chosen]
-    # Two different stars of each exposure: the second is an offset from the first.
+    # Two different stars of each exposure: the second has a random offset from the first.
     one = (one[chosen] * count).astype(np.int64)
     other = (one + 1 + (other[chosen] * (count - 1)).astype(np.int64)) % count
     one, other = first + one, first + other

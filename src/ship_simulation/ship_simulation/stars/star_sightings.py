@@ -1,6 +1,6 @@
 """Star sensors that observe the true sky: single stars, or attitudes against the ICRS, with their errors.
 
-Sensors of the first kind give centroids with identities. Those of the second solve for their attitude, as most star
+A sensor of single stars gives centroids with identities. The other sensors solve for their attitude, as most star
 trackers do.
 """
 
@@ -26,7 +26,7 @@ from ship_simulation.stars.true_optics import draw_optics
 MAGNITUDE_SIGMA = 0.2
 """Standard deviation of measured magnitudes."""
 
-# Error that the estimator assumes for a position that is not from its catalogue (star_messages_in).
+# Error that the estimator assumes for a star position that is not from its catalogue (star_messages_in).
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 
 
@@ -41,8 +41,8 @@ class ReportedStars:
         directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
         positions: positions of the reported stars, J2000.0; NaN if the sensor reports no identity.
-        position_sigma: error of these, rad per axis, shape (k,).
-        magnitude: as measured, shape (k,).
+        position_sigma: error of ``positions``, rad per axis, shape (k,).
+        magnitude: measured magnitudes, shape (k,).
     """
 
     hip: NDArray[np.int64]
@@ -91,8 +91,8 @@ class SightingsTruth:
 
     Attributes:
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
-        hip: HIP number; 0 if there is no star, shape (k,).
-        direction_s: true direction in the sensor frame, shape (k, 3); NaN if there is no star.
+        hip: true HIP number, shape (k,); 0 for a false spot.
+        direction_s: true direction in the sensor frame, shape (k, 3); NaN for a false spot.
         is_swapped: True if a star has the identity of another star of its exposure, shape (k,).
     """
 
@@ -105,13 +105,13 @@ class SightingsTruth:
 def simulate_sightings(
     source: str, config: StarImaging, motion: DeviceExposures, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
-    """Return all exposures of a star sensor, or of a camera on the theodolite; empty by day, and in outages.
+    """Return all exposures of a star sensor, or of a camera on the theodolite, without stars by day and in outages.
 
     Args:
-        source: name of its random streams.
-        config: its part of the scenario.
-        motion: its exposures.
-        sky: the true one.
+        source: begin of the names of the random streams.
+        config: part of the scenario for the sensor or camera.
+        motion: exposures and true attitude of the sensor or camera.
+        sky: the true sky.
         draws: random draws of the run.
     """
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
@@ -147,8 +147,8 @@ def simulate_sightings(
 class _Spots:
     """The spots of light on the detector, one entry per spot.
 
-    ``row`` is that of the catalogue, UNKNOWN if there is no star; ``claimed`` is the row of the reported identity;
-    ``magnitude`` is the measured one.
+    ``row`` is the row of the true star in the catalogue, UNKNOWN for a false spot. ``claimed`` is the row of the
+    reported identity, and ``magnitude`` is the measured magnitude.
     """
 
     exposure: NDArray[np.int64]
@@ -220,7 +220,7 @@ def _false_spots(
 
 
 def _in_readout_order(kinds: list[_Spots]) -> _Spots:
-    """Return all spots in readout order, row after row, so that the order does not depend on their kinds."""
+    """Return all spots in readout order, row after row, so that the order does not depend on the kind of a spot."""
     spots = _Spots(*(np.concatenate([getattr(kind, field) for kind in kinds]) for field in vars(kinds[0])))
     return spots[np.lexsort((spots.pixel[:, 1], spots.exposure))]
 
@@ -251,7 +251,7 @@ class InertialSamples:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: arrival times, in any order, shape (n,).
         rotation_cv: ICRS from sensor (forward, up, right) as measured, shape (n, 3, 3).
-        noise_v: covariance of its error, in the sensor frame, rad², shape (3, 3).
+        noise_v: covariance of the error of each attitude, in the sensor frame, rad², shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -263,11 +263,11 @@ class InertialSamples:
 def simulate_inertial_sensor(
     sensor_id: str, scenario: Scenario, motion: StarSensorMotion, sky: TrueSky, draws: Draws
 ) -> InertialSamples:
-    """Return samples by R_cv = R_nc^T L^T R_star exp(n), L the rotation by refraction at the boresight.
+    """Return samples R_cv = R_nc^T L^T R_star exp(n), where L is the rotation due to refraction at the boresight.
 
-    The sensor corrects aberration with the velocity of the Earth. It does not correct refraction, so it finds the
-    attitude from which it would see the same stars without air. There is no attitude while the Sun is up, in an outage,
-    or with the boresight below the range of the refraction model.
+    The sensor corrects aberration with the velocity of the Earth, but not refraction. Its attitude is therefore the
+    attitude at which the same image would occur without air. There is no attitude while the Sun is above its limit, in
+    an outage, or if the boresight is below the range of the refraction model.
     """
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     sigma_v = sigma_of_attitudes(config)

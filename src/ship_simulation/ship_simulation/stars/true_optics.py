@@ -1,4 +1,4 @@
-"""The true optics of a camera, which differ from those given to the suite by errors of the stated sigmas.
+"""The true optics of a camera, which differ from the optics given to the suite by errors of the stated sigmas.
 
 The mounting is calibrated through the camera: a star in the nominal boresight direction is imaged on the nominal
 principal point. A camera whose true principal point differs is therefore rotated.
@@ -21,7 +21,7 @@ class TrueOptics:
     """The true optics of a camera.
 
     Attributes:
-        camera: true parameters.
+        camera: camera with the true parameters.
         rotation_cs: frame of the true optical axis from the frame of the sensor, shape (3, 3).
     """
 
@@ -34,11 +34,11 @@ class TrueOptics:
 
 
 def draw_optics(rng: np.random.Generator, detector: Detector, name: str) -> TrueOptics:
-    """Draw the true optics of a camera around those configured.
+    """Draw the true optics of a camera around the configured optics.
 
     Args:
         rng: random generator of the optics of this camera.
-        detector: as configured, with the sigmas.
+        detector: configured camera and detector, with the sigmas.
         name: name of the camera, for an error message.
     """
     configured = detector.camera(name)

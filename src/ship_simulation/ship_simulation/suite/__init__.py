@@ -1,5 +1,5 @@
 """The suite file of a scenario: the parameters of the nodes for that ship.
 
-The room writes names and values only. It imports ``scenario/`` and the names of the axis errors
-(``theodolite_calib.axis_geometry``), and no node's configuration.
+The folder writes names and values only. It imports ``scenario/``, ``ship/deflection.py`` and names of parameter values
+from the packages of the nodes, but no class of a node's configuration.
 """

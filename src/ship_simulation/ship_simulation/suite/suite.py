@@ -1,7 +1,7 @@
 """The suite file of a scenario, with the same layout and the same sigmas.
 
-A scenario and a node's parameters have the same names. Each table here lists the parameters of a device that a node
-receives; a test loads the file of each scenario into the nodes' own configurations.
+The parameters of a scenario and of a node have the same names. Each table in this module lists the parameters of a
+device that a node receives. A test loads the file of each scenario into the configurations of the nodes.
 """
 
 import math
@@ -126,11 +126,11 @@ _STAR_TELESCOPE = (
 _REFRACTION = ("coefficient", "sigma", "light_sigma", "time_s")
 
 _MIN_POSITION_TIME_S = 1.0
-"""Minimum of the estimator's parameter."""
+"""Minimum of the estimator's parameter ``position_time_s``."""
 
 
 def suite_yaml(scenario: Scenario) -> str:
-    """Return a ROS 2 parameter file, for any namespace, of all nodes that the scenario has inputs for."""
+    """Return a ROS 2 parameter file, for any namespace, of all nodes for which the scenario has inputs."""
     # A bag that contains the fused attitude needs no ship_attitude.
     nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
     if scenario.theodolite.aboard:
@@ -313,7 +313,7 @@ def _telescope(telescope: Telescope) -> dict[str, Any]:
 
 
 def _ship(scenario: Scenario) -> dict[str, Any]:
-    """Return the source of the ship's attitude: simulated, from the filter, or without stars from the INS only."""
+    """Return the parameters of the ship's attitude, which is simulated, from ``ship_attitude``, or from the INS."""
     if scenario.fused_attitude.written:
         fused = scenario.fused_attitude
         return {

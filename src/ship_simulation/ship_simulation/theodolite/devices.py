@@ -26,8 +26,8 @@ class EncoderSamples:
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
-        azimuth: rad, 0 to 2 pi, shape (n,).
-        elevation: rad, shape (n,).
+        azimuth: readings of the azimuth encoder, rad, 0 to 2 pi, shape (n,).
+        elevation: readings of the elevation encoder, rad, shape (n,).
         sigma: standard deviation of each angle, rad.
     """
 
@@ -42,7 +42,7 @@ def simulate_encoders(config: Encoder, mount: MountState, stretch: Stretch, draw
     """Return readings of the mount at the stamps of the encoders, with their noise."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     sigma = config.sigma_arcsec * ARCSEC
-    # The random numbers of the elevation follow all those of the azimuth.
+    # The random numbers of the elevation follow all numbers of the azimuth.
     starts = (0, stretch.count(config.rate_hz, config.phase_s))
     noise = [sigma * draws.stream("theodolite.encoder", start).standard_normal(time_ns.size) for start in starts]
     arrival = draws.stream("theodolite.encoder.arrival")
@@ -64,11 +64,11 @@ class ImageSamples:
     Attributes:
         time_ns: middles of the exposures, increasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
-        first: shape (n + 1,).
+        first: index of the first light of each exposure, shape (n + 1,).
         beacon_ids: ids of all lights of the scenario.
         beacon_index: index of each found light in ``beacon_ids``, shape (k,).
-        point_m: on the detector, along right and up, shape (k, 2).
-        sigma_m: standard deviation of each coordinate, of a light at rest.
+        point_m: points of the found lights on the detector, along right and up, shape (k, 2).
+        sigma_m: standard deviation of each coordinate for a light at rest.
     """
 
     time_ns: np.ndarray
@@ -124,7 +124,10 @@ def is_in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatA
 def simulate_baselines(
     beacon_id: str, scene: Scene, ship_antenna: CorrelatedError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
-    """Return solutions for the baseline from the ship's antenna to a drone's, with the error of the former."""
+    """Return solutions for the baseline from the ship's antenna to a drone's antenna, until the drone leaves.
+
+    The baselines to all drones contain the same error of the ship's antenna.
+    """
     beacon = scene.beacons[beacon_id]
     config = beacon.config.rtk
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
@@ -145,7 +148,7 @@ class DroneSamples:
         log_time_ns: arrival times, shape (n,).
         rotation_nb: horizon from drone (nose, up, right) as measured, shape (n, 3, 3).
         rate_b: angular velocity in the drone's frame, rad/s, shape (n, 3).
-        covariance_n: covariance of its total rotation vector (North, Up, East), rad², shape (3, 3).
+        covariance_n: covariance of the total error as a rotation vector (North, Up, East), rad², shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -158,7 +161,10 @@ class DroneSamples:
 def simulate_drone_attitude(
     beacon_id: str, beacon: TrueBeacon, stretch: Stretch, draws: Draws
 ) -> DroneSamples:
-    """Return samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until the drone leaves."""
+    """Return samples R_drone(t), where R_true(t) = exp(e) exp(w) R_drone(t), until the drone leaves.
+
+    The error e is Gauss–Markov, the error w is white.
+    """
     config, name = beacon.config.imu, f"beacon.{beacon_id}.imu"
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS

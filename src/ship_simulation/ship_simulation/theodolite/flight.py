@@ -1,7 +1,7 @@
 """Paths and attitudes of the drones, and pointing of the main axis.
 
-Positions are relative to the intersection of the theodolite's axes, in (North, Up, East), m. A stabilised mount keeps
-its line of sight under the ship's motion.
+Positions are relative to the intersection of the theodolite's axes, in (North, Up, East), m. The line of sight is
+stabilised against the ship's motion.
 """
 
 from collections.abc import Callable, Sequence
@@ -100,9 +100,9 @@ class Aim:
     """The line of sight of the main axis.
 
     Attributes:
-        programme: the sweep, and whether the lights are followed.
+        programme: sweep of the main axis, and the choice whether the lights are followed.
         paths: paths of the drones.
-        last_departure_s: time when the last of them leaves.
+        last_departure_s: time when the last drone leaves.
     """
 
     programme: Programme
@@ -120,7 +120,7 @@ class Aim:
         return directions_n
 
     def _middle_of_beacons(self, t_s: FloatArray) -> FloatArray:
-        """Return unit vectors to the middle of all drones, including those that have left, so that there is no jump."""
+        """Return unit vectors to the middle of all drones; drones that have left are included to avoid jumps."""
         places = np.stack([path(t_s) for path in self.paths])
         summed = np.sum(places / np.linalg.norm(places, axis=-1, keepdims=True), axis=0)
         middle_n: FloatArray = summed / np.linalg.norm(summed, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Star cameras on the theodolite: they rotate with its main axis, and measure as star sensors do."""
+"""Star cameras on the theodolite, which rotate with its main axis and measure like star sensors."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def simulate_mount_stars(
     stretch: Stretch,
     draws: Draws,
 ) -> StarSightings:
-    """Return the exposures of a camera in a stretch; ``parallelism`` is the true one."""
+    """Return the exposures of a camera in a stretch; ``parallelism`` is from :func:`draw_parallelism`."""
     motion = _motion(config, parallelism, scene, stretch)
     sightings, _ = simulate_sightings(_source(camera_id), config, motion, sky, draws)
     return sightings

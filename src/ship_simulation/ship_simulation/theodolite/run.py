@@ -31,16 +31,16 @@ from ship_simulation.theodolite.targets import TargetSamples, draw_targets, simu
 
 @dataclass(frozen=True)
 class PointingTruth:
-    """The measurements of the theodolite's devices without their errors.
+    """The true quantities that the theodolite's devices measure.
 
     Attributes:
-        encoder_index: the encoder samples at whose stamps the truth is given: the first in each tenth of a second, and
-            the last, shape (m,).
-        mount: the mount there.
-        rotation_nt: horizon from telescope there, shape (m, 3, 3).
-        beacon_count: number of lights in the telescope's view there, shape (m,).
+        encoder_index: indices of the encoder samples at whose stamps the truth is given, shape (m,). They are the first
+            sample in each tenth of a second, and the last sample.
+        mount: the true mount at those stamps.
+        rotation_nt: horizon from telescope at those stamps, shape (m, 3, 3).
+        beacon_count: number of lights in the telescope's view at those stamps, shape (m,).
         scene: all true quantities, at any time.
-        star_parallelism: parallelism of the main axis in each camera that observes stars, rad, shape (3,).
+        star_parallelism: id of a star camera → true angles of the main axis in the camera, rad, shape (3,).
     """
 
     encoder_index: np.ndarray
@@ -67,7 +67,7 @@ class TheodoliteRun:
 def simulate_theodolite(
     scenario: Scenario, carrier: Carrier, sky: TrueSky | None, stretch: Stretch, draws: Draws
 ) -> TheodoliteRun:
-    """Return the theodolite's part of a stretch; ``sky`` is not None if it has star cameras.
+    """Return the theodolite's part of a stretch; ``sky`` is None only if the theodolite has no star cameras.
 
     Raises:
         BadInput: the theodolite would have to point along its vertical axis.

@@ -1,7 +1,6 @@
-"""True theodolite and true lights at any time.
+"""True theodolite and true lights at any time, from which the measurements are computed.
 
-The constants are drawn once per run about the scenario's known values. The measurements are computed from these
-quantities.
+The constants of the theodolite are drawn once per run about the scenario's known values.
 """
 
 from dataclasses import dataclass
@@ -38,7 +37,8 @@ class TrueTheodolite:
         parallelism: azimuth, elevation and rotation of the main axis in the telescope frame, rad, shape (3,).
         focal_length_m: focal length of the telescope.
         lever_d: vector from the ship's antenna to the intersection of the axes, m, shape (3,).
-        lens_m: vector from there to the principal point N' of the telescope's lens, main frame, m, shape (3,).
+        lens_m: vector from this intersection to the principal point N' of the telescope's lens, main frame, m, shape
+            (3,).
     """
 
     axis_errors: AxisErrors
@@ -49,7 +49,7 @@ class TrueTheodolite:
 
 
 def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
-    """Return the constants as known, each with an error of its sigma added."""
+    """Return the true constants: the known constants, each plus an error drawn with its sigma."""
     telescope = config.telescope
     known, sigma = parallelism_of(telescope)
     focal_error = random_stream(seed, "theodolite.focal_length").standard_normal()
@@ -87,7 +87,7 @@ def survey_error(vector: SurveyError) -> FloatArray:
 
 
 def draw_lever(lever: Lever, name: str, seed: int) -> FloatArray:
-    """Return the true vector, m, shape (3,)."""
+    """Return the true vector, m, shape (3,): the surveyed vector plus a drawn error."""
     return surveyed_vector(lever) + lever.sigma_m * random_stream(seed, name).standard_normal(3)
 
 
@@ -105,9 +105,9 @@ class ObservedBody:
     """A body that the theodolite observes.
 
     Attributes:
-        config: its part of the scenario.
-        path: its path, from the intersection of the theodolite's axes.
-        refraction: difference of k on the path to it, one process.
+        config: part of the scenario for the body.
+        path: path of the body, relative to the intersection of the theodolite's axes.
+        refraction: additional error of k on the line of sight to the body, a single process.
     """
 
     config: Beacon | Target
@@ -122,12 +122,12 @@ class ObservedBody:
 
 @dataclass(frozen=True)
 class TrueBeacon(ObservedBody):
-    """A drone with its light; ``path`` is that of its antenna.
+    """A drone with its light; ``path`` is the path of its antenna.
 
     Attributes:
-        config: its part of the scenario.
+        config: part of the scenario for the drone.
         attitude: attitude of the drone (nose, up, right).
-        lever_b: from its antenna to its light, in its own axes, m, shape (3,).
+        lever_b: vector from the drone's antenna to its light, in the axes of the drone, m, shape (3,).
     """
 
     config: Beacon
@@ -160,12 +160,12 @@ class Scene:
 
     Attributes:
         carrier: motion of the ship.
-        theodolite: its constants.
-        deformation: rotation vector of its base against the deck, rad.
-        aim: its line of sight.
-        beacons: by id, in the order of ids.
-        refraction: the error of k that is common to all lights, one process.
-        coefficient: k as known.
+        theodolite: constants of the theodolite.
+        deformation: rotation vector of the theodolite's base against the deck, rad.
+        aim: required line of sight of the main axis.
+        beacons: id → drone with a light, in the order of ids.
+        refraction: the error of k that is common to all lights, a single process.
+        coefficient: known value of the refraction coefficient k.
     """
 
     carrier: Carrier

@@ -1,7 +1,7 @@
 """Targets of the main tube: their courses, their images on the main detector, and their true positions.
 
-A target is observed along its path from the intersection of the axes, raised by refraction as the lights are. The
-detector's axes v are rotated about the main axis by ρ; the image point follows from the true focal length.
+A target is observed in its direction from the intersection of the axes, raised by refraction like the directions of
+lights. The detector's axes v are rotated about the main axis by ρ. The image point follows from the true focal length.
 """
 
 from collections.abc import Callable
@@ -36,11 +36,11 @@ class TargetSamples:
         time_ns: middles of the exposures, not decreasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
         target_ids: ids of all targets of the scenario.
-        target: index in ``target_ids``, shape (n,).
-        point_m: on the detector, along its right and up, shape (n, 2).
+        target: index of the target of each image in ``target_ids``, shape (n,).
+        point_m: points on the detector, along its right and up, shape (n, 2).
         rotation: reported rotation of the detector, rad, shape (n,).
         range_m: reported range, shape (n,); NaN if there is none.
-        range_sigma_m: its error, shape (n,); NaN if there is none.
+        range_sigma_m: sigma of the reported range, shape (n,); NaN if there is no range.
         direction_n: true direction of observation, unit vector (North, Up, East), shape (n, 3).
         position_n: true position, from the ship's antenna, m, shape (n, 3).
     """
@@ -142,5 +142,5 @@ def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray)
 def _stack_by_target(
     targets: dict[str, TrueTarget], of: Callable[[TrueTarget], np.ndarray], none: tuple[int, ...]
 ) -> np.ndarray:
-    """Return a quantity of each target, along a second axis; of the shape ``none`` if there is no target."""
+    """Return a quantity of each target, along a second axis; an array of the shape ``none`` if there is no target."""
     return np.stack([of(target) for target in targets.values()], axis=1) if targets else np.empty(none)
