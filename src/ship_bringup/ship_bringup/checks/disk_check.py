@@ -38,7 +38,7 @@ _TYPICAL_STREAMS = {
     "gnss": (1.0, 125),
     "met": (1.0, 36),
 }
-"""First word of a topic → rate, Hz, and message length, bytes, as in the suites of bags/ (with twenty stars per message)."""
+"""First word of a topic → rate, Hz, and message length, bytes, as in the suites of bags/ (twenty stars per message)."""
 _DEFAULT_STREAM = (10.0, 500)
 
 

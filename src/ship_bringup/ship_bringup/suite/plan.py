@@ -175,8 +175,8 @@ def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
 def _namespace_arguments(options: SuiteOptions) -> tuple[str, ...]:
     """Return arguments that put a process into the suite's namespace.
 
-    If a bag is played, its clock is in the namespace, because the time of the bag is the time of this suite only. Frames
-    have the same names on each ship, and are therefore published in the namespace, not on the global /tf.
+    If a bag is played, its clock is in the namespace, because the time of the bag is valid for this suite only.
+    Frames have the same names on each ship, and are therefore published in the namespace, not on the global /tf.
     """
     if not options.namespace:
         return ()
