@@ -20,7 +20,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 MOST_WORKERS_RATIO = 1.0 / 1.8
-"""Maximum ratio of the times with two workers and with one, on two otherwise idle processors."""
+"""Maximum ratio of the times with two workers and with one worker, on two otherwise idle processors."""
 
 MONTE_CARLO_RUNS, MONTE_CARLO_RUN_S, MONTE_CARLO_INS_HZ = 200, 600.0, 20.0
 """Number, length and INS rate of runs with two star sensors; each run has another seed, as in the campaigns."""

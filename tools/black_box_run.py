@@ -67,7 +67,7 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
         Paths of the black boxes of both runs.
 
     Raises:
-        LiveFailure: a process failed, or a response of the node was not the expected one.
+        LiveFailure: a process failed, or a response of the node was not as expected.
     """
     folder.mkdir(parents=True, exist_ok=True)
     alignment_path = folder / "alignment.yaml"

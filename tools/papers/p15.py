@@ -62,7 +62,7 @@ that the paper replaces.
 
 
 def chain() -> list[tuple[str, FloatArray]]:
-    """Return name of, and direction after, each further correction: star in the horizon, unrefracted, shape (3,)."""
+    """Return corrections and the star's direction in the horizon, unrefracted, after each correction, shape (3,)."""
     ut1 = f"{float(ORIENTATION.ut1_minus_utc_s):.4f} s".replace("-", "−")
     return [
         ("no aberration, UT1 = UTC", without_aberration(UT1_TAKEN_AS_UTC, diurnal=False)),

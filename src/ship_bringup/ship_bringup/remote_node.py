@@ -85,7 +85,7 @@ class RemoteNode:
 
     Args:
         own_node: our own node, which calls the services.
-        name: the node's name, with its namespace if it has one.
+        name: name of the node, with its namespace if it is in a namespace.
         timeout_s: timeout for the node and for each of its responses, s.
         wait: handles callbacks of the own node for the given number of seconds.
 

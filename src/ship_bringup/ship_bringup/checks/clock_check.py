@@ -93,7 +93,7 @@ def ptp_state(text: str) -> ClockState | None:
 
 
 def check_clock(state: ClockState, limits: Limits) -> CheckLine:
-    """Check the clock against the ship's limits: FAIL above the limit of the offset, WARN above that of the heading."""
+    """Check the clock against the ship's limits: FAIL above the clock's limit, WARN above the heading's limit."""
     if state.is_unresponsive:
         found = f"no program synchronises the clock: {state.detail}"
         return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")

@@ -100,7 +100,7 @@ def _state(
             path, named_by, is_device, True, os.access(path, os.R_OK), _can_create_file(path), is_wrong_kind
         )
     if path.exists():
-        # A saved file is replaced by a new one, so its folder must be writable.
+        # A saved file is replaced by a new file, so its folder must be writable.
         writable = os.access(path, os.W_OK) and (is_device or is_appended or _can_create_file(path.parent))
         is_wrong_kind = is_device and not stat.S_ISCHR(path.stat().st_mode)
         return PathState(path, named_by, is_device, True, os.access(path, os.R_OK), writable, is_wrong_kind)

@@ -14,7 +14,7 @@ _SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
 def check_security(
     environment: Mapping[str, str], has_security: bool | None, is_required: bool
 ) -> Iterator[CheckLine]:
-    """Check that DDS security is available and enforced: FAIL if the ship's profile, or the environment, demands it.
+    """Check that DDS security is available and enforced: FAIL if profile or environment demand security.
 
     Args:
         environment: environment of the process.

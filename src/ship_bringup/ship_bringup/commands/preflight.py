@@ -180,7 +180,7 @@ def _clock(suite: _Suite) -> Iterable[CheckLine]:
 
 
 def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
-    """Return the state of the network; it is not read with a wrong setting, with which DDS would end this process."""
+    """Return the state of the network; with a wrong setting nothing is read, because DDS would end this process."""
     for line in settings:
         if line.result is Result.FAIL:
             return NetworkState(failure=line.finding)

@@ -37,7 +37,7 @@ Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship
 as NMEA sentences, and instruments' sentences become topics, but not with --bag. The others do not need them.
 """
 _NO_FILE = Path()
-"""Value of ``--limits`` if it is given without a file."""
+"""Value of the option ``--limits`` without a file."""
 
 _EPILOG = (
     "exit code: 0 ended by Ctrl-C, SIGTERM, SIGHUP or the end of the bag while all programs ran; otherwise that of\n"

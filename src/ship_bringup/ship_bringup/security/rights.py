@@ -238,7 +238,7 @@ class _SuiteRights:
         serves: Iterable[str] = (),
         own_nodes: Iterable[str] = (),
     ) -> Rights:
-        """Return the rights of a program that is not an estimator, including those needed by its nodes, `own_nodes`."""
+        """Return the rights of a program that is not an estimator, including the rights of its nodes `own_nodes`."""
         own = frozenset[str]().union(*(_own_services(self._full_name(node)) for node in (own_nodes or (name,))))
         return Rights(
             enclave=self._full_name(name),
@@ -260,7 +260,7 @@ class _SuiteRights:
         return frozenset[str]().union(*(parameter_services(node, names) for node in nodes))
 
     def _inputs(self, names: Iterable[str]) -> frozenset[str]:
-        """Return topics as the nodes receive them, under the names of the ship if they differ."""
+        """Return topics as the nodes receive them, under the names on the ship if these names differ."""
         return self._topics(self._ship_names.get(name, name) for name in names)
 
     def _topics(self, names: Iterable[str]) -> frozenset[str]:

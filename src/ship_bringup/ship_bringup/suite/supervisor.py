@@ -146,7 +146,7 @@ class Supervisor:
         due += [] if self._is_ending else [self._frozen_check.due_s]
         timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
         for key, _ in self._selector.select(timeout_s):
-            # Handling one event may unregister the next one.
+            # Handling one event may unregister the next event.
             if key.fd in self._selector.get_map():
                 key.data()
 

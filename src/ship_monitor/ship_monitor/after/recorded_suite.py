@@ -15,13 +15,13 @@ from ship_watch.topics import monitored_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
 LATCHED_TOPICS = ("ship/alerts", "ship/alignment", "theodolite/calibration")
-"""Topics whose last message stays valid until the next one."""
+"""Topics whose last message stays valid until the next message."""
 
 _NOMINAL_TOPICS = LATCHED_TOPICS[1:]
 """Topics whose first message also contains the nominal values."""
 
 THINNING_PERIOD_NS = 100_000_000
-"""Period of the decoded messages of a topic of which the newest message is enough, ns: that of the evaluation."""
+"""Period of decoded messages, ns, for topics whose newest message is enough: the period of the evaluation."""
 
 
 @dataclass(frozen=True)

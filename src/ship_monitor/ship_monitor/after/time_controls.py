@@ -24,7 +24,7 @@ class TimeControls:
 
     Args:
         length_s: length of the bag, s.
-        note: note about missing data; empty if there is none.
+        note: note about missing data; may be empty.
         go_to: called with the time chosen by the user, s after the first message.
     """
 

@@ -136,7 +136,7 @@ class LiveSuite:
         return self._reader.location
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
-        """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
+        """Acknowledge one instance of an alert; return the result in words. The call may take seconds."""
         return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
     def controls(self, _on_move: Callable[[], None]) -> None:

@@ -143,7 +143,7 @@ class TopicReader:
 
     @property
     def is_simulated(self) -> bool:
-        """True if the suite's truth is on the network, or was at the time of the last output; a real ship has none."""
+        """True if the suite's truth is on the network, or was there at the time of the last output."""
         return self._output_ns - self._truth_ns < _CLOCK_MEMORY_NS
 
     @property

@@ -88,7 +88,7 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Update texts and plots. After an error the page gets no updates, which its script reports."""
+        """Update texts and plots. After an error updates end, which the script of the page reports."""
         self._update_texts()
         self._count += 1
         if self._count % TEXTS_PER_PLOT_UPDATE == 0:

@@ -161,7 +161,7 @@ class BudgetPanel:
         self.box.set_subtitle(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
 
     def _draw_bands(self) -> None:
-        """Draw new bands: the five largest sources, and the sum of the others."""
+        """Draw new bands: the five largest sources, and the sum of the other sources."""
         for renderer in self._band_renderers:
             self._figure.renderers.remove(renderer)
         edges = [[_column(name) for name in self._bands[: count + 1]] for count in range(len(self._bands))]

@@ -159,7 +159,7 @@ def narrow_height(height_px: int) -> InlineStyleSheet:
 
 
 def batched_model_changes(layout: Model) -> AbstractContextManager[None]:
-    """Return a context for adding or removing many models: the document checks all its models once at the end."""
+    """Return a context for adding or removing many models, at whose end the document checks all its models once."""
     made: AbstractContextManager[None] = nullcontext() if layout.document is None else layout.document.models.freeze()
     return made
 
@@ -236,7 +236,7 @@ class GrowingRows(Generic[Key, Row]):
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
         """Make plots for keys that have no plot, in the order of the keys; return all plots.
 
-        The caller draws the plots before :meth:`show`: changes of a plot that is being sent to a browser would be lost,
+        The caller draws the plots before :meth:`show`. Changes of a plot that is being sent to a browser would be lost,
         because the document does not contain the plot yet.
         """
         if list(keys) != self._keys:

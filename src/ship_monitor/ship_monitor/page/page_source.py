@@ -22,7 +22,7 @@ class PageSource(SuiteStateSource, Protocol):
         ...
 
     def controls(self, on_move: Callable[[], None]) -> UIElement | None:
-        """Return new controls to be placed under the top bar, such as the time slider of a bag; None if there are none.
+        """Return new controls to be placed under the top bar, such as the time slider of a bag; None for no controls.
 
         Args:
             on_move: called after the controls have changed the displayed time; the page then updates.

@@ -90,7 +90,7 @@ class _Socket(WSHandler):
 
 
 class _Application(BokehTornado):
-    """Bokeh application that answers only pages of its own address.
+    """Bokeh application that answers only pages of its address.
 
     Requests of pages of other sites in the same browser are refused. The port is not compared, because the page may be
     opened through an ssh tunnel.

@@ -241,7 +241,7 @@ def residual_star_mask(exposure: ExposurePoint) -> np.ndarray:
 
 
 def used_star_mask(exposure: ExposurePoint) -> np.ndarray:
-    """Return a mask of the stars drawn as used, shape (n,): stars with a residual, or all if no star has one."""
+    """Return a mask of the stars drawn as used, shape (n,): stars with a residual; all stars without residuals."""
     mask = residual_star_mask(exposure)
     return mask if mask.any() else np.ones(len(exposure.u), bool)
 
@@ -254,7 +254,7 @@ def positions_in_field(exposure: ExposurePoint) -> tuple[np.ndarray, np.ndarray]
 
 
 def _detector_side(places: np.ndarray) -> float:
-    """Return the side of a detector, px: the next multiple of 256 px beyond all positions, as no topic states it."""
+    """Return the side of a detector, px, which no topic contains: a multiple of 256 px beyond all positions."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
 
 

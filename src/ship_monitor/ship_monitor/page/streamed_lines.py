@@ -1,4 +1,4 @@
-"""Lines over time, of which the browsers are sent new points only, and the common time axis of all plots."""
+"""Lines over time, whose new points are sent to the browsers, and the common time axis of all plots."""
 
 from collections.abc import Callable, Mapping, Sequence
 

@@ -34,7 +34,7 @@ class TerminalSource(SuiteStateSource, Protocol):
         """Process the received messages."""
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
-        """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
+        """Acknowledge one instance of an alert; return the result in words. The call may take seconds."""
 
 
 class _Lines(Widget):

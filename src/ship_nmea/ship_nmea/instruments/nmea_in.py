@@ -26,7 +26,7 @@ other than the first, or not listed in from. A lost source is reported there and
 """
 
 _LINES_PER_TURN = 50
-"""Number of lines of a link processed before those of the next link: a flood on one link delays no other link."""
+"""Number of lines of a link processed before the next link, so that a flood on one link delays no other link."""
 _IDLE_S = 0.5
 _PARAMETER_NAMES = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
 """Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
