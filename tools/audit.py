@@ -1,6 +1,7 @@
 """``make audit``: known vulnerabilities of the pinned versions, by pip-audit from OSV, in a separate environment.
 
-Exit code 0: none is known; 1: one is known, or the service returned no result for a version; 2: the query failed.
+Exit code 0 no vulnerability is known; 1 at least one is known, or the service returned no result for a version; 2 the
+query failed.
 """
 
 import argparse
@@ -24,7 +25,7 @@ LOCK = ROOT / "requirements.lock"
 PIP_AUDIT = "pip-audit>=2.9,<3"
 SERVICE = "https://api.osv.dev/v1/query"
 BOTH_SIDES = ("3.10", "3.12")
-"""The lock has one condition, Python below 3.11 or not: these two versions cover every pin."""
+"""Python versions that cover every pin, because the only condition in the lock is Python below 3.11 or not."""
 
 
 def main() -> int:
@@ -50,7 +51,7 @@ def _audit(options: argparse.Namespace) -> int:
 def evaluate_report(report: dict[str, Any], wanted: list[str]) -> tuple[list[str], list[str]]:
     """Return one line per vulnerability in a pip-audit report, and the pins that the report does not contain.
 
-    A wheel that pip-audit left out counts as unanswered, not as free of vulnerabilities.
+    A wheel that is missing in the report is not considered free of vulnerabilities.
     """
     audited = [entry for entry in report["dependencies"] if "vulns" in entry]
     answered = {f"{entry['name']}=={entry['version']}": entry["vulns"] for entry in audited}
@@ -63,7 +64,7 @@ def evaluate_report(report: dict[str, Any], wanted: list[str]) -> tuple[list[str
 
 
 def _query_pip_audit(wanted: list[str], service: str, work: Path) -> dict[str, Any]:
-    """Return the report of pip-audit; two versions of one wheel need two calls, as pip-audit accepts one version."""
+    """Return the report of pip-audit, which accepts one version per wheel and call: two versions need two calls."""
     python = _environment(work)
     dependencies: list[Any] = []
     rest = wanted

@@ -31,7 +31,7 @@ PAGE = ROOT / "docs" / "explanation" / "availability.md"
 FIGURE = ROOT / "docs" / "figures" / "availability.png"
 EXPOSURES, SMALL_PART = 1000, 20
 _PART = 10
-"""Exposures per task of a process."""
+"""Number of exposures in each task of a worker process."""
 
 BEGIN, END = "<!-- {name}: python tools/availability.py -->", "<!-- end of {name} -->"
 
@@ -93,12 +93,12 @@ def _study(exposures: int, processes: int) -> trials.Results:
 
 
 def star_table(results: trials.Results) -> str:
-    """Return the table of the number of stars in each sensor and the method."""
+    """Return the table over number of stars in each sensor and method."""
     return _table("stars", [trials.count_case(counts) for counts in sorted(trials.COUNTS)], results)
 
 
 def cloud_table(results: trials.Results) -> str:
-    """Return the table of cloud cover and method."""
+    """Return the table over cloud cover and method."""
     patches = [(cover, patch) for patch in trials.PATCHES_DEG for cover in trials.COVERS if cover]
     return _table("clouds", [trials.cloud_case(*one) for one in patches], results)
 
@@ -125,7 +125,7 @@ def _cell(values: np.ndarray) -> str:
 
 
 def consistency_table(results: trials.Results) -> str:
-    """Return the table of attitudes with status VALID, and of those with an error beyond their covariance."""
+    """Return the table of the numbers of VALID attitudes and of VALID attitudes with errors beyond their covariance."""
     lines = ["| stars | INS | VALID | beyond the covariance | mean NEES |", "|---|---|---:|---:|---:|"]
     for counts in sorted(trials.COUNTS):
         for method, has_ins in ((trials.STARS_VALID, "no"), (trials.WITH_INS, "yes")):

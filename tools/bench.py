@@ -92,7 +92,7 @@ def _bench(options: argparse.Namespace) -> int:
 
 
 def _merge_rows(new_rows: list[dict[str, Any]], circumstances: dict[str, Any], file: Path) -> list[dict[str, Any]]:
-    """Return the new rows, and those of other benchmarks in a file of the same day and machine, in their order."""
+    """Return the new rows, and rows of other benchmarks in a file of the same day and machine, in their order."""
     kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"rows": []}
     if any(kept.get(name) != circumstances[name] for name in circumstances if name != "load"):
         return new_rows
@@ -102,7 +102,7 @@ def _merge_rows(new_rows: list[dict[str, Any]], circumstances: dict[str, Any], f
 
 
 def _circumstances() -> dict[str, Any]:
-    """Return date, machine and versions of the measurement, which times in seconds depend on."""
+    """Return date, machine and versions of the measurement, on which times in seconds depend."""
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {

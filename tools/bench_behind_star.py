@@ -1,7 +1,7 @@
-"""Time for which an INS output waits behind a star message: the node's work from the input bytes to the output bytes.
+"""Time for which an INS output waits behind a star message, from the input bytes to the output bytes.
 
-In one process, without the middleware: each message of a voyage is read, passed to the node's adapter, and each output
-encoded as bytes, as in the live node.
+The measurement is in one process, without the middleware. Each message of a voyage is decoded and passed to the node's
+adapter, and each output is encoded as bytes, as in the live node.
 """
 
 import dataclasses
@@ -31,16 +31,16 @@ SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 VOYAGE_S, SETTLED_S = 15.0, 5.0
 ROUNDS = 3
 LATE_SENSOR_S = 1.9
-"""Less than the two seconds of ``lag_s``."""
+"""Delay of a late sensor, s; less than the two seconds of ``lag_s``."""
 
 MOST_ON_TIME_MS, MOST_LATE_MS = 1.0 * WITH_INTEGRITY, 2.0 * WITH_INTEGRITY
 LATE_WITH_OPTICS = 1.3
-"""For late single stars, which are applied again: each camera adds four states for its optics."""
+"""Factor of the bound for late single stars, which are applied again: a camera's optics add four states."""
 _INS, _SENSOR = "ins/imu", "fore"
 
 
 def behind_star_cost() -> list[Row]:
-    """Measure with attitudes by star sensors and with single stars, on time and with one of two sensors late."""
+    """Measure with attitudes of star sensors and with single stars, both on time and with one of two sensors late."""
     return [*_rows("paper", "an attitude by stars"), *_rows("paper_stars", "eight single stars", LATE_WITH_OPTICS)]
 
 
@@ -69,9 +69,9 @@ def _arrivals(scenario: Scenario) -> list[BagRecord]:
 
 
 def _waits_ms(scenario: Scenario, records: list[BagRecord]) -> list[float]:
-    """Return, for each message of the sensor, the time of it and of the next INS sample until that sample's output, ms.
+    """Return the processing time of each message of the sensor together with the next INS sample, ms.
 
-    Messages of the first seconds are left out.
+    Messages in the first seconds of the voyage are not measured.
     """
     factory = RosidlFactory()
     adapter = ShipAttitudeAdapter(build(ShipAttitudeConfig, suite_configuration(scenario)), factory)

@@ -1,4 +1,4 @@
-"""Cost of a black box for its node: processor time over the demo bag, with and without it."""
+"""Cost of a black box for its node: processor time over the demo bag, with and without black box."""
 
 import tempfile
 from pathlib import Path
@@ -11,18 +11,18 @@ BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
 RATE = 6.0
 PAIRS = 3
 GREATEST_BOX_RATIO = 1.10
-"""A black box may cost a tenth of its node's processor time."""
+"""Maximum ratio of the node's processor time with and without black box."""
 
 
 def black_box_cost() -> list[Row]:
-    """Measure the processor time of the live node over the demo bag, with and without its black box, by turns."""
+    """Measure the processor time of the live node over the demo bag, alternately with and without its black box."""
     without, with_box = [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for number in range(PAIRS):
             without.append(_node_cpu_s(folder / f"without_{number}", {}))
             with_box.append(_node_cpu_s(folder / f"with_{number}", {"black_box": f"{folder}/box.mcap"}))
-    # The minimum: other load of the machine only adds.
+    # The minimum is used, because other load of the machine only increases the times.
     return [
         Row("node over the demo bag, processor time", min(without), "s"),
         Row("the same with its black box", min(with_box), "s"),

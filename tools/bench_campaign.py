@@ -1,4 +1,4 @@
-"""Cost of a campaign with two workers relative to one, and of a Monte Carlo test of a filter's consistency."""
+"""Cost of a campaign with two workers relative to one worker, and of a Monte Carlo test of a filter's consistency."""
 
 import dataclasses
 import tempfile
@@ -20,24 +20,24 @@ from ship_simulation.scenario.scenario_file import load_scenario
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 MOST_WORKERS_RATIO = 1.0 / 1.8
-"""On two otherwise idle processors."""
+"""Maximum ratio of the times with two workers and with one worker, on two otherwise idle processors."""
 
 MONTE_CARLO_RUNS, MONTE_CARLO_RUN_S, MONTE_CARLO_INS_HZ = 200, 600.0, 20.0
-"""Runs of the ship's attitude by two star sensors, each of one seed, as in the campaigns."""
+"""Number, length and INS rate of runs with two star sensors; each run has another seed, as in the campaigns."""
 
 RUNS_MEASURED = 4
 MOST_MONTE_CARLO_S = 60.0 * WITH_INTEGRITY
-"""On two processors, including simulation."""
+"""Maximum time of all runs on two processors, including simulation, s."""
 
 
 def campaign_workers() -> list[Row]:
-    """Measure the wall time of six voyages of ten seconds, by turns; take the minimum, as other load only adds."""
+    """Measure the least wall time of six voyages of ten seconds, alternately with one and with two workers."""
     with tempfile.TemporaryDirectory() as name:
         scenario = Path(name) / "voyage.yaml"
         text = (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
         scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
         items = campaign_items([scenario], [], range(6))
-        _wall_s(items[:1], 1)  # starts the fork server
+        _wall_s(items[:1], 1)  # first call, which starts the fork server
         by_one_s, by_two_s = alternate(ROUNDS, lambda: _wall_s(items, 1), lambda: _wall_s(items, 2))
     one_s, two_s = min(by_one_s), min(by_two_s)
     return [
@@ -52,7 +52,7 @@ def monte_carlo_cost() -> list[Row]:
     paper = load_scenario(SCENARIOS / "paper.yaml")
     ins = dataclasses.replace(paper.ins, rate_hz=MONTE_CARLO_INS_HZ)
     scenario = dataclasses.replace(paper, ins=ins, duration_s=MONTE_CARLO_RUN_S)
-    final_error(dataclasses.replace(scenario, duration_s=20.0), 0)  # imports the modules and loads the tables
+    final_error(dataclasses.replace(scenario, duration_s=20.0), 0)  # first call: imports modules and loads tables
     run_s = [own_cpu_s(partial(final_error, scenario, seed)) for seed in range(RUNS_MEASURED)]
     both_s = 0.5 * MONTE_CARLO_RUNS * float(np.mean(run_s))
     what = f"Monte Carlo, {MONTE_CARLO_RUNS} runs of {MONTE_CARLO_RUN_S:g} s"

@@ -1,4 +1,4 @@
-"""Cost of the filters' steps: relative to numpy's 3 x 3 SVD as a stable reference, and with and without integrity."""
+"""Cost of the filters' steps, relative to numpy's 3 x 3 SVD (a stable reference) and with and without integrity."""
 
 import dataclasses
 import time
@@ -27,11 +27,11 @@ STEP_ROUNDS = 5
 INTEGRITY_PAIRS = 7
 MAX_STEP_US = 30.0
 MAX_INTEGRITY_RATIO = 1.6
-"""Ratio of the filter's step with the estimates that exclude one source to the step without them."""
+"""Maximum ratio of step times with and without the estimates that exclude one source."""
 
 
 def step_cost() -> list[Row]:
-    """Measure the median step time of a run, by turns with numpy's 3 x 3 SVD."""
+    """Measure the median step time of a run, alternately with numpy's 3 x 3 SVD."""
     run = run_of("paper", 30.0)
     model = core_for(run.scenario).filter.model
     states, parts = model.size, len(model.sources)
@@ -53,7 +53,7 @@ def step_cost() -> list[Row]:
 
 
 class _WithPairs(ShipFilter):
-    """The step that also computes the estimates without each pair of sources."""
+    """Filter whose step also computes the estimates that exclude a pair of sources."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         pairs = dataclasses.replace(config.integrity, pairs=True, max_hypotheses=64)
@@ -61,7 +61,7 @@ class _WithPairs(ShipFilter):
 
 
 def integrity_cost() -> list[Row]:
-    """Measure the filters' steps with and without the estimates that exclude one source, by turns."""
+    """Measure the filters' steps alternately with and without the estimates that exclude one source."""
     ship, theodolite = run_of("three_sensors", 20.0), run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [
@@ -88,7 +88,7 @@ def _integrity_rows(
     most: float | None = MAX_INTEGRITY_RATIO,
 ) -> list[Row]:
     pairs = [(steps_us(run, without), steps_us(run, with_)) for _ in range(INTEGRITY_PAIRS)]
-    # The minimum of each step: other load of the machine only adds.
+    # The minimum of each step is used, because other load of the machine only increases the times.
     without_us, with_us = np.median(np.min(pairs, axis=0), axis=-1)
     return [
         Row(f"{what}, one estimate: median", without_us, "us"),

@@ -1,7 +1,7 @@
 """Cost of the live node relative to a bare relay of the same messages: round-trip time, processor time, lost messages.
 
-This program publishes Imu messages and receives them back, from the node as its ``ship/imu``. The relay only forwards
-each message, the minimum of any node. All use a separate ROS domain and the suite's DDS profile.
+This program publishes Imu messages and receives responses: from the node its ``ship/imu``, from the relay the forwarded
+messages. The relay is the minimum of any node. All programs use a separate ROS domain and the suite's DDS profile.
 """
 
 import math
@@ -27,7 +27,7 @@ from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_en
 from ship_replay.trials.live_run import LiveFailure
 
 SUITE = Path(__file__).resolve().parents[1] / "examples" / "theodolite.yaml"
-"""Parameters of the node: those of a ship with two star sensors, of which nothing comes here."""
+"""Parameters of the node, for a ship with two star sensors, whose messages are absent here."""
 
 ROUNDS = 4
 USUAL_HZ, USUAL_S = 100.0, 5.0
@@ -54,7 +54,7 @@ rclpy.spin(node)
 
 
 class RoundTripResult(NamedTuple):
-    """Result of some messages: round-trip times in us, number of lost ones, the program's processor time."""
+    """Result of some messages: round-trip times, us, number of lost messages, and the program's processor time, s."""
 
     times_us: list[float]
     lost_count: int
@@ -72,7 +72,7 @@ class RoundTripResult(NamedTuple):
 
 
 def live_cost() -> list[Row]:
-    """Measure the node and the relay by turns, at the rate of an INS and at ten times that rate."""
+    """Measure the node and the relay alternately, at the rate of an INS and at ten times that rate."""
     use_dds_profile()
     with tempfile.TemporaryDirectory() as folder, _Ends(Path(folder)) as ends:
         node = _RoundTrips(ends, "ins/imu", "ship/imu", ends.start(_node_command(), "ship_attitude"))
@@ -160,13 +160,13 @@ class _Ends:
 
 
 class _RoundTrips:
-    """Messages to a program and back.
+    """Messages to a program and its responses.
 
     Args:
-        ends: this program's node.
+        ends: node of this program.
         there: topic to which the program subscribes.
         back: topic of its responses, which have the stamp of the message received.
-        process: the program.
+        process: the program under test.
     """
 
     def __init__(self, ends: _Ends, there: str, back: str, process: LiveProcess) -> None:

@@ -1,4 +1,4 @@
-"""Cost of encoding and decoding a message by templates, relative to the same by message objects."""
+"""Cost of encoding and decoding a message by templates, relative to encoding and decoding by message objects."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from ship_node.edge.ins_messages import ins_sample
 ROUNDS = 5
 MOST_TEMPLATE_RATIO = 0.5
 MOST_READ_RATIO = 0.85
-"""Ratios of encoding, and of decoding with checks, to the same by message objects."""
+"""Maximum ratios of encoding, and of decoding with checks, to encoding and decoding by message objects."""
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 

@@ -1,8 +1,8 @@
-"""Cost of the live page for the estimator it shows: processor time and latency, with pages open and without.
+"""Cost of the live page for the displayed estimator: processor time and latency, with and without open pages.
 
 The same bag is played through the live node without a monitor, with a monitor without pages, and with three open pages.
-An open page is simulated as a websocket session that receives every update. Drawing is not measured: it runs on the
-computer of the browser.
+An open page is simulated as a websocket session that receives every update. Drawing, on the computer of
+the browser, is not measured.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
 RATE = 3.0
-"""Seconds of the bag per second: its 20 INS samples a second are played at 60 Hz. The node must keep up with them."""
+"""Seconds of the bag per second. The 20 INS samples per second are played at 60 Hz, and the node must keep up."""
 ROUNDS = 3
 PAGES = 3
 MAX_WITH_PAGES = 1.1
@@ -44,12 +44,12 @@ _TYPES = {_SAMPLE: "sensor_msgs/msg/Imu", _ATTITUDE: "ship_msgs/msg/ShipAttitude
 
 @dataclass
 class Cost:
-    """Measurements of the runs of one kind.
+    """Measurements of all runs of one kind.
 
     Attributes:
         node_s: processor time of the node over the bag, s, one value per run.
-        latency_s: median of the time from a sample's publication to that of its attitude, s, one value per run.
-        monitor: processor time of the monitor per elapsed time, one value per run.
+        latency_s: median time from publication of a sample to publication of its attitude, s, one value per run.
+        monitor: processor time of the monitor divided by elapsed time, one value per run.
     """
 
     node_s: list[float] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Cost:
 
 
 def monitor_cost() -> list[Row]:
-    """Measure the node alone, with a monitor without pages, and with three open pages, by turns."""
+    """Measure the node alone, with a monitor without pages, and with three open pages, alternately."""
     alone, watched, looked_at = Cost(), Cost(), Cost()
     with tempfile.TemporaryDirectory() as name:
         for number in range(ROUNDS):
@@ -76,7 +76,7 @@ def monitor_cost() -> list[Row]:
 
 
 def _rows(what: str, one: Cost, other: Cost, most: float) -> list[Row]:
-    # The minimum: other load of the machine only adds.
+    # The minimum is used, because other load of the machine only increases the times.
     return [
         Row(f"ratio: node's processor time, {what}", min(one.node_s) / min(other.node_s), "x", most),
         Row(f"ratio: latency, {what}", min(one.latency_s) / min(other.latency_s), "x", most),
@@ -84,7 +84,7 @@ def _rows(what: str, one: Cost, other: Cost, most: float) -> list[Row]:
 
 
 def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
-    """Play the bag once; ``pages`` None runs without a monitor."""
+    """Play the bag once; None as ``pages`` means without a monitor."""
     with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", folder) as run, contextlib.ExitStack() as stack:
         published = _publication_times(run)
         monitor = stack.enter_context(_monitor(run, folder)) if pages is not None else None
@@ -136,7 +136,7 @@ def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
 
 @contextlib.contextmanager
 def _open_pages(count: int) -> Iterator[None]:
-    """Open pages as a browser does: request each page and receive its updates, in a thread per page."""
+    """Open pages as a browser does: request each page and receive its updates, with a thread for each page."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
@@ -153,7 +153,7 @@ def _open_pages(count: int) -> Iterator[None]:
 
 
 async def _keep_page_open() -> None:
-    """Take every update of a new session, as long as the server sends any."""
+    """Receive all updates of a new session until the server ends."""
     answer = await AsyncHTTPClient().fetch(f"http://127.0.0.1:{_PAGE_PORT}/")
     token = re.search(r'"token":"([^"]+)"', answer.body.decode())
     if token is None:

@@ -1,9 +1,9 @@
 """Cost of the ship's filter relative to GTSAM's smoothers with the same measurements, and to a step of filterpy.
 
 The peers receive each measurement linearised and weighted by the filter, and do not keep its error budget by source.
-The time of a peer is that of adding a measurement and computing the state and its covariance after it.
-GTSAM is installed by ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; the rows of a peer
-that is not installed are left out.
+The time of a peer is the time for adding a measurement and computing the state and its covariance afterwards.
+GTSAM is installed by ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; there are no
+rows of a peer that is not installed.
 """
 
 import importlib
@@ -26,18 +26,18 @@ DURATION_S, ROUNDS = 60.0, 3
 LAG_S = 2.0
 MAX_SMOOTHER_RATIO = 0.1
 MAX_DIFFERENCE_ARCSEC = 0.05
-"""Limit of the difference of the INS error estimated after each measurement."""
+"""Maximum difference between the INS errors estimated by filter and peer after each measurement."""
 
 _INS_ERROR = slice(0, 3)
-"""First states of the filter, and of each time of a smoother."""
+"""Place of the INS error in the states of the filter and of a smoother at each time."""
 
 
 class Measured(NamedTuple):
-    """Measurement as the filter has used it.
+    """Measurement with the states before and after it, as in the filter.
 
     Attributes:
         time_s: time since the start of the run.
-        linear: the measurement linearised at the predicted state.
+        linear: measurement, linearised at the predicted state.
         at_mean: predicted state.
         mean: state after the measurement.
     """
@@ -49,7 +49,7 @@ class Measured(NamedTuple):
 
 
 def peers_cost() -> list[Row]:
-    """Measure the ship's filter and each peer that is installed, by turns."""
+    """Measure the ship's filter and each installed peer, alternately."""
     run = run_of("paper", DURATION_S)
     rows: list[Row] = []
     if (gtsam := _import_if_installed("gtsam")) is not None:
@@ -63,7 +63,7 @@ def _import_if_installed(module: str) -> ModuleType | None:
     try:
         return importlib.import_module(module)
     except Exception as problem:
-        # Any exception of a third-party library that does not fit this machine.
+        # A third-party library that does not fit this machine may raise any exception.
         print(f"bench: peers: no rows of {module.partition('.')[0]}, which cannot be imported: {problem}")
         return None
 
@@ -118,7 +118,7 @@ def _used_measurements(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured
 def _run_smoother(
     gtsam: ModuleType, model: ShipStateModel, measured: list[Measured], lag_s: float | None
 ) -> tuple[float, float]:
-    """Return the mean time per measurement, us, and the largest difference of INS error from the filter's, arcsec."""
+    """Return the mean time per measurement, us, and the largest difference from the INS error of the filter, arcsec."""
     smoother = _Smoother(gtsam, model, lag_s)
     spent_s, means = 0.0, []
     for one in measured:
@@ -131,14 +131,14 @@ def _run_smoother(
 
 
 class _Smoother:
-    """The filter's model as a factor graph: a variable for each time, and one for the constant states.
+    """Model of the filter as a factor graph, with a variable for each time and a variable for the constant states.
 
-    States with a known value of zero are left out.
+    States with a known value of zero are not included.
 
     Args:
-        gtsam: the library.
-        model: of the filter.
-        lag_s: older times are marginalised; None where all are kept.
+        gtsam: module of the library.
+        model: model of the filter.
+        lag_s: age beyond which times are marginalised, s; None to keep all times.
     """
 
     _CONSTANT = 0
@@ -159,7 +159,7 @@ class _Smoother:
         self._moment, self._time_s = 0, 0.0
 
     def add(self, measured: Measured) -> tuple[FloatArray, FloatArray]:
-        """Add a measurement; return the states at its time and their covariance."""
+        """Add a measurement; return the states at its time and the covariance of the states."""
         graph, values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
         if self._moment == 0:
             for key, rows in ((self._CONSTANT, self._constant), (1, self._moving)):
@@ -193,7 +193,7 @@ class _Smoother:
 
     def _update(self, graph: Any, values: Any) -> tuple[FloatArray, FloatArray]:
         if self._lags:
-            # The constant states have the time of the newest one, so that they are not marginalised.
+            # The constant states have the newest time, so that they are not marginalised.
             self._smoother.update(graph, values, {self._CONSTANT: self._time_s, self._moment: self._time_s})
             known = self._smoother.getISAM2()
         else:
@@ -203,7 +203,7 @@ class _Smoother:
 
 
 def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
-    """Compare the filter's step with filterpy's prediction and update of as many states by three components."""
+    """Compare the filter's step with filterpy's prediction and update, for the same number of states and components."""
     model, measured = _used_measurements(run)
     linear = measured[-1].linear
     peer = filterpy.KalmanFilter(dim_x=model.size, dim_z=len(linear.residual))

@@ -20,14 +20,14 @@ from ship_simulation.simulate_command import write_bag
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 DEMO_S, SUITE_S = 30.0, 15.0
-"""Length of the voyages replayed message by message, s: of the demo, and with every device."""
+"""Lengths of the voyages replayed message by message, s: the demo, and a voyage with every device."""
 SHIP_S, LONG_SUITE_S = 3600.0, 900.0
-"""Length of the voyages replayed in blocks, s: ship's attitude at 100 Hz and twice 5 Hz, and with every device."""
+"""Lengths of the voyages replayed in blocks, s: attitude at 100 Hz with twice 5 Hz; a voyage with every device."""
 SHORT_SHIP_S, SHORT_SUITE_S = 300.0, 60.0
-"""Length of shorter ones, also replayed message by message; the memory of the first is the reference of the growth."""
+"""Lengths of shorter voyages, also replayed message by message; growth of memory is relative to the first."""
 
 MOST_OF_DEMO, MOST_OF_SUITE = 6.0 * WITH_INTEGRITY, 12.0 * WITH_INTEGRITY
-"""Bounds of replay, message by message, relative to a copy."""
+"""Bounds of replay message by message, relative to a copy."""
 MOST_IN_BLOCKS, MOST_OF_SUITE_IN_BLOCKS = 0.25 * WITH_INTEGRITY, 0.5 * WITH_INTEGRITY
 """Bounds of replay in blocks, relative to a copy."""
 MOST_MB, MOST_GROWTH = 250.0, 1.05
@@ -41,11 +41,11 @@ from ship_replay.offline.replay import replay
 replay(Path(sys.argv[1]), Path(sys.argv[2]), ADAPTERS)
 print(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1])
 """
-"""It prints VmHWM, as getrusage also counts the parent process."""
+"""Program that replays a bag and prints VmHWM, because getrusage also counts the parent process."""
 
 
 def replay_cost() -> list[Row]:
-    """Measure the processor time of replay message by message, of rosbags' copy and of its decoding, by turns."""
+    """Measure the processor time of replay message by message, of rosbags' copy and of its decoding, alternately."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         return [

@@ -1,4 +1,4 @@
-"""Rows of the benchmarks of ``make bench``, and functions that measure two things in one run."""
+"""Rows of the benchmarks of ``make bench``, and functions that measure two values in one run."""
 
 import os
 import time
@@ -12,9 +12,9 @@ import numpy as np
 Figure = TypeVar("Figure")
 
 WITH_INTEGRITY = 1.6
-"""Factor of the bounds of a step, an output and a replay for integrity: the estimates that exclude one source.
+"""Factor of the bounds of a step, an output and a replay due to integrity.
 
-The nodes and the replay always compute them.
+Nodes and replay always compute the estimates that exclude one source.
 """
 
 
@@ -25,8 +25,8 @@ class Row:
     Attributes:
         name: what was measured.
         value: the value, in ``unit``.
-        unit: its unit; "x" is a ratio.
-        greatest: bound that the value must not exceed; None where it is only shown.
+        unit: unit of the value; "x" for a ratio.
+        greatest: bound that the value must not exceed; None for a value that is only shown.
         yardstick: the denominator of a ratio; empty for other values.
     """
 
@@ -43,7 +43,7 @@ class Row:
 
     @property
     def bound(self) -> str:
-        """Return the bound as text; empty where there is none."""
+        """Return the bound as text; empty without a bound."""
         return (
             ""
             if self.greatest is None
@@ -57,7 +57,7 @@ class Row:
 
 
 def alternate(rounds: int, *measured: Callable[[], Figure]) -> list[list[Figure]]:
-    """Return the results of each function, one per round; by turns, so that other load affects all of them."""
+    """Return the results of each function, one for each round; the calls alternate, so that other load affects all."""
     return [list(figures) for figures in zip(*([one() for one in measured] for _ in range(rounds)), strict=True)]
 
 
@@ -84,6 +84,6 @@ def own_cpu_s(work: Callable[[], object]) -> float:
 
 
 def process_cpu_s(pid: int) -> float:
-    """Return the processor time of a process so far, all threads, user and system, s."""
+    """Return the processor time of a process so far (all threads, user and system), s."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

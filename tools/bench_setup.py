@@ -1,4 +1,4 @@
-"""Time of ``make setup`` from nothing: in a copy of this checkout, with a separate environment and pip cache.
+"""Time of ``make setup`` from nothing, in a copy of this checkout with a separate environment and pip cache.
 
 The first run fills the cache and depends on the network. The bound applies to the second run.
 """

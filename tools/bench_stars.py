@@ -1,4 +1,4 @@
-"""Cost of the solution of two sensors of eight stars, relative to scipy and numpy, and cost of a late sensor."""
+"""Cost of the solution from two sensors of eight stars, relative to scipy and numpy, and cost of a late sensor."""
 
 import dataclasses
 from pathlib import Path
@@ -21,15 +21,15 @@ from ship_simulation.suite.suite import star_attitude_configuration
 
 SCENARIO = Path(__file__).resolve().parents[1] / "bags" / "scenarios" / "paper_stars.yaml"
 MOST_SOLUTION_RATIO = 150.0 / 46.0
-"""150 us, relative to 46 us of scipy's align_vectors with sensitivity."""
+"""Maximum ratio of the solution (150 us) to scipy's align_vectors with sensitivity (46 us)."""
 
 YARDSTICK_SVDS = 5
 """Number of singular value decompositions of a matrix (3, 3)."""
 
 MOST_SVD_RATIO = 5.5
-"""Half of it is a second linearisation, in which the errors of both cameras' optics weight the stars."""
+"""Maximum ratio to these decompositions. Half is a second linearisation, with weights by the errors of the optics."""
 LATE_SENSOR_S = 1.9
-"""Less than the two seconds of ``lag_s``."""
+"""Delay of a late sensor, s; less than the two seconds of ``lag_s``."""
 
 MOST_LATE_RATIO, MOST_STEPS = 2.0, 1.1
 STEPS_COUNTED_S = 60.0
@@ -39,7 +39,7 @@ _SCIPY = "scipy align_vectors with sensitivity"
 
 
 def star_solution() -> list[Row]:
-    """Measure the solution of two sensors of eight real stars: attitude, covariance by source and residuals."""
+    """Measure the solution from two sensors of eight real stars: attitude, covariance by source and residuals."""
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=1.0)
     run = simulate(scenario, seed=1)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
@@ -65,7 +65,7 @@ def star_solution() -> list[Row]:
         lambda: median_us(lambda: [np.linalg.svd(solved.rotation_nb) for _ in range(YARDSTICK_SVDS)], CALLS),
         lambda: median_us(lambda: Rotation.align_vectors(reference, measured, return_sensitivity=True), CALLS),
     )
-    # A sky caches its results: use a new one each time.
+    # A sky caches its results, so each call has a new sky.
     place_us = median_us(
         lambda: [
             dataclasses.replace(watch.sky_at(time_ns), _cache={}).apparent_stars(one.positions) for one in exposures
@@ -82,10 +82,10 @@ def star_solution() -> list[Row]:
 
 
 def late_star_cost() -> list[Row]:
-    """Measure the ship's core over ten seconds, by turns: two sensors on time, and one of them late.
+    """Measure the ship's core over ten seconds, alternately with two sensors on time and with one of the sensors late.
 
-    With all exposures on time each is one step, except those before the first position fix: later fixes change none of
-    them.
+    On time, each exposure is one step, except the exposures before the first position fix, because later fixes change
+    no exposure.
     """
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=10.0)
     late = dataclasses.replace(scenario.star_sensors["fore"], latency_s=LATE_SENSOR_S)

@@ -1,7 +1,7 @@
-"""Start time of a live node: importing its modules, and from exec until another process discovers its subscription.
+"""Start time of a live node: time of importing its modules, and time from exec to the discovery of its subscription.
 
-The references are the minimum of any node: ``import rclpy``, and a node of rclpy with one subscription. Python's
-compiled files exist: the first round, which creates them, is not counted.
+The references are the minimum of any node: ``import rclpy``, and a node of rclpy with one subscription. Another process
+discovers the subscription. Python's byte code exists: the first round, which creates it, is not counted.
 """
 
 import os
@@ -21,7 +21,7 @@ from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_dom
 from ship_replay.trials.live_run import LiveFailure
 
 SUITE = Path(__file__).resolve().parents[1] / "examples" / "theodolite.yaml"
-"""Parameters of the nodes: those of a ship."""
+"""Parameters of the nodes on a ship."""
 
 IMPORT_ROUNDS = 4
 START_ROUNDS = 3
@@ -62,7 +62,7 @@ def import_cost() -> list[Row]:
 
 
 def start_cost() -> list[Row]:
-    """Measure from exec to the discovery of the subscription, for each node and for a bare one."""
+    """Measure the time from exec to the discovery of the subscription, for each node and for a bare node."""
     commands = {"a bare node": ([sys.executable, "-c", _BARE_NODE], "bare/imu")}
     arguments = ["--ros-args", "--params-file", str(SUITE)]
     for name, (package, _, topic) in _NODES.items():

@@ -28,11 +28,11 @@ SCENARIO = ROOT / "bags" / "scenarios" / "demo.yaml"
 SERVICE_TIMEOUT_S = 20.0
 
 Action = tuple[float, Callable[[LiveRun], None]]
-"""Fraction of the run, action at that time."""
+"""Fraction of the run, and the action at that time."""
 
 
 def main() -> int:
-    """Run it."""
+    """Run the nodes and verify their boxes."""
     parser = CommandParser(prog="black_box_run", description=__doc__, epilog="times are of the simulated ship")
     parser.add_argument("--minutes", type=float, default=10.0, metavar="MIN", help="length of the voyage, min (10)")
     parser.add_argument("--rate", type=float, default=1.0, metavar="R", help="seconds of the voyage per second (1)")
@@ -59,15 +59,15 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
     """Run the node twice over one voyage, the second time with the alignment saved by the first.
 
     Args:
-        folder: folder of all files; boxes of earlier runs are not removed.
-        duration_s: length of the voyage.
+        folder: folder of all files; black boxes of earlier runs are not removed.
+        duration_s: length of the voyage, s.
         rate: seconds of the voyage per second.
 
     Returns:
-        The boxes of both runs.
+        Paths of the black boxes of both runs.
 
     Raises:
-        LiveFailure: a process failed, or a response of the node was not the expected one.
+        LiveFailure: a process failed, or a response of the node was not as expected.
     """
     folder.mkdir(parents=True, exist_ok=True)
     alignment_path = folder / "alignment.yaml"
@@ -152,7 +152,7 @@ class _Plan:
             self._due.pop(0)[1](self._run)
 
     def finish(self) -> None:
-        """Raise if an action was not run."""
+        """Raise an error if an action was not run."""
         if self._due:
             raise LiveFailure(f"{len(self._due)} actions had not been run at the end of the voyage")
 

@@ -1,7 +1,7 @@
 """``make bundle``: one tar with the tracked files of HEAD and all wheels of its lock, for a setup without a network.
 
-``make release`` leaves the wheels out. Both contain the C that Cython generates of compiled modules. The same commit,
-Python, machine and wheels give the same bytes. Uncommitted changes are not included.
+``make release`` leaves out the wheels. Bundle and release contain the C that Cython generates of compiled modules. The
+same commit, Python, machine and wheels give the same bytes. Uncommitted changes are not included.
 
 Exit code 0 done; 2 bad input, or a wheel is not available.
 """
@@ -36,7 +36,7 @@ from wheelhouse import (
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ("3.10", "3.11", "3.12")
-_FIXED_TIME_S = 946_684_800  # 2000-01-01: a zip begins in 1980
+_FIXED_TIME_S = 946_684_800  # 2000-01-01, because times in a zip begin in 1980
 OWN_PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
@@ -90,7 +90,7 @@ def _git(*arguments: str) -> bytes:
 
 
 def pins(lock: str, python: str) -> list[str]:
-    """Return the lines of a lock that apply to a Python version, as 3.12, without their conditions."""
+    """Return the lines of a lock that apply to a Python version, for example 3.12, without their conditions."""
     lines = [line for line in lock.splitlines() if re.match(r"[A-Za-z0-9]", line)]
     wanted = [(line, Requirement(line).marker) for line in lines]
     return [
@@ -115,7 +115,7 @@ def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
 
 
 def _pip(command: str, *arguments: str) -> None:
-    """Run pip; wheels built from sources are reproducible, by the pinned setuptools and fixed times."""
+    """Run pip; wheels built from sources are reproducible, due to the pinned setuptools and fixed times."""
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", command, "--quiet", "--no-input", "--no-deps"]
     answer = subprocess.run(
         [*pip, "--prefer-binary", "--no-build-isolation", *arguments],

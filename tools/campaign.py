@@ -1,7 +1,8 @@
 """``make campaign``: is the covariance consistent over many seeds? Prints one line a case, exits 1 outside a band.
 
-Bands are two-sided chi² at 99.9 % for the number of seeds: for 2000 mean NEES in [2.82, 3.18], RMS/sigma in
-[0.95, 1.05]; for 200 in [2.46, 3.60] and [0.84, 1.17]. Last are the runs that GTSAM smooths for comparison.
+Bands are two-sided chi² at 99.9 % for the number of seeds. They are mean NEES in [2.82, 3.18] and
+RMS/sigma in [0.95, 1.05] for 2000 seeds, [2.46, 3.60] and [0.84, 1.17] for 200 seeds. The last runs are smoothed by
+GTSAM for comparison.
 """
 
 import argparse
@@ -32,7 +33,7 @@ from ship_testing.isam2_peer import isam2_error  # noqa: E402
 SEEDS = 2000
 PEER = "isam2"
 PEER_SEEDS = 200
-"""Runs that the peer smooths at most: each costs it as much as four of the filter."""
+"""Maximum number of runs that the peer smooths, because each takes as long as four runs of the filter."""
 
 
 def main() -> int:
@@ -73,7 +74,7 @@ def _errors(
 
 
 def _compare_with_peer(console: Console, pool: Executor, seeds: int) -> bool:
-    """Run a minute by the filter and by GTSAM's iSAM2, if it is installed; True if both are in their bands."""
+    """Run a minute by the filter and, if installed, by GTSAM's iSAM2; return True if both are in their bands."""
     if find_spec("gtsam") is None:
         console.print(f"{PEER}: left out, GTSAM is not installed (pip install gtsam)")
         return True
@@ -86,7 +87,7 @@ def _compare_with_peer(console: Console, pool: Executor, seeds: int) -> bool:
 
 
 def _print_case(console: Console, name: str, results: list[FinalError]) -> bool:
-    """Print the line of one case; True if it is in its bands."""
+    """Print the line of one case; return True if the case is in its bands."""
     angles = np.array([result.angles for result in results])
     sigma = np.array([result.sigma for result in results])
     ratio = np.sqrt(np.mean((angles / sigma) ** 2, axis=0))

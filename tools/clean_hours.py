@@ -108,7 +108,7 @@ def _report(results: list[Result]) -> int:
 
 
 def _row(kind: str, found: list[Result]) -> tuple[list[str], bool]:
-    """Return the row of one kind of voyage, and True if it is within its bounds."""
+    """Return the row of one kind of voyage, and True if the bounds of this kind are met."""
     hours, settled = sum(one["length_s"] for one in found) / 3600.0, sum(one["settled"] for one in found)
     total = {name: sum(one[name] for one in found) for name in ("available", "beyond_level", "beyond_sigmas")}
     rms = np.sqrt(np.sum([one["squares"] for one in found], axis=0) / max(settled, 1))
@@ -116,7 +116,7 @@ def _row(kind: str, found: list[Result]) -> tuple[list[str], bool]:
     available = total["available"] / settled if settled else float("nan")
     met = not total["beyond_level"] and not total["beyond_sigmas"]
     if kind != THEODOLITE:
-        # Axis errors, drawn once, are constant over a theodolite session: its errors are compared with the levels only.
+        # Axis errors are drawn once and constant over a theodolite session; its errors are compared with levels only.
         met = met and low <= nees <= high and available >= _LEAST_AVAILABILITY
     limited = kind in ALERT_LIMIT_ARCSEC
     return [

@@ -43,12 +43,12 @@ class DemoRun:
 
     Attributes:
         bag: name of the bag.
-        adapter: of the node.
-        package: of the node's executable.
-        orientation: output of the node, one for each sample.
-        sample_topic: topic of these samples.
+        adapter: adapter of the node.
+        package: package of the node's executable.
+        orientation: output of the node, one message for each sample.
+        sample_topic: topic of the samples.
         rate: seconds of the bag per second.
-        title: of the figure.
+        title: title of the figure.
     """
 
     bag: str
@@ -156,12 +156,12 @@ def _show(leg: DemoRun, recorded_path: Path, figures: Path, console: Console) ->
 
 
 def _node_evaluation(leg: DemoRun, evaluation: Evaluation) -> Evaluation:
-    """Return the part of an evaluation about the node's output."""
+    """Return the part of an evaluation that concerns the node's output."""
     return replace(evaluation, errors=[e for e in evaluation.errors if e.channels == leg.orientation.channels])
 
 
 def _print_losses(leg: DemoRun, recorded_path: Path, played_topics: list[str]) -> None:
-    """Print the number of recorded messages of each topic, and the load of the computer if some are missing."""
+    """Print the number of recorded messages of each topic, and the load of the computer if messages are missing."""
     sent, received = _counts(leg.bag_path), _counts(recorded_path)
     result = leg.orientation.topic
     received[result] = _valid_outputs(recorded_path, result)
@@ -175,13 +175,13 @@ def _print_losses(leg: DemoRun, recorded_path: Path, played_topics: list[str]) -
 
 
 def _require_outputs(leg: DemoRun, recorded_path: Path) -> None:
-    """Raise if the node published no valid output."""
+    """Raise an error if the node published no valid output."""
     if not _valid_outputs(recorded_path, leg.orientation.topic):
         raise LiveFailure(f"{leg.adapter.node_name} published nothing on {leg.orientation.topic} that is valid")
 
 
 def _valid_outputs(path: Path, topic: str) -> int:
-    """Return the number of published messages that are not INVALID: in these bags one for each sample."""
+    """Return the number of published messages that are not INVALID; in these bags, one for each sample is expected."""
     with read_bag(path) as bag:
         names = [name for name in bag.topics if relative_topic(name) == topic]
         messages = [record.decode() for record in bag.records(names)]

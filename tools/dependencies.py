@@ -1,4 +1,4 @@
-"""Writes docs/reference/dependencies.md: what each package needs of others, by its imports and package.xml.
+"""Writes docs/reference/dependencies.md: dependencies of each package, from its imports and package.xml.
 
 The rosdep keys were looked up in ros/rosdistro (rosdep/python.yaml and base.yaml, commit 8468e88, 2026-08-22) for
 Ubuntu 24.04. A key that ends in -pip is not used: pip would write into the system's Python, which Ubuntu 24.04 refuses.
@@ -21,14 +21,14 @@ _PIP_KEY = "rosdep has only the key `{}`, for pip"
 
 @dataclass(frozen=True)
 class Library:
-    """Library that is neither Python's own nor of ROS.
+    """Library that belongs neither to Python nor to ROS.
 
     Attributes:
         module: name by which it is imported.
-        distribution: its name on PyPI.
-        key: its rosdep key; empty if it is only on PyPI.
-        reason: why there is no key.
-        use: purpose, if there is no key.
+        distribution: name of the library on PyPI.
+        key: rosdep key of the library; empty if the library is only on PyPI.
+        reason: reason why there is no key.
+        use: purpose of the library, if there is no key.
     """
 
     module: str
@@ -90,7 +90,7 @@ LIBRARIES = {
         Library("zstandard", "zstandard", use="reading and writing bags whose chunks are zstd"),
     )
 }
-"""Module → its library."""
+"""Name of a module → library."""
 
 HEAD = """# Dependencies
 
@@ -111,7 +111,7 @@ def packages() -> list[str]:
 
 @functools.cache
 def imported_names(folder: Path) -> frozenset[str]:
-    """Return the top names of what the Python files of a folder import, without Python's own."""
+    """Return the top-level modules that the Python files of a folder import, without modules of Python itself."""
     names: set[str] = set()
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

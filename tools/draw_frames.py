@@ -26,15 +26,15 @@ _IDENTITY = np.eye(3)
 _UP = _IDENTITY[1]
 _ORIGIN = np.zeros(3)
 _HALO = (withStroke(linewidth=3.0, foreground="white"),)
-"""White outline of each label, over which no line is drawn."""
+"""White outline of each label, which hides lines behind the label."""
 
 
 class Panel:
     """One drawing of points (North, Up, East), seen from above and from the southwest.
 
     Args:
-        axes: where to draw.
-        title: its heading.
+        axes: axes of the drawing.
+        title: heading of the drawing.
         view: azimuth and elevation of the view direction, degrees.
     """
 
@@ -81,7 +81,7 @@ class Panel:
     def frame(
         self, origin_n: FloatArray, rotation: FloatArray, names: tuple[str, ...], length: float = 1.0, **style: bool
     ) -> None:
-        """Draw three axes: columns of a rotation into (North, Up, East)."""
+        """Draw the axes of a frame, which are the columns of a rotation into (North, Up, East)."""
         for axis_n, name, colour in zip(rotation.T, names, DEVICE, strict=True):
             self.arrow(origin_n, length * axis_n, name, colour, **style)
 
@@ -100,7 +100,7 @@ class Panel:
             start_n: direction at the beginning.
             turn_n: rotation vector.
             words: the label.
-            radius: of the path.
+            radius: radius of the path.
             label: centre of the label on the page.
             centre_n: centre of the path.
         """
@@ -144,7 +144,7 @@ def box(centre_n: FloatArray, rotation: FloatArray, panel: Panel, size: tuple[fl
 
 
 def draw_horizon(panel: Panel) -> None:
-    """Draw the horizon n, and the two angles of a direction in it."""
+    """Draw the horizon frame n, and the two angles of a direction in n."""
     panel.circle(1.0)
     panel.frame(_ORIGIN, _IDENTITY, ("North", "Up", "East"))
     star = rotation_from_angles(*np.deg2rad([155.0, 42.0, 0.0]))
@@ -156,7 +156,7 @@ def draw_horizon(panel: Panel) -> None:
 
 
 def draw_deck(panel: Panel) -> None:
-    """Draw the deck d in n."""
+    """Draw the deck frame d in n."""
     rotation_nd = rotation_from_angles(*np.deg2rad([105.0, 8.0, 10.0]))
     panel.circle(1.0)
     panel.shape(hull(rotation_nd, 0.75))
@@ -166,7 +166,7 @@ def draw_deck(panel: Panel) -> None:
 
 
 def draw_star_sensor(panel: Panel) -> None:
-    """Draw a star sensor s on the deck."""
+    """Draw a star sensor with its frame s on the deck."""
     panel.shape(hull(_IDENTITY, 0.9))
     panel.arrow(_ORIGIN, 1.9 * _IDENTITY[0], "bow", GREY)
     rotation_ds = rotation_from_angles(*np.deg2rad([60.0, 40.0, 0.0]))
@@ -179,14 +179,14 @@ def draw_star_sensor(panel: Panel) -> None:
 
 
 def draw_device(panel: Panel) -> None:
-    """Draw the devices i, r and v."""
+    """Draw the devices with their frames i, r and v."""
     rotation = rotation_from_angles(*np.deg2rad([75.0, 10.0, -8.0]))
     box(_ORIGIN, rotation, panel, (0.8, 0.35, 0.5))
     panel.frame(_ORIGIN, rotation, ("forward", "up", "right"), 1.15)
 
 
 def draw_drone(panel: Panel) -> None:
-    """Draw a drone b, with its light and the lever arm to it."""
+    """Draw a drone with its frame b, its light and the lever arm from drone to light."""
     rotation_nb = rotation_from_angles(*np.deg2rad([70.0, 6.0, 5.0]))
     for angle in (45.0, 135.0, 225.0, 315.0):
         arm = 0.7 * rotation_nb @ rotation_from_angles(np.deg2rad(angle), 0.0, 0.0)[:, 0]
@@ -200,7 +200,7 @@ def draw_drone(panel: Panel) -> None:
 
 
 def draw_theodolite(panel: Panel) -> None:
-    """Draw the theodolite: f, x, m and t."""
+    """Draw the theodolite with its frames f, x, m and t."""
     foot, top = np.array([0.0, -0.72, 0.0]), np.array([0.0, 0.3, 0.0])
     panel.shape(foot + hull(_IDENTITY, 0.6))
     panel.frame(foot, _IDENTITY, ("f: bow", "", "f: starboard"), 0.95, dashed=True)
@@ -218,7 +218,7 @@ def draw_theodolite(panel: Panel) -> None:
 
 
 def draw_earth(panel: Panel) -> None:
-    """Draw Earth e, sky c, and n on the Earth, with the Earth's pole up."""
+    """Draw the frames e of the Earth, c of the sky, and n on the Earth, with the Earth's pole up."""
     world_from_ecef = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     world_from_ecef = exp_rotation(np.deg2rad(-255.0) * _UP) @ world_from_ecef
     for tilt in (0.0, 45.0, 90.0, 135.0):
@@ -236,7 +236,7 @@ def draw_earth(panel: Panel) -> None:
 
 
 def draw_ros(panel: Panel) -> None:
-    """Draw the frames of ROS at n and d of a ship that heads north."""
+    """Draw the frames of ROS next to n and d of a ship that heads north."""
     panel.shape(hull(_IDENTITY, 0.8))
     names_n, names_d = ("North", "Up", "East"), ("bow", "up", "starboard")
     enu = [f"ENU {'xyz'[int(np.argmax(column))]}" for column in ENU_FROM_HORIZON.T]

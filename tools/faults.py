@@ -79,7 +79,7 @@ def _bag(name: str, seed: int, path: Path) -> None:
 
 
 def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
-    """Run voyages, first those without faults, with which the others are compared."""
+    """Run voyages. Voyages without faults are first, because the other voyages are compared with them."""
 
     def submit(pool: Executor) -> list[Future[Result]]:
         bags = sorted({voyage.bag for voyage in wanted})

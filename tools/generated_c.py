@@ -14,13 +14,13 @@ _GENERATE = (
 
 
 def generate_c(src: Path) -> list[Path]:
-    """Generate C in the source folders of each package with compiled modules, by its setup.py, and compile nothing.
+    """Generate C in the source folders of packages with compiled modules, by setup.py, without compiling it.
 
     Args:
         src: folder of packages as exported from a commit, without build products.
 
     Returns:
-        The generated files, sorted: C, and for each package the digest of the sources of its C.
+        Sorted paths of the generated files: C, and for each package the digest of the sources of its C.
 
     Raises:
         BadInput: a package's C cannot be generated.

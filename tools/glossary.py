@@ -20,7 +20,7 @@ _TERM_COLUMNS = "| term | meaning | unit, frame | source | module |\n|---|---|--
 
 
 def page() -> str:
-    """Every term of the glossary, from the docstring of ship_geometry."""
+    """Return the page with all terms of the glossary, from the docstring of ship_geometry."""
     text = HEAD
     for heading, body in sections():
         if heading.startswith("Terms"):
@@ -41,7 +41,7 @@ def sections() -> list[tuple[str, str]]:
 
 
 def terms_of(section: str) -> list[tuple[str, dict[str, str]]]:
-    """Return the terms of a section, each with its meaning and module, and with its unit and source if given."""
+    """Return the terms of a section, each with meaning and module, and with unit and source if given."""
     terms = []
     for term, body in re.findall(r"^(\S.*)\n((?: {4}.+\n)+)", section, re.MULTILINE):
         text = " ".join(body.split())

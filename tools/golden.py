@@ -1,15 +1,15 @@
-"""A golden table of what replays publish: a change of behaviour is seen at once, and the table is renewed on purpose.
+"""A golden table of the outputs of replays. It detects each change of behaviour, and is renewed only on purpose.
 
 Each bag is replayed twice, in blocks and one message at a time. `test/golden_replays.yaml` holds a line for each topic:
 
 - ``messages``: number of messages.
-- ``sum``: sum of asinh(x / u) over all finite numbers x in them. It changes by δ where a number far above u changes by
-  the ratio 1 + δ. The constant u is 1e-9 of the number's unit, and 1 for test statistics: near zero these are
-  differences of nearly equal estimates, of which only rounding is left.
-- ``finite``: number of finite numbers in them.
+- ``sum``: sum of asinh(x / u) over all finite numbers x in the messages. The sum changes by δ if a number far above u
+  changes by the ratio 1 + δ. The constant u is 1e-9 of the number's unit, and 1 for test statistics: near zero, test
+  statistics are differences of nearly equal estimates and mainly rounding errors.
+- ``finite``: number of finite numbers in the messages.
 - ``sha256``: hash of the same numbers (first 16 digits). Texts are left out.
 
-Mathematical libraries round differently on other processors: there the hashes differ and the sums agree.
+On other processors mathematical libraries round differently: the hashes differ there, and the sums agree.
 """
 
 import argparse
@@ -37,11 +37,11 @@ ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "test" / "golden_replays.yaml"
 SHIP_LOGS = ROOT.parent / "shared" / "data" / "nbp1406"
 KEPT = "demo", "theodolite"
-"""Bags in bags/."""
+"""Names of replayed bags in bags/."""
 SIMULATED_S = {"everything": 60.0, "paper_stars": 60.0, "theodolite_night": 60.0}
 """Scenario in bags/scenarios → length of the part that is simulated with seed 1 and replayed, s."""
 RECORDED = "nbp1406"
-"""The real ship's logs, where they are at hand."""
+"""Name of the replay of a real ship's logs, if the logs are available."""
 NAMES = (*KEPT, *SIMULATED_S, RECORDED)
 STATISTICS = "statistic", "nis"
 """Fields that are dimensionless test statistics."""
@@ -82,12 +82,12 @@ class _Sum:
 
 
 def replayed_rows(name: str, one_by_one: bool, folder: Path) -> dict[str, Row]:
-    """Replay a bag of the table and return topic → its line.
+    """Replay a bag of the table; return topic → line.
 
     Args:
-        name: of NAMES.
-        one_by_one: one message at a time instead of in blocks.
-        folder: takes the bags.
+        name: name of the replay, one of NAMES.
+        one_by_one: True to replay one message at a time instead of in blocks.
+        folder: folder for the bags.
     """
     bag_path = _bag(name, folder)
     out_path = folder / f"{name}_{'one_by_one' if one_by_one else 'blocks'}.mcap"
@@ -102,7 +102,7 @@ def replayed_rows(name: str, one_by_one: bool, folder: Path) -> dict[str, Row]:
 
 
 def _bag(name: str, folder: Path) -> Path:
-    """Return the bag, made where it is not kept."""
+    """Return the path of the bag; bags that are not in bags/ are created."""
     if name in KEPT:
         return ROOT / "bags" / f"{name}.mcap"
     path = folder / f"{name}.mcap"
@@ -178,7 +178,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _text(rows: dict[str, dict[str, Row]]) -> str:
-    """Return the text of the table, a line a topic."""
+    """Return the text of the table, one line for each topic."""
     lines = ["# Numbers that replays publish: explained, checked and renewed by tools/golden.py (make golden)."]
     for name in (name for name in NAMES if name in rows):
         lines.append(f"{name}:")

@@ -33,14 +33,14 @@ MOST_MB, MOST_GROWTH_MB = 130.0, 1.0
 _START_S = 30.0
 _LOOK_S = 2.0
 _BEGIN_SHARE = 0.05
-"""Share of the samples at the beginning and at the end, whose medians are compared."""
+"""Share of the samples at the beginning, and of the samples at the end, whose medians are compared."""
 _MOST_MISSED_S = 60.0
 _STATM_RESIDENT = 1
 _LINES = 12
 
 
 def main() -> int:
-    """Run it."""
+    """Run the node and check its memory."""
     parser = CommandParser(prog="live_memory", description=__doc__, epilog="times are of the simulated ship")
     parser.add_argument("--hours", type=float, default=24.0, metavar="H", help="length of the voyage, h (24)")
     parser.add_argument("--settled-h", type=float, default=1.0, metavar="H", help="growth counts from here, h (1)")
@@ -68,12 +68,12 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def growth(hours: np.ndarray, resident_mb: np.ndarray, settled_h: float) -> float:
-    """Return the resident memory at the end minus that at a time, MB: medians over a twentieth of the span between.
+    """Return the growth of the resident memory from a time to the end, MB, by medians over a twentieth of this span.
 
     Args:
-        hours: since the start of the voyage, increasing, shape (n,).
-        resident_mb: at these times, shape (n,).
-        settled_h: start of the span.
+        hours: hours since the start of the voyage, increasing, shape (n,).
+        resident_mb: resident memory at these times, MB, shape (n,).
+        settled_h: start of the span, h.
     """
     share_h = _BEGIN_SHARE * (hours[-1] - settled_h)
     begin = (hours >= settled_h) & (hours <= settled_h + share_h)
@@ -85,7 +85,7 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
 
     Args:
         folder: folder of bag, configuration and logs.
-        length_h: of the voyage, h.
+        length_h: length of the voyage, h.
         rate: seconds of the voyage per second.
 
     Raises:
@@ -119,7 +119,7 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
 def _sample_memory(
     node: LiveProcess, player: LiveProcess, observer: GraphObserver, rate: float
 ) -> tuple[list[tuple[float, float]], int]:
-    """Return hours of the voyage and the node's memory, MB, until the player ends; and the node's last stamp."""
+    """Return pairs of hour of the voyage and node's memory, MB, until the player ends, and the node's last stamp."""
     samples, last_ns = [], 0
 
     def note(message: AlignmentState) -> None:

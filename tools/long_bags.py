@@ -50,7 +50,7 @@ class Cost(NamedTuple):
 
 
 def main() -> int:
-    """Run it."""
+    """Run both programs and check their costs."""
     parser = CommandParser(prog="long_bags", description=__doc__, epilog="the scenario: bags/scenarios/paper.yaml")
     parser.add_argument(
         "--hours", type=float, nargs="+", default=[1.0, 10.0], metavar="H", help="lengths of the voyages, h (1 10)"

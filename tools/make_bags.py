@@ -14,7 +14,7 @@ from ship_simulation.simulate_command import write_bag
 FOLDER = Path(__file__).resolve().parents[1] / "bags"
 SUMS = "SHA256SUMS"
 SEEDS = {"demo": 1, "theodolite": 1}
-"""Bag → seed; its scenario is bags/scenarios/<bag>.yaml."""
+"""Name of a bag → seed; the scenario of the bag is bags/scenarios/<bag>.yaml."""
 
 
 def main() -> int:

@@ -49,11 +49,11 @@ class Differences:
     """Stars minus INS.
 
     Attributes:
-        start_ns: first stamp.
+        start_ns: first stamp, ns.
         time_s: time since the first stamp, shape (n,).
-        arcsec: heading, pitch, roll by the stars minus those by the INS, shape (n, 3).
-        sigma_arcsec: of the attitude by the stars, shape (n, 3).
-        true_arcsec: truth minus INS at the same stamps, shape (n, 3); NaN where there is no truth.
+        arcsec: heading, pitch, roll by the stars minus the INS's values, shape (n, 3).
+        sigma_arcsec: sigma of the attitude by the stars, shape (n, 3).
+        true_arcsec: truth minus INS at the same stamps, shape (n, 3); NaN without truth.
     """
 
     start_ns: int

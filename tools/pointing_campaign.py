@@ -1,9 +1,9 @@
 """Campaign of the theodolite's axis: accuracy, and consistency of its covariance, over many seeds of one scenario.
 
-The scenario is bags/scenarios/theodolite_sweep. Prints one line per time span: with lights, the first half minute
-without, the end. Exits with 1 if RMS/sigma is outside its band, or the axis worse than its bound. The bounds are 8.5"
-in the first half minute, 31" after ten minutes, and 9 and 2.4 times better than INS and encoders with unmodelled axis
-errors.
+The scenario is bags/scenarios/theodolite_sweep. Prints one line per time span: with lights, first half minute
+without lights, end. Exits with 1 if RMS/sigma is outside its band, or if the RMS is above its bound. The bounds are
+8.5" in the first half minute and 31" after ten minutes. In the same spans, the RMS must be 9 and 2.4 times smaller
+than the RMS of INS and encoders with unmodelled axis errors.
 """
 
 import argparse
@@ -33,11 +33,11 @@ class Span:
     """A time span.
 
     Attributes:
-        name: for people.
-        start_s: after the start, excluded.
-        end_s: included.
+        name: name of the span for texts.
+        start_s: begin of the span, excluded, s after the start of the run.
+        end_s: end of the span, included, s after the start of the run.
         worst_arcsec: bound of the RMS.
-        times_better: minimum ratio of the RMS of INS and encoders to it.
+        times_better: minimum ratio of the RMS of INS and encoders to the RMS.
     """
 
     name: str
@@ -72,7 +72,7 @@ def main() -> int:
 
 
 def _quick(scenario: Scenario) -> Scenario:
-    """Return the scenario at the lowest rates without loss: devices sample at the times of the exposures."""
+    """Return the scenario at the lowest rates without loss, at which devices sample at the times of the exposures."""
     theodolite = dataclasses.replace(
         scenario.theodolite,
         encoder=dataclasses.replace(scenario.theodolite.encoder, rate_hz=6.0),
@@ -108,7 +108,7 @@ def _of_span(errors: PointingErrors, span: Span) -> list[float]:
 
 
 def _print_span(console: Console, span: Span, means: FloatArray) -> bool:
-    """Print the line of a span; True if its bounds are met."""
+    """Print the line of a span; return True if the bounds of the span are met."""
     rms, sigma, alone = np.sqrt(means) / ARCSEC
     ratio, better = rms / sigma, alone / rms
     good = BAND[0] <= ratio <= BAND[1] and rms <= span.worst_arcsec and better >= span.times_better

@@ -1,8 +1,8 @@
 """Prebuilt wheels of our own packages: built by ``make wheels``, and used by setup instead of compiling.
 
-They are in prebuilt/, in a folder for each Python and machine. The version of a wheel ends in the digest of the
-package's sources, by which setup checks that it fits the sources of the checkout. Setup uses only the compiled parts,
-modules and messages; Python sources are always those of the checkout.
+The wheels are in prebuilt/, in a folder for each Python and machine. The version of a wheel ends in the digest of the
+package's sources, by which setup checks that the wheel fits the sources of the checkout. Setup uses only the compiled
+parts, modules and messages; Python sources are always taken from the checkout.
 
 Only Python's standard library is imported: setup starts before other packages are installed.
 """
@@ -37,11 +37,11 @@ def digest(*parts: str | bytes) -> str:
 def package_digests(folders: list[Path], tools: str) -> dict[Path, str]:
     """Return for each package the digest of the files that require a new build when they change.
 
-    With symlinks an edited Python file requires none; an edited compiled module does, and so does a new file that
-    setup.py lists.
+    Due to symlinks an edited Python file requires no build. A build is required by an edited compiled module or a new
+    file that setup.py lists.
 
     Args:
-        folders: of the packages.
+        folders: folders of the packages.
         tools: versions of the build tools, Python, machine.
     """
     return {folder: digest(tools, *_content(folder)) for folder in folders}
@@ -64,7 +64,7 @@ def _content(folder: Path) -> list[str | bytes]:
 
 
 def local_version(content: str) -> str:
-    """Return the end of a wheel's version for a digest of :func:`package_digests`."""
+    """Return the end of a wheel's version, which contains a digest of :func:`package_digests`."""
     return f"+{content[:_DIGEST_LENGTH]}"
 
 
@@ -73,8 +73,8 @@ class Prebuilt:
     """A prebuilt wheel that fits the sources.
 
     Attributes:
-        folder: of the package.
-        wheel: the file.
+        folder: folder of the package.
+        wheel: path of the wheel.
     """
 
     folder: Path
@@ -115,7 +115,7 @@ def find_prebuilt(place: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt],
     """Return the wheels that fit, and a line for each package whose wheel was built from other sources.
 
     Args:
-        place: the folder of wheels for this Python and machine; it may be missing.
+        place: the folder of wheels for this Python and machine; the folder may be missing.
         wanted: folder of each package → its digest.
     """
     wheels: dict[str, dict[str, Path]] = {}

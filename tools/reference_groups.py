@@ -10,9 +10,9 @@ WRITTEN = "This page is written by `python tools/reference_pages.py`; a test com
 
 @dataclass(frozen=True)
 class Group:
-    """A page: its title, one line about it, and its sections.
+    """A page: title, one line about its content, and its sections.
 
-    The sections are patterns separated by spaces. A section is on the first page that has a pattern for it.
+    ``sections`` contains patterns separated by spaces. A section is on the first page with a pattern that fits it.
     """
 
     title: str
@@ -83,7 +83,7 @@ EXECUTABLES = {
 
 
 def page_of(section: str, groups: Mapping[str, Group]) -> str:
-    """Return the page of a section; without one a LookupError."""
+    """Return the page of a section; raise LookupError if no page fits."""
     for page, group in groups.items():
         if group.has(section):
             return page
@@ -93,7 +93,7 @@ def page_of(section: str, groups: Mapping[str, Group]) -> str:
 def split(kind: str, head: str, sections: Mapping[str, str], groups: Mapping[str, Group]) -> dict[str, str]:
     """Return the texts of the index ``kind.md`` and of its pages in the folder ``kind``, by their paths.
 
-    The key of a section is its heading, behind "node/" or "package/" where headings repeat.
+    The key of a section is its heading, after "node/" or "package/" if headings repeat.
     """
     title = re.findall("^# (.*)", head)[0]
     pages = {

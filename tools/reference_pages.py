@@ -29,7 +29,7 @@ if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
 from tools import glossary  # noqa: E402
-from tools import reference_groups as groups  # noqa: E402  # found with the folder above, also from a script
+from tools import reference_groups as groups  # noqa: E402  # found by the path above, also from a script
 
 FOLDER = ROOT / "docs" / "reference"
 ADAPTERS: tuple[type[Adapter], ...] = (
@@ -118,7 +118,7 @@ The parameters of nodes are in [parameters.md](parameters.md), the keys of a sce
 
 
 def parameters_pages() -> dict[str, str]:
-    """Every parameter of every node, from the dataclasses of the nodes."""
+    """Return the pages with all parameters of all nodes, from the dataclasses of the nodes."""
     sections: dict[str, str] = {}
     for node in (*ADAPTERS, *COMPANIONS):
         tables = _tables(describe(node.config_type), _PARAMETER_COLUMNS, node.node_name)
@@ -127,13 +127,13 @@ def parameters_pages() -> dict[str, str]:
 
 
 def scenario_pages() -> dict[str, str]:
-    """Every key of a scenario."""
+    """Return the pages with all keys of a scenario."""
     sections = _tables(describe(Scenario), _KEY_COLUMNS, "scenario")
     return groups.split("scenario", SCENARIO_HEAD, sections, groups.SCENARIO)
 
 
 def limits_page() -> str:
-    """Every limit that a ship may set."""
+    """Return the page with all limits that a ship may set."""
     return LIMITS_HEAD + _KEY_COLUMNS + "".join(map(_parameter_row, describe(Limits)))
 
 
@@ -166,7 +166,7 @@ def _range_text(parameter: ParameterDescription) -> str:
 
 
 def messages_pages() -> dict[str, str]:
-    """Every message of ship_msgs with the comments of its file."""
+    """Return the pages with all messages of ship_msgs and the comments in their files."""
     paths = sorted((ROOT / "src" / "ship_msgs" / "msg").glob("*.msg"))
     sections = {path.stem: _message(path.read_text(encoding="utf-8")) for path in paths}
     return groups.split("messages", MESSAGES_HEAD, sections, groups.MESSAGES)
@@ -185,7 +185,7 @@ def _message(text: str) -> str:
             comment += _in_cell(line[1:])
             follows_declaration = False
         else:
-            # A declaration without a comment has the one above.
+            # A declaration without a comment has the comment above.
             kind, declared = line.split(maxsplit=1)
             rows += f"| `{kind}` | `{declared.replace('=', ' = ')}` | {comment.strip()} |\n"
             follows_declaration = True
@@ -193,7 +193,7 @@ def _message(text: str) -> str:
 
 
 def _in_cell(line: str) -> str:
-    """Return a line of a comment as part of a table cell; the entries of a list stay lines."""
+    """Return a line of a comment as part of a table cell; the entries of a list remain separate lines."""
     plain = line.strip().replace("<", "&lt;").replace("|", r"\|")
     aligned = re.sub(r"  +", ": ", plain, count=1)
     indent = len(line) - len(line.lstrip())
@@ -201,7 +201,7 @@ def _in_cell(line: str) -> str:
 
 
 def topics_page() -> str:
-    """Every topic of every node, and the truth in simulated bags."""
+    """Return the page with all topics of all nodes, and the truth in simulated bags."""
     text = TOPICS_HEAD
     for adapter in ADAPTERS:
         inputs, outputs = topic_rows(adapter, RosidlFactory())
@@ -215,7 +215,7 @@ def topics_page() -> str:
 
 
 def _condition(need: str) -> str:
-    """Return if a topic is required, with the parameter that makes it so as code."""
+    """Return the condition under which a topic is required; a parameter in the condition is formatted as code."""
     return re.sub(r"with (.*)", r"with `\1`", need)
 
 
@@ -227,7 +227,7 @@ def _type(name: str) -> str:
 
 
 def executables_pages() -> dict[str, str]:
-    """Every executable with its help, without the long tables that have pages of their own."""
+    """Return the pages with all executables and their help, without the long tables, which are on other pages."""
     sections = {}
     for package in sorted(path.parent.name for path in _setup_files()):
         for name, module in _executables(package):
@@ -241,7 +241,7 @@ def _setup_files() -> list[Path]:
 
 
 def _executables(package: str) -> list[tuple[str, str]]:
-    """Return name and module of each executable, without those that only print its new package."""
+    """Return name and module of each executable, except executables that only print the name of the new package."""
     text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
     found = re.findall(r'"(\w+) = ([\w.]+):\w+"', text)
     return [(name, module) for name, module in found if not module.endswith(".moved")]

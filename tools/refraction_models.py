@@ -1,6 +1,6 @@
 """Error, sigma and cost of the models of refraction over elevation: prints the table of the docs, draws its figure.
 
-Errors are relative to a traced ray in the given weather. Costs are those of this machine.
+Errors are relative to a traced ray in the given weather. Costs depend on the machine.
 
 Example:
     python tools/refraction_models.py --figure docs/figures/refraction.png
@@ -51,8 +51,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def errors(model: ModelName, elevation: FloatArray, weather: Weather) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a model's angle, its error relative to the ray at the same apparent place, and its sigma, arcsec."""
-    # Iterate the ray's zenith distance with air from that without: each step leaves the slope of refraction, 4 % at 5°.
+    """Return a model's refraction, its error relative to the ray at the same apparent place, and its sigma, arcsec."""
+    # Iterate the ray's zenith distance with air: each step reduces the error to the slope of refraction, 4 % at 5°.
     ray = np.zeros_like(elevation)
     for _ in range(12):
         seen = 0.5 * np.pi - elevation - ray
@@ -68,7 +68,7 @@ def errors(model: ModelName, elevation: FloatArray, weather: Weather) -> tuple[F
 
 
 def table(weather: Weather) -> list[str]:
-    """Return the lines of the table: at each elevation the refraction, and error and sigma of each model."""
+    """Return the lines of the table with the refraction at each elevation, and error and sigma of each model."""
     elevation = np.deg2rad(ELEVATIONS_DEG)
     columns = {model: errors(model, elevation, weather) for model in MODELS}
     angle = columns["ray_trace"][0]
@@ -106,7 +106,7 @@ def _seconds(model: ModelName, elevation: FloatArray, weathers: list[Weather]) -
 
 
 def draw(weather: Weather, path: Path) -> None:
-    """Draw sizes of the errors as lines and sigmas as dashed ones, over elevation."""
+    """Draw sizes of the errors as solid lines and sigmas as dashed lines, over elevation."""
     figure = Figure(figsize=(9.0, 4.8), layout="constrained")
     axes = figure.subplots()
     for model in MODELS:

@@ -19,7 +19,7 @@ from tools.papers.figures import figures
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reproduction.md"
 PICTURES = "figures/reproduction"
-"""Relative to the page."""
+"""Folder of the figures, relative to the page."""
 
 HEAD = """# Results of the papers and of the suite
 

@@ -32,7 +32,7 @@ from setup_common import (
 
 from wheelhouse import own_target
 
-WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # packages of a Jazzy installation that have no wheel
+WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # folder with packages of a Jazzy installation that have no wheel
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Workspace:
     """The packages that are built.
 
     Attributes:
-        prefix: prefix of a sourced Jazzy installation; empty where ROS comes as wheels.
+        prefix: prefix of a sourced Jazzy installation; empty if ROS is installed as wheels.
         digests: folder of each package, sorted by name → digest of its sources.
     """
 
@@ -48,7 +48,7 @@ class Workspace:
     digests: dict[Path, str]
 
     def compiled_packages(self, changed_only: bool) -> dict[Path, str]:
-        """Return the packages with compiled parts; or only those with missing or outdated parts."""
+        """Return the packages with compiled parts, or only the packages with missing or outdated parts."""
         return {
             folder: content
             for folder, content in self.digests.items()
@@ -58,10 +58,10 @@ class Workspace:
 
 
 def read_workspace(prefix: str, tools: str) -> Workspace:
-    """Return the packages of src/, and without a Jazzy installation also those that are missing in the wheels.
+    """Return the packages of src/ and, without a Jazzy installation, the packages that are missing in the wheels.
 
     Args:
-        prefix: of a sourced Jazzy installation, or empty.
+        prefix: prefix of a sourced Jazzy installation, or empty.
         tools: versions of the build tools, Python, machine.
     """
     lacking = [] if prefix else [path.parent for path in WHEELS_ONLY.glob("*/package.xml")]
@@ -92,8 +92,8 @@ class CompiledParts:
     """Compiled parts that are missing, by their source.
 
     Attributes:
-        prebuilt: wheels that fit.
-        folders: of packages that must be compiled here.
+        prebuilt: prebuilt wheels that fit the sources.
+        folders: folders of packages that must be compiled here.
     """
 
     prebuilt: list[Prebuilt]
@@ -107,7 +107,7 @@ def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
         wanted: folder of each package → digest of its sources.
 
     Raises:
-        SetupError: some must be compiled, and there is no compiler.
+        SetupError: a part must be compiled, and there is no compiler.
     """
     prebuilt, unfit = find_prebuilt(ROOT / PREBUILT / own_target(), wanted)
     for line in unfit:
@@ -120,7 +120,7 @@ def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
 
 
 def check_compiler(for_what: str) -> None:
-    """Raise if there is no compiler, or no header of Python."""
+    """Raise SetupError if there is no compiler, or no header of Python."""
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     for variable, names in (("CC", ("cc", "gcc", "clang")), ("CXX", ("c++", "g++", "clang++"))):
         chosen = os.environ.get(variable, "").split()
@@ -177,7 +177,7 @@ def compile_modules(folder: Path) -> None:
 
 
 def build_messages(folders: list[Path], prefix: str) -> None:
-    """Build the message packages; without C++ if ROS comes as wheels, as no node of the suite needs it."""
+    """Build the message packages; without C++ if ROS is installed as wheels, because no node of the suite needs C++."""
     for folder in folders:
         remove_compiled(folder)
     colcon("messages", folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])
@@ -190,7 +190,7 @@ def build_packages(workspace: Workspace) -> None:
 
 
 def colcon(log: str, folders: list[Path], cmake_arguments: list[str]) -> None:
-    """Run colcon for some packages, without compiling modules, which :func:`compile_modules` does.
+    """Run colcon for some packages, without compiling modules (see :func:`compile_modules`).
 
     Two calls may run at the same time, for different packages and with separate folders below log/.
     """
@@ -200,7 +200,7 @@ def colcon(log: str, folders: list[Path], cmake_arguments: list[str]) -> None:
         ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" '
         + " ".join(cmake_arguments)
     )
-    # Without MAKEFLAGS colcon adds a load limit, with which a busy machine compiles one file at a time.
+    # Without MAKEFLAGS colcon adds a load limit, due to which a busy machine compiles one file at a time.
     env = {**os.environ, "MAKEFLAGS": f"-j{CORES + 1}", "SHIP_SUITE_IS_COMPILED": "1"}
     try:
         run(["bash", "-c", command], env)
@@ -214,8 +214,8 @@ def stamp_of(folder: Path) -> Path:
 
 
 def first_error(output: str) -> str:
-    """Return the first line of a build's output that reports an error, and the file with the rest."""
-    # rosidl, Cython, a compiler, CMake, anything else. The message of an empty build folder is not an error.
+    """Return the first line of a build's output that reports an error, and the name of the file with the output."""
+    # Signs of rosidl, Cython, a compiler, CMake, other programs. The message of an empty build folder is not an error.
     signs = (r"^\s*Error processing", r"^\S+\.(py|pxd):\d+:\d+: ", r": error:", r"CMake Error", r"[Ee]rror|Failed")
     lines = [line.strip() for line in output.splitlines() if "loading 'build.ninja'" not in line]
     found = (line for sign in signs for line in lines if re.search(sign, line))

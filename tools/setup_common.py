@@ -45,8 +45,8 @@ def run(command: list[str], env: dict[str, str] | None = None, cwd: Path = ROOT)
     """Run a command with its output appended to the log; return the output.
 
     Raises:
-        CalledProcessError: it failed; the error has the output.
-        SetupError: end_commands() was called before.
+        CalledProcessError: the command failed; the error contains the output.
+        SetupError: :func:`end_commands` was called before.
     """
     if _ended.is_set():
         raise SetupError("another step failed")
@@ -63,7 +63,7 @@ def run(command: list[str], env: dict[str, str] | None = None, cwd: Path = ROOT)
 
 
 def end_commands() -> None:
-    """End the running commands and their children, for a failed step not to wait for the others."""
+    """End the running commands and their children, so that a failed step does not wait for other steps."""
     _ended.set()
     for process in list(_running):
         with suppress(ProcessLookupError):
@@ -71,7 +71,7 @@ def end_commands() -> None:
 
 
 def read_stamp(path: Path) -> str:
-    """Return the content of a stamp, empty if the step was never finished."""
+    """Return the content of a stamp; empty if the step was never finished."""
     try:
         return path.read_text()
     except OSError:
@@ -79,11 +79,11 @@ def read_stamp(path: Path) -> str:
 
 
 def last_line(text: str, containing: str = "") -> str:
-    """Return the last line that is not empty and contains the text."""
+    """Return the last line that is not empty and contains ``containing``."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and containing in line]
     return lines[-1] if lines else "no output"
 
 
 def wheels_environment() -> dict[str, str]:
-    """Return the environment in which the Python of the wheels does not start itself a second time."""
+    """Return the environment in which the Python of the wheels does not start itself again."""
     return {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}

@@ -69,7 +69,7 @@ class Plan:
         workspace: the packages to build.
         groups: the groups of wheels.
         venv: digest of the inputs of the virtual environment.
-        build: digest of all that is built.
+        build: digest of the sources of all built parts.
     """
 
     workspace: Workspace
@@ -81,8 +81,8 @@ class Plan:
     def fresh(self) -> bool:
         """True if setup starts from nothing.
 
-        A partly installed group looks like a complete one: during an installation a group has no stamp.
-        Over a Jazzy installation wheels of an older lock may hide its packages, and are removed too.
+        A partly installed group cannot be distinguished from a complete group; a group without a stamp is incomplete.
+        Wheels of an older lock may hide packages of a sourced Jazzy installation; setup then also starts from nothing.
         """
         done = {group.name: read_stamp(group.stamp) for group in self.groups}
         if read_stamp(STAMP_VENV) != self.venv or not all(stamp for name, stamp in done.items() if name != ALL_OTHER):
@@ -94,7 +94,7 @@ def make_plan(everything: bool = False) -> Plan:
     """Return the plan for this checkout and machine.
 
     Args:
-        everything: also the wheels that few people use.
+        everything: True to include the wheels that few people use.
     """
     lock = locked_requirements((ROOT / LOCK).read_text(encoding="utf-8"))
     prefix = ros_prefix() or (read_stamp(ROS_PREFIX_FILE) if os.environ.get("ROS_DISTRO") is None else "")
@@ -141,14 +141,14 @@ def set_up(everything: bool) -> None:
 
 
 def install_and_build(workspace: Workspace, jobs: list[Job], parts: CompiledParts | None) -> None:
-    """Install wheels, and build as soon as the build tools are installed; a step that fails ends the others.
+    """Install wheels, and build as soon as the build tools are installed; a step that fails ends the other steps.
 
     Args:
         workspace: the packages to build.
         jobs: each group of wheels to install, with lines and options for pip.
-        parts: compiled parts to build; None where nothing is to be built.
+        parts: compiled parts to build; None if nothing is to be built.
     """
-    with ThreadPoolExecutor(max_workers=8) as pool:  # some jobs wait for others
+    with ThreadPoolExecutor(max_workers=8) as pool:  # some jobs wait for other jobs
         installing = {group.name: pool.submit(install_wheels, group, *pip, workspace.prefix) for group, *pip in jobs}
 
         def build(step: Callable[[], None]) -> None:

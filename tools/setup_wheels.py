@@ -34,10 +34,10 @@ ROS_PREFIX_FILE = VENV / ".ros_prefix"  # prefix of the sourced Jazzy installati
 
 BUILD_TOOLS, PYTHON, ALL_OTHER = "ROS and build wheels", "python wheels", "all other wheels"
 SECTIONS_OF_GROUPS = {BUILD_TOOLS: ("ros", "build"), PYTHON: ("python",), ALL_OTHER: ("all",)}
-"""Group of wheels → its sections of requirements.lock."""
+"""Group of wheels → sections of requirements.lock in the group."""
 
 SPACE_NEEDED_GB = {BUILD_TOOLS: 0.5, PYTHON: 0.7, ALL_OTHER: 0.6}
-"""0.9 GB of it is permanent, and 0.4 GB of the last; the rest is temporary, for unpacking."""
+"""Free disk space needed by each group, GB; 0.9 GB, and 0.4 GB of the last group, are permanent."""
 
 
 def ros_prefix() -> str:
@@ -50,7 +50,7 @@ def ros_prefix() -> str:
 
 
 def check_machine(groups: list[Group]) -> None:
-    """Raise with one line if the machine cannot run the setup.
+    """Raise an error of one line if the machine cannot run the setup.
 
     Args:
         groups: the wheels still to be installed, which need disk space.
@@ -66,7 +66,7 @@ def check_machine(groups: list[Group]) -> None:
 
 
 def make_venv(prefix: str) -> None:
-    """Create the virtual environment; remove files built for an older one."""
+    """Create the virtual environment; remove files built for an older environment."""
     if VENV.exists():
         print_progress("removing an older or incomplete .venv")
         shutil.rmtree(VENV)
@@ -91,8 +91,8 @@ class Group:
     """Wheels that are installed together.
 
     Attributes:
-        name: of the group.
-        lines: requirements of the lock.
+        name: name of the group.
+        lines: requirements from the lock.
         venv: digest of the virtual environment.
     """
 
@@ -112,12 +112,12 @@ class Group:
 
     @property
     def is_installed(self) -> bool:
-        """True if the wheels are those of the lock."""
+        """True if the installed wheels equal the wheels of the lock."""
         return read_stamp(self.stamp) == self.digest
 
 
 def lines_to_install(lock: dict[str, list[str]], sections: tuple[str, ...], prefix: str) -> list[str]:
-    """Return the lines of some sections of the lock, without those of a sourced ROS and the numpy it was built with."""
+    """Return the lines of some sections of the lock; with a sourced ROS, without the lines of ROS and its numpy."""
     lines = [line for name in sections for line in lock[name]]
     return [line for line in lines if not (prefix and line.startswith(("ros-", "numpy==")))]
 
@@ -125,7 +125,7 @@ def lines_to_install(lock: dict[str, list[str]], sections: tuple[str, ...], pref
 def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
     """Return lines for pip, and pip's options for the location of the wheels.
 
-    They are those of requirements.lock, from the package index, or the hashed ones of a bundle, from its wheels.
+    Lines are from requirements.lock, for wheels of the package index, or hashed lines from a bundle, for its wheels.
     """
     bundled = own_wheels(ROOT)
     if not bundled:
@@ -136,13 +136,13 @@ def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
 
 
 def install_wheels(group: Group, lines: list[str], place: list[str], prefix: str) -> None:
-    """Install pinned wheels without resolving: the lock has all dependencies.
+    """Install pinned wheels without resolving, because the lock contains all dependencies.
 
     Args:
         group: the wheels.
         lines: requirements for pip.
         place: pip's options for the location of the wheels.
-        prefix: of a sourced Jazzy installation, or empty.
+        prefix: prefix of a sourced Jazzy installation, or empty.
     """
     group.stamp.unlink(missing_ok=True)
     chosen = group.stamp.with_suffix(".txt")
@@ -193,9 +193,9 @@ def byte_compile() -> None:
 
 
 def repair_paths() -> None:
-    """Rewrite the build machine's paths in the ROS wheels' CMake and ament files to this machine's.
+    """Replace paths of the build machine by paths of this machine in the CMake and ament files of ROS wheels.
 
-    Without it colcon cannot find Python's and numpy's headers when it builds messages.
+    Without this, colcon cannot find Python's and numpy's headers when it builds messages.
     """
     tag = f"{sys.version_info.major}.{sys.version_info.minor}"
     theirs = f"/opt/python/cp{tag.replace('.', '')}-cp{tag.replace('.', '')}"

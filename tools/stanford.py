@@ -26,7 +26,7 @@ class Case:
     """Voyages of one scenario.
 
     Attributes:
-        length_s: of each voyage, s.
+        length_s: length of each voyage, s.
         voyages: number of voyages.
         figure: name of the file to draw.
     """
@@ -40,10 +40,10 @@ CASES = {
     "paper": Case(600.0, 17, "stanford.png"),
     "theodolite_sweep": Case(300.0, 34, "stanford_pointing.png"),
 }
-"""Voyages by scenario.
+"""Scenario → case.
 
-They have a million epochs of the ship's attitude, with the truth at each output, and a hundred thousand of the pointing
-with lights, with the truth in the bag ten times a second.
+The voyages contain a million epochs of the ship's attitude, with the truth at each output. They contain a hundred
+thousand epochs of the pointing with lights, with the truth in the bag ten times a second.
 """
 
 
@@ -74,7 +74,7 @@ def _draw_case(name: str, case: Case, options: argparse.Namespace) -> int:
 
 
 def _voyage(folder: Path, scenario: str, length_s: float, seed: int) -> Path:
-    """Return the outputs of one voyage, with the truth."""
+    """Return the path of the outputs of one voyage, with the truth."""
     path = folder / f"out_{seed}.mcap"
     if not path.exists():
         replay(make_bag(SCENARIOS / f"{scenario}.yaml", length_s, seed, folder / f"in_{seed}.mcap"), path, ADAPTERS)

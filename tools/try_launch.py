@@ -12,14 +12,14 @@ from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_BOUND_NOT_MET, EXIT_DONE
 LAUNCH_FILE = Path(__file__).resolve().parents[1] / "src" / "ship_bringup" / "launch" / "suite.launch.xml"
 NODES = "star_attitude", "ship_attitude", "optical_axis", "triangulation", "nmea_out", "nmea_in"
 LONGEST_S = 120.0
-"""Six nodes start six times each, on a busy machine."""
+"""Maximum duration, s, for six nodes that start six times each on a busy machine."""
 
 
 def main() -> int:
     """Run the launch file."""
     CommandParser(prog="try_launch", description=__doc__).parse_args()
     try:
-        import launch_ros  # noqa: F401 - gives the launch file its nodes
+        import launch_ros  # noqa: F401 - adds nodes to launch files
         from launch import LaunchDescription, LaunchService
         from launch.actions import IncludeLaunchDescription, RegisterEventHandler
         from launch.event_handlers import OnProcessExit

@@ -1,9 +1,9 @@
 """``make watch``: a simulated voyage with all devices, repeated through the live suite, and its live page.
 
-The bag is simulated the first time, from ``bags/scenarios/everything.yaml``: the bags in ``bags/`` have the ship or
-the theodolite, not both. All files are in ``build/watch``. Ctrl-C ends it.
+The bag is simulated the first time, from ``bags/scenarios/everything.yaml``: the bags in ``bags/`` contain the ship or
+the theodolite, not both. All files are in ``build/watch``. Ctrl-C ends the voyage.
 
-Exit code 0 ended by Ctrl-C; 2 bad input, or the port is in use; otherwise that of the suite.
+Exit code 0 ended by Ctrl-C; 2 bad input, or the port is in use; otherwise the exit code of the suite.
 """
 
 import argparse
@@ -24,7 +24,7 @@ ADDRESS, PORT = "127.0.0.1", 5006
 
 
 def main() -> int:
-    """Run it."""
+    """Run the suite, its page and the simulated voyage."""
     parser = CommandParser(prog="watch", description="A simulated voyage through the live suite, with its page.")
     parser.add_argument("--port", type=int, default=PORT, metavar="PORT", help=f"of the page ({PORT})")
     parser.add_argument("--rate", default="1", metavar="R", help="seconds of the voyage per second (1)")
@@ -42,7 +42,7 @@ def _watch(parsed: argparse.Namespace) -> int:
 
 
 def _check_port(port: int) -> None:
-    """Raise if the port is in use: the page of this voyage would not be visible."""
+    """Raise an error if the port is in use, because the page of this voyage would not be visible."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -53,7 +53,7 @@ def _check_port(port: int) -> None:
 
 
 def _bag() -> Path:
-    """Return the voyage; simulate it if the scenario is newer."""
+    """Return the path of the bag; simulate the voyage if the scenario is newer than the bag."""
     path = FOLDER / "everything.mcap"
     if not path.exists() or path.stat().st_mtime < SCENARIO.stat().st_mtime:
         FOLDER.mkdir(parents=True, exist_ok=True)

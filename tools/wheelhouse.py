@@ -1,4 +1,4 @@
-"""Wheels of a bundle, for a setup without a network: wheels/, a folder for each Python and machine.
+"""Wheels of a bundle, for a setup without a network, in wheels/ with a folder for each Python and machine.
 
 ``SHA256SUMS`` in such a folder lists requirements.lock and every wheel, in the format of ``sha256sum -c SHA256SUMS``.
 Only Python's standard library is imported: setup starts before other packages are installed.
@@ -31,7 +31,7 @@ NETWORK_SIGNS = (
 
 
 SECTIONS = ("ros", "build", "python", "all")
-"""Sections of requirements.lock, in its order; ``all`` is installed only by ``make setup-all``."""
+"""Sections of requirements.lock, in the order of the file; ``all`` is installed only by ``make setup-all``."""
 
 
 class WheelsRefused(Exception):
@@ -39,12 +39,12 @@ class WheelsRefused(Exception):
 
 
 def target(python: str, machine: str) -> str:
-    """Return the name of the folder for a Python, as 3.11, and a machine, as x86_64."""
+    """Return the name of the folder for a Python, for example 3.11, and a machine, for example x86_64."""
     return f"python{python}-{machine}"
 
 
 def own_target() -> str:
-    """Return the name of the folder for this Python."""
+    """Return the name of the folder for this Python and machine."""
     return target(f"{sys.version_info.major}.{sys.version_info.minor}", platform.machine())
 
 
@@ -52,7 +52,7 @@ def locked_requirements(lock: str) -> dict[str, list[str]]:
     """Return the requirements of each section of requirements.lock; a section begins with ``# [name]``.
 
     Raises:
-        WheelsRefused: a requirement is before the first section, or a section is not one of :data:`SECTIONS`.
+        WheelsRefused: a requirement is before the first section, or a section is not in :data:`SECTIONS`.
     """
     sections: dict[str, list[str]] = {name: [] for name in SECTIONS}
     current: list[str] | None = None
@@ -99,7 +99,7 @@ def own_wheels(root: Path) -> Path | None:
     """Return the folder of wheels for this Python and machine; None if the checkout has no wheels.
 
     Raises:
-        WheelsRefused: there are wheels only for others.
+        WheelsRefused: there are wheels only for other Pythons or machines.
     """
     folder = root / WHEELS
     if not folder.is_dir():
@@ -120,7 +120,7 @@ def hashed_requirements(folder: Path) -> dict[str, str]:
     """Return the requirement with its hash for each pin of a folder of wheels, after checking all hashes.
 
     Raises:
-        WheelsRefused: a wheel is missing or damaged, or the wheels are those of another lock.
+        WheelsRefused: a wheel is missing or damaged, or the wheels belong to another lock.
     """
     place = f"{WHEELS}/{folder.name}"
     requirements = {}
@@ -146,7 +146,7 @@ def hashed_requirements(folder: Path) -> dict[str, str]:
 
 
 def _read_sums(path: Path, place: str) -> list[tuple[str, str]]:
-    """Return SHA-256 and name of each file, the lock first."""
+    """Return SHA-256 and name of each file, beginning with the lock."""
     lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
     found = [_LINE.fullmatch(line) for line in lines]
     for number, match in enumerate(found, 1):

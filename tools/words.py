@@ -1,9 +1,9 @@
 """Check of the language: identifiers, names, docstrings, comments, texts for the user, pages.
 
-Each find is printed with file, line and what to use instead; the exit code is 1 if there is one. The dictionary and
+Each find is printed with file, line and what to use instead. The exit code is 1 if there are finds. The dictionary and
 the exceptions are in ``tools/words.yaml``. Kinds of finds:
 
-- identifier, text: a word of the dictionary in code, or in a comment, string, docstring or page;
+- identifier, text: a word of the dictionary, in code (identifier) or in a comment, string, docstring or page (text);
 - name: a function named by a participle or particle alone;
 - docstring: a first sentence that begins with a question word or a preposition;
 - sentence: a sentence of more than :data:`MAX_WORDS` words in a docstring or page;
@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DICTIONARY = "tools/words.yaml"
 CHECKED = ("src", "tools", "test", "docs", "bags", "examples", ".ci", "*.md", "*.toml", "Makefile", "conftest.py")
 SKIPPED = (DICTIONARY, "CHANGELOG.md", "docs/reference/*")
-"""Files that are not checked: the dictionary, old names and entries, and generated pages, whose sources are checked."""
+"""Files that are not checked: the dictionary, the change log, and generated pages, whose sources are checked."""
 MAX_WORDS = 35
 
 _PAGES = {".md", ".rst"}
@@ -87,7 +87,7 @@ class Dictionary:
         self.exemptions = [Exemption(**each) for each in given["exceptions"]]
 
     def finds(self, path: str, content: str) -> Iterator[Find]:
-        """Yield the finds of a file, exceptions included."""
+        """Yield the finds of a file, including finds that are exceptions."""
         if not self._uses["identifier"].keys().isdisjoint(map(str.lower, set(_WORD.findall(content)))):
             yield from self._words(path, content)
         if path.endswith(".py"):
@@ -137,10 +137,10 @@ def _docstrings(content: str) -> Iterator[tuple[int, str]]:
 
 
 def _paragraphs(lines: list[str]) -> Iterator[tuple[int, str]]:
-    """Yield first line and text of each paragraph and item; examples, code and tables are left out."""
+    """Yield first line and text of each paragraph and item; examples, code and tables are omitted."""
     paragraph: list[str] = []
     first, indent = 0, 0
-    closing: str | None = None  # the start of the line that ends what is left out
+    closing: str | None = None  # start of the line that ends the omitted part
     for number, line in enumerate([*lines, ""]):
         text = line.strip()
         if closing is not None:
@@ -189,7 +189,7 @@ def check(root: Path, dictionary: Dictionary) -> list[Find]:
 
 
 def main() -> int:
-    """Print the finds; return 1 if there are some."""
+    """Print the finds; return 1 if there are finds, else 0."""
     finds = check(ROOT, Dictionary((ROOT / DICTIONARY).read_text(encoding="utf-8")))
     for find in finds:
         print(f'{find.path}:{find.line}: {find.kind} "{find.word}": use {find.use}')

@@ -1,4 +1,4 @@
-"""Figures of the page of reproduction."""
+"""Figures of docs/reproduction.md."""
 
 from collections.abc import Iterator
 
@@ -17,14 +17,14 @@ _DOTS, _PRINTED, _BARS = "#0072b2", "#d55e00", "#8fbfe6"
 
 
 def figures() -> Iterator[tuple[str, Figure]]:
-    """Yield the six figures of [Z14] and the one of [W18], with the names of their files."""
+    """Yield name of the file and figure, for the six figures of [Z14] and the figure of [W18]."""
     for name, figure in sweep_figures(all_curves(POINT)):
         yield f"z14_{name}", figure
     yield "w18_figure_4", _axis_figure()
 
 
 def _axis_figure() -> Figure:
-    """Draw errors of the axis by [W18]'s method, by epoch and as a histogram; one row per reading."""
+    """Draw errors of the axis by [W18]'s method, by epoch and as a histogram; one row for each reading."""
     figure, grid = plt.subplots(
         2, 2, figsize=(11, 6.8), width_ratios=(2.2, 1.0), sharex="col", sharey="row", layout="constrained"
     )

@@ -1,4 +1,4 @@
-"""[P15]: the worked example, step by step, and the paper's results of its trial alongside."""
+"""[P15]: the worked example, step by step, and results of the paper's trial alongside."""
 
 from collections.abc import Iterator
 
@@ -62,7 +62,7 @@ that the paper replaces.
 
 
 def chain() -> list[tuple[str, FloatArray]]:
-    """Return the star's direction in the horizon without refraction, with one more correction each; shape (3,) each."""
+    """Return corrections and the star's direction in the horizon, unrefracted, after each correction, shape (3,)."""
     ut1 = f"{float(ORIENTATION.ut1_minus_utc_s):.4f} s".replace("-", "−")
     return [
         ("no aberration, UT1 = UTC", without_aberration(UT1_TAKEN_AS_UTC, diurnal=False)),
@@ -72,7 +72,7 @@ def chain() -> list[tuple[str, FloatArray]]:
 
 
 def example() -> Iterator[Row]:
-    """Yield the values that the paper prints of its example."""
+    """Yield the values that the paper prints for its example."""
     first_n, last_n = chain()[0][1], chain()[-1][1]
     for name, printed, bare, full in zip(("North", "Up", "East"), PRINTED_V, first_n, last_n, strict=True):
         yield Row(f"V, {name}", f"{printed:.6f}", f"{bare:.6f}; in full {full:.6f}", _HIDDEN)
@@ -96,7 +96,7 @@ _PRINTED_DEG = (PRINTED_AZIMUTH_DEG, PRINTED_ELEVATION_DEG)
 
 
 def steps() -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the chain, with the difference of each step from the printed place."""
+    """Yield the rows of the chain, with the difference of each direction from the printed direction."""
     printed_n = _direction(*np.deg2rad(_PRINTED_DEG))
     for words, direction_n in chain():
         azimuth_deg, elevation_deg = angles_deg(direction_n)

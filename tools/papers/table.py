@@ -1,4 +1,4 @@
-"""Rows and tables of the page of reproduction."""
+"""Rows and tables of docs/reproduction.md."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ class Row:
 
     Attributes:
         what: the value, and where the paper prints it.
-        printed: as printed in the paper.
-        ours: as computed here.
-        why: reason of the difference; empty if they agree.
+        printed: the value as printed in the paper.
+        ours: the value as computed here.
+        why: reason of the difference; empty if the values agree.
     """
 
     what: str
@@ -22,7 +22,7 @@ class Row:
 
 
 def rows_table(rows: Iterable[Row]) -> str:
-    """Return a Markdown table: value printed, ours, why different."""
+    """Return a Markdown table with printed value, computed value and reason of the difference."""
     cells = ((row.what, row.printed, row.ours, row.why or "agrees") for row in rows)
     return table(("", "printed", "ours", "why different"), cells)
 

@@ -1,7 +1,7 @@
-"""[W18]: accuracy of the telescope's axis from two lights, by the paper's method and ours, in two readings.
+"""[W18]: accuracy of the telescope's axis from two lights, by the paper's method and by ours, in several readings.
 
-Zero-mean normal errors that are isotropic in a plane have sizes with a Rayleigh distribution, whose mean is 1.91 times
-its standard deviation; if they are not isotropic the ratio is less.
+The sizes of zero-mean normal errors that are isotropic in a plane have a Rayleigh distribution, whose mean is 1.91
+times its standard deviation. If the errors are not isotropic, the ratio is less.
 """
 
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ from theodolite_calib.lights.telescope_attitude import solve_attitude
 from tools.papers.table import Row, rows_table, table
 
 RAYLEIGH_RATIO = float(np.sqrt(np.pi / (4.0 - np.pi)))
-"""Mean over standard deviation of a Rayleigh distribution."""
+"""Ratio of mean to standard deviation of a Rayleigh distribution."""
 
 PRINTED_MEAN_ARCSEC, PRINTED_SIGMA_ARCSEC, PRINTED_TOTAL_ARCSEC = 5.90, 1.71, 6.15
 LENS_M = 0.06
 UNSURVEYED_LENS_M = np.full(3, LENS_M / np.sqrt(3.0))
-"""60 mm in equal parts forward, up and right."""
+"""Unsurveyed place of the lens, m: 60 mm in equal parts forward, up and right."""
 
 ELEVATIONS_DEG = (10.0, 30.0, 60.0, 80.0)
 SCENARIOS = ("lens_surveyed", "lens_unsurveyed")
@@ -39,11 +39,11 @@ class PaperReading:
     """One reading of the paper's simulation.
 
     Attributes:
-        name: for tables and figures.
-        baseline_sigma_m: error of each baseline, each axis.
-        unsurveyed_lens_m: N' not known to the method, in the main frame, shape (3,).
+        name: name for tables and figures.
+        baseline_sigma_m: sigma of the error of each baseline along each axis.
+        unsurveyed_lens_m: N' of which the method has no value, in the main frame, shape (3,).
         elevation_deg: elevation of the telescope's axis.
-        focal_length_error_m: of the focal length, the same at all epochs; None where a new one is drawn at each.
+        focal_length_error_m: error of the focal length at all epochs; None for a random error at each epoch.
     """
 
     name: str
@@ -62,7 +62,7 @@ UNSURVEYED = replace(
 
 @dataclass(frozen=True)
 class AxisErrors:
-    """Errors of the telescope's axis on the sky over many epochs, arcsec, shape (n,), by each method."""
+    """Errors of the telescope's axis on the sky over many epochs by each method, arcsec, shape (n,)."""
 
     triads: FloatArray
     likelihood: FloatArray
@@ -92,7 +92,7 @@ def axis_errors(reading: PaperReading, epochs: int = _EPOCHS) -> AxisErrors:
 
 @dataclass(frozen=True)
 class SuiteError:
-    """Errors of the core of ``optical_axis`` after voyages, root mean squares on the sky; rejected sightings."""
+    """Error and sigma of the core of ``optical_axis`` after voyages (RMS on the sky); number of rejected sightings."""
 
     error_arcsec: float
     sigma_arcsec: float
@@ -114,7 +114,7 @@ def suite_error_arcsec(scenario: str, seeds: range) -> SuiteError:
 
 
 def summary(sizes: FloatArray) -> tuple[float, float, float]:
-    """Return mean, standard deviation, root mean square."""
+    """Return mean, standard deviation and root mean square of sizes."""
     return float(sizes.mean()), float(sizes.std()), float(np.sqrt(np.mean(sizes**2)))
 
 
@@ -205,7 +205,7 @@ def printed_values() -> Iterator[Row]:
 
 
 def baseline_end_m() -> float:
-    """Return the norm of the error of a baseline's end by the paper's error list, m."""
+    """Return the norm of the error of a baseline's end due to the errors in the paper's list, m."""
     rtk_m = 0.01 * np.sqrt(3.0)
     drone_m = 0.3 * np.linalg.norm(np.deg2rad([1.0, 1.0, 2.0]))
     ship_m = 5.0 * np.linalg.norm(np.array([10.0, 10.0, 72.0]) * ARCSEC)
@@ -213,7 +213,7 @@ def baseline_end_m() -> float:
 
 
 def azimuth_of_tilt_arcsec(tilt_arcsec: float = 20.0, elevation_deg: float = 60.0) -> float:
-    """Return the largest azimuth error of a direction by a tilt of the horizon in any direction, arcsec."""
+    """Return the largest azimuth error of a direction due to a tilt of the horizon in any direction, arcsec."""
     azimuths = np.deg2rad(np.arange(0.0, 360.0))
     tilts_n = tilt_arcsec * ARCSEC * np.stack([np.cos(azimuths), np.zeros(360), np.sin(azimuths)], axis=-1)
     line_n = rotation_from_angles(*np.deg2rad([0.0, elevation_deg, 0.0]))[:, 0]

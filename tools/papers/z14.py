@@ -20,13 +20,13 @@ from tools.papers.z14_factors import (
 
 PAPER, PHYSICAL = InstallationConvention.PAPER, InstallationConvention.PHYSICAL
 EXACT = 1e-12
-"""Differences below this are rounding."""
+"""Limit below which differences are rounding errors."""
 ATTITUDES = 1000
 _GREATEST_PITCH = np.deg2rad(85.0)
 
 
 def section(folder: str) -> str:
-    """Return the section of the page about this paper; ``folder`` has its figures."""
+    """Return the section of the page about this paper; ``folder`` is the path of its figures."""
     pictures = "".join(
         f"![Figure {sweep.number}: errors over {sweep.symbol}]({folder}/z14_figure_{sweep.number}.png)\n\n"
         for sweep in SWEEPS
@@ -130,14 +130,14 @@ def _factors_in_words() -> str:
 
 
 def _largest_joint_difference(reading: InstallationConvention) -> str:
-    """Return the largest difference of the joined printed factors from the exact Jacobian, below 85° of pitch."""
+    """Return the largest difference of the Jacobian of printed factors from the exact Jacobian, below 85° of pitch."""
     angles = upright_attitudes(reading)
     difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))
     return f"{difference:.0f}" if difference > EXACT else "except for rounding"
 
 
 def upright_attitudes(reading: InstallationConvention) -> FloatArray:
-    """Return random attitudes with a ship's pitch below 85° in a reading and in the paper's, shape (n, 6)."""
+    """Return random attitudes with a ship's pitch below 85° in a reading and in the paper's reading, shape (n, 6)."""
     angles = random_attitudes(ATTITUDES)
     pitches = [_pitch(angles, each) for each in (reading, PAPER)]
     upright: FloatArray = angles[np.max(np.abs(pitches), axis=0) < _GREATEST_PITCH]

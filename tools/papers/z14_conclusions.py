@@ -1,9 +1,9 @@
-"""[Z14]'s fifteen conclusions, each tested with the exact model: does it hold, and in which reading?
+"""[Z14]'s fifteen conclusions, each tested with the exact model in each reading.
 
-They are tested at the paper's operating point, over the sweeps of its six figures; a conclusion about one layout is
-tested at that layout. Absolute values of the errors are compared. In figures 1 to 3, with one error, a trend must be
-monotonic. In figures 4 to 6, with all six errors, two of them cause the trend. The four small errors, 3" + 3" + 1" +
-1", are added with their signs: a trend may reverse by at most their sum.
+The conclusions are tested at the paper's operating point, over the sweeps of its six figures. A conclusion about one
+layout is tested at this layout. Absolute values of the errors are compared. In figures 1 to 3, with one error, a trend
+must be monotonic. In figures 4 to 6, with all six errors, two errors cause the trend. The four small errors, 3" + 3" +
+1" + 1", are added with their signs: a trend may reverse by at most their sum.
 """
 
 from collections.abc import Callable
@@ -35,9 +35,9 @@ class Conclusion:
 
     Attributes:
         place: section and number in the paper.
-        words: its content, in our words.
-        holds: returns True if it holds in a reading.
-        remark: on readings in which it does not hold.
+        words: content, in our words.
+        holds: returns True if the conclusion holds in a reading.
+        remark: remark on readings in which the conclusion does not hold.
     """
 
     place: str
@@ -47,7 +47,7 @@ class Conclusion:
 
 
 def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationConvention) -> FloatArray:
-    """Return sizes of the errors of heading, pitch, roll in a figure, shape (n, 3)."""
+    """Return sizes of the errors of heading, pitch, roll in a figure, arcsec, shape (n, 3)."""
     (curve,) = (
         curve
         for curve in all_curves(POINT)
@@ -57,9 +57,9 @@ def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationCo
 
 
 def of_star_roll(reading: InstallationConvention, **swept_deg: FloatArray | float) -> FloatArray:
-    """Return sizes of heading, pitch, roll errors by 100" about the boresight, shape (n, 3).
+    """Return sizes of heading, pitch, roll errors due to 100" about the boresight, arcsec, shape (n, 3).
 
-    Angles of the operating point are replaced by the swept ones.
+    Angles in ``swept_deg`` replace angles of the operating point.
     """
     count = max(np.size(values) for values in swept_deg.values())
     angles_deg = np.tile(point_angles_deg(POINT, 0.0), (count, 1))
@@ -70,24 +70,24 @@ def of_star_roll(reading: InstallationConvention, **swept_deg: FloatArray | floa
 
 
 def is_growing(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """True if sizes end larger than they began, and never decrease by more than the limit."""
+    """True if the last size is larger than the first, and no decrease between is larger than the limit."""
     turned_back = np.max(np.maximum.accumulate(sizes) - sizes)
     return bool(turned_back <= turn_back_arcsec and sizes[-1] - sizes[0] > turn_back_arcsec)
 
 
 def is_falling(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """True if sizes end smaller than they began, and never increase by more than the limit."""
+    """True if the last size is smaller than the first, and no increase between is larger than the limit."""
     return is_growing(sizes[::-1], turn_back_arcsec)
 
 
 def is_falling_then_growing(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """True if sizes decrease to a minimum between the ends, and increase from there."""
+    """True if sizes decrease to a minimum between the ends, and increase after the minimum."""
     least = int(np.argmin(sizes))
     return is_falling(sizes[: least + 1], turn_back_arcsec) and is_growing(sizes[least:], turn_back_arcsec)
 
 
 def is_oscillating(sizes: FloatArray) -> bool:
-    """True if sizes over a full turn return to the initial value, and rise and fall between."""
+    """True if sizes over a full turn return to the initial value, and increase and decrease in between."""
     return bool(np.ptp(sizes) > _SMALL_ERRORS_ARCSEC and abs(sizes[-1] - sizes[0]) < _ROUNDING_ARCSEC)
 
 
@@ -110,14 +110,14 @@ def flat_over_star_azimuth(reading: InstallationConvention) -> bool:
 
 def oscillates_over_es_roll_s_a0(reading: InstallationConvention) -> bool:
     """Test over a full turn of Es, of γs and of A0, at each of the four azimuths of the figures."""
-    turn_deg = np.arange(0.0, 361.0) + 0.25  # none with a pitch of 90°
+    turn_deg = np.arange(0.0, 361.0) + 0.25  # no angle with a pitch of 90°
     by_a0 = of_star_roll(reading, A0=turn_deg)
     swept = [of_star_roll(reading, **{name: turn_deg, "A0": a0}) for name in ("Es", "γs") for a0 in CURVE_AZIMUTHS_DEG]
     return all(is_oscillating(sizes[:, angle]) for sizes in (by_a0, *swept) for angle in range(3))
 
 
 def ahead_roll_and_abeam_heading(reading: InstallationConvention) -> bool:
-    """Test at E0 = 35°: roll is worst ahead and astern, heading abeam; and figure 3's trends over E0."""
+    """Test at E0 = 35° that roll is worst ahead and astern, and heading abeam; test the trends over E0 in figure 3."""
     ahead = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in AHEAD_ASTERN]
     abeam = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in ABEAM]
     trends = [is_growing(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in ahead for angle in (HEADING, PITCH)]
@@ -127,7 +127,7 @@ def ahead_roll_and_abeam_heading(reading: InstallationConvention) -> bool:
 
 
 def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationConvention) -> bool:
-    """True if an angle of the ship is the worst one at E0 = 35°, at each of these azimuths."""
+    """True if an angle of the ship has the largest error at E0 = 35°, at each of some azimuths."""
     return all(int(np.argmax(sizes)) == angle for sizes in of_star_roll(reading, A0=np.array(azimuths_deg)))
 
 
@@ -182,12 +182,12 @@ def _trend(
 
 
 def star_azimuth_moves_heading_alone(reading: InstallationConvention) -> bool:
-    """Test at random attitudes, by a factor of one; and no dependence on As."""
+    """Test at random attitudes that the factor is one, and that no factor depends on As."""
     return _moves_alone("As", HEADING, reading)
 
 
 def installation_roll_moves_roll_alone(reading: InstallationConvention) -> bool:
-    """Test at random attitudes, by a factor of one; and no dependence on γ0."""
+    """Test at random attitudes that the factor is one, and that no factor depends on γ0."""
     return _moves_alone("γ0", ROLL, reading)
 
 

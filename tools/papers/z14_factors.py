@@ -1,8 +1,8 @@
-"""[Z14] (8)-(38): the paper's closed-form factors as printed, and their exact values by our exact Jacobian.
+"""[Z14] (8)-(38): the paper's closed-form factors as printed, and their exact values from our exact Jacobian.
 
-The factors are elements of the ship's rotation R = R(As, Es, γs) R(A0, E0, γ0), the paper's reading, and derivatives of
-them. Heading K = atan2(N_K, D_K) with N_K = R31, D_K = R11; pitch asin(S) with S = R21; roll atan2(N_θ, D_θ) with
-N_θ = -R23, D_θ = R22. Angles are (As, Es, γs, A0, E0, γ0), shape (..., 6), rad.
+The factors are elements of the ship's rotation R = R(As, Es, γs) R(A0, E0, γ0), in the paper's reading, and derivatives
+of these elements. Heading K = atan2(N_K, D_K) with N_K = R31, D_K = R11; pitch asin(S) with S = R21; roll
+atan2(N_θ, D_θ) with N_θ = -R23, D_θ = R22. Angles are (As, Es, γs, A0, E0, γ0), shape (..., 6), rad.
 """
 
 from collections.abc import Callable
@@ -25,13 +25,13 @@ class Factor:
     """One of the paper's factors.
 
     Attributes:
-        number: of the equation.
-        symbol: the paper's.
-        sign: of ``element`` or of its derivative in the factor.
+        number: number of the equation.
+        symbol: symbol in the paper.
+        sign: sign of ``element`` or of its derivative in the factor.
         element: name of the element.
-        by: the angle by which ``element`` is differentiated; empty for the element itself.
-        printed: the factor as printed; None if it is missing in our text of the paper.
-        remark: about the print.
+        by: angle with respect to which ``element`` is differentiated; empty for the element itself.
+        printed: the factor as printed; None if the factor is missing in our text of the paper.
+        remark: remark about the print.
     """
 
     number: int
@@ -61,7 +61,7 @@ def _rotation(angles: FloatArray) -> FloatArray:
 
 
 def rotation_by(angles: FloatArray, by: str) -> FloatArray:
-    """Return the derivative of the ship's rotation by an angle, shape (..., 3, 3), by B of ship_geometry.frames."""
+    """Return the derivative of the ship's rotation with respect to an angle, shape (..., 3, 3)."""
     column = ANGLES.index(by)
     first = rotation_from_angles(*np.moveaxis(angles[..., :3], -1, 0))
     second = rotation_from_angles(*np.moveaxis(angles[..., 3:], -1, 0))
@@ -144,7 +144,7 @@ FACTORS = (
     Factor(37, "tb5", -1.0, "N_θ", "E0", _printed_formula("SE*Ca*Ce*Sg + CE*CG*Se*Sg - CE*SG*Sa*Ce*Sg")),
     Factor(38, "tb6", -1.0, "D_θ", "E0", _printed_formula("SE*Ca*Ce*Cg + CE*CG*Se*Cg - CE*SG*Sa*Ce*Cg")),
 )  # fmt: skip
-"""Every factor of the paper. Only names of angles are shortened in places: no misprint is corrected."""
+"""Every factor of the paper. Names of angles are shortened in some places, but no misprint is corrected."""
 
 
 def random_attitudes(count: int, seed: int = 14) -> FloatArray:
@@ -154,7 +154,7 @@ def random_attitudes(count: int, seed: int = 14) -> FloatArray:
 
 
 def largest_difference(factor: Factor, angles: FloatArray) -> float:
-    """Return the largest difference between printed and exact value; NaN where the print is missing."""
+    """Return the largest difference between printed and exact value; NaN if the print is missing."""
     if factor.printed is None:
         return float("nan")
     return float(np.max(np.abs(factor.printed(angles) - factor.exact(angles))))
@@ -163,7 +163,7 @@ def largest_difference(factor: Factor, angles: FloatArray) -> float:
 def jacobian_of_factors(angles: FloatArray) -> FloatArray:
     """Return [Z14] (5)-(7) of the printed factors: heading, pitch, roll per error of the six angles, shape (..., 3, 6).
 
-    The three missing factors are the exact ones. The missing parts of (5)-(7) in the scan are restored.
+    The three missing factors are replaced by exact factors. The missing parts of (5)-(7) in the scan are restored.
     """
     f = {factor.symbol: (factor.printed or factor.exact)(angles) for factor in FACTORS}
     none, one = np.zeros(angles.shape[:-1]), np.ones(angles.shape[:-1])
@@ -191,6 +191,6 @@ def jacobian_of_factors(angles: FloatArray) -> FloatArray:
 
 
 def exact_jacobian(angles: FloatArray, reading: InstallationConvention) -> FloatArray:
-    """Return the Jacobian by the layout study's model, shape (..., 3, 6); NaN at a pitch of the ship of 90°."""
+    """Return the Jacobian from the model of the layout study, shape (..., 3, 6); NaN at a pitch of the ship of 90°."""
     model = linearise(angles[..., :3], angles[..., 3:], reading)
     return np.concatenate([model.star, model.installation], axis=-1)

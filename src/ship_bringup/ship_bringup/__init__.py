@@ -1,1 +1,1 @@
-"""Bring up a suite with one command: launch, parameter and layout files, and the same without ``ros2 launch``."""
+"""Bring up a suite with one command, by launch files or without ``ros2 launch``."""

@@ -22,11 +22,11 @@ from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
 _MAX_LISTED = 12
-"""Maximum number of names listed in an error; of more, only the nearest one is given."""
+"""Maximum number of names listed in an error text; if there are more, only the nearest name is given."""
 _TIMEOUT_S = 5.0
 
 _NOTHING = "[]"
-"""An empty list."""
+"""Text of an empty list."""
 
 
 def node_command_parser(prog: str, example: str, description: str, epilog: str) -> CommandParser:
@@ -35,8 +35,8 @@ def node_command_parser(prog: str, example: str, description: str, epilog: str) 
     Args:
         prog: name of the command.
         example: example of its arguments.
-        description: what it does.
-        epilog: its exit codes.
+        description: description of the command.
+        epilog: exit codes of the command.
     """
     parser = CommandParser(
         package="ship_bringup",
@@ -59,7 +59,7 @@ def node_command_parser(prog: str, example: str, description: str, epilog: str) 
 
 @contextlib.contextmanager
 def connect_node(own_name: str, name: str, timeout_s: float) -> Iterator["RemoteNode"]:
-    """Yield a node of the network, accessed through a node of our own that ends with the ``with`` statement.
+    """Yield a node of the network, accessed through our own node, which ends with the ``with`` statement.
 
     Args:
         own_name: name of our node.
@@ -81,16 +81,16 @@ class RemoteNode:
     """A node of the network.
 
     Attributes:
-        name: with its namespace.
+        name: name of the node, with its namespace.
 
     Args:
-        own_node: a node of our own.
-        name: the node's name, with its namespace if it has one.
+        own_node: our own node, which calls the services.
+        name: name of the node, with its namespace if it is in a namespace.
         timeout_s: timeout for the node and for each of its responses, s.
         wait: handles callbacks of the own node for the given number of seconds.
 
     Raises:
-        BadInput: there is no such node; the text lists the existing ones, the nearest first.
+        BadInput: there is no such node; the text lists the existing nodes, the nearest name first.
     """
 
     def __init__(self, own_node: Node, name: str, timeout_s: float, wait: Callable[[float], None]) -> None:
@@ -104,7 +104,7 @@ class RemoteNode:
         self._wait_until(lambda: bool(self.services()))
 
     def services(self) -> dict[str, str]:
-        """Return name without that of the node → type of its services, without those of its parameters."""
+        """Return name (without the node's name) → type of the node's services, except services for parameters."""
         found = self._own_node.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
         own = {name.removeprefix(f"{self.name}/"): types[0] for name, types in found}
         return {name: kind for name, kind in own.items() if not kind.startswith(("rcl_", "type_description"))}
@@ -113,12 +113,12 @@ class RemoteNode:
         """Return the response of a service.
 
         Args:
-            service: its name without that of the node.
-            kind: class of its type.
+            service: name of the service, without the node's name.
+            kind: class of the service's type.
             fields: fields of the request.
 
         Raises:
-            BadInput: it does not respond.
+            BadInput: the service does not respond.
         """
         client = self._own_node.create_client(kind, f"{self.name}/{service}")
         if not self._wait_until(client.service_is_ready):
@@ -129,7 +129,7 @@ class RemoteNode:
         return answer.result()
 
     def parameter_names(self) -> list[str]:
-        """Return the names of its parameters, sorted."""
+        """Return the names of the node's parameters, sorted."""
         answer: ListParameters.Response = self.call("list_parameters", ListParameters)
         return sorted(answer.result.names)
 
@@ -144,7 +144,7 @@ class RemoteNode:
         return list(zip(descriptions.descriptors, values.values, strict=True))
 
     def set_parameter(self, name: str, value: ParameterValue) -> str:
-        """Set a parameter; return why it was refused, empty if it was not."""
+        """Set a parameter; return why the value was refused, empty if it was accepted."""
         answer: SetParametersAtomically.Response = self.call(
             "set_parameters_atomically",
             SetParametersAtomically,
@@ -165,7 +165,7 @@ class RemoteNode:
 
 
 def unknown_name_text(kind: str, name: str, known: Collection[str]) -> str:
-    """Return the error text for an unknown name, with the nearest name and the existing ones."""
+    """Return the error text for an unknown name, with the nearest name and the existing names."""
     bare = {each.rpartition("/")[2]: each for each in known}
     nearest = difflib.get_close_matches(name, known, 1) or [
         bare[each] for each in difflib.get_close_matches(name.rpartition("/")[2], bare, 1)
@@ -177,10 +177,10 @@ def unknown_name_text(kind: str, name: str, known: Collection[str]) -> str:
 
 
 def parse_value(text: str, like: ParameterValue) -> ParameterValue:
-    """Return a value of the same type as another one; lists are comma-separated, an empty one is [] or an empty text.
+    """Return a value with the type of another value. Lists are comma-separated; an empty list is [] or an empty text.
 
     Raises:
-        ValueError: the text is no such value; contains what was expected.
+        ValueError: the text is not a value of this type; the error text contains what was expected.
     """
     kind, value = like.type, ParameterValue(type=like.type)
     if kind == ParameterType.PARAMETER_BOOL:

@@ -8,14 +8,14 @@ _END = re.compile(rb"[\r\n]+")
 
 
 class LineSplitter:
-    """Splitter of a byte stream into lines; a line that is too long is cut, except for a sentence at its end."""
+    """Splitter of a byte stream into lines; a line that is too long is cut, but a sentence at its end is kept."""
 
     def __init__(self) -> None:
         self._rest = b""
         self._is_skipping = False
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the lines that end in the next bytes; a cut line has one byte more than :data:`LONGEST_LINE`."""
+        """Return the lines that end in the next bytes; a cut line has :data:`LONGEST_LINE` + 1 bytes."""
         *ended, rest = _END.split(self._rest + data)
         found: list[bytes] = []
         for line in ended:
@@ -26,7 +26,7 @@ class LineSplitter:
         return [line for line in [*found, too_long] if line]
 
     def flush(self) -> list[bytes]:
-        """Return what is left at the end of a datagram or a connection."""
+        """Return the incomplete line at the end of a datagram or a connection, if any."""
         rest, self._rest, self._is_skipping = self._rest, b"", False
         return [rest] if rest else []
 
@@ -37,7 +37,7 @@ def _split_long_line(line: bytes, is_skipping: bool) -> tuple[bytes, bytes]:
     A sentence may follow binary data without a line end.
 
     Args:
-        line: the line, or its beginning.
+        line: the line, or the part of it received so far.
         is_skipping: True if the first part of the line was already cut.
     """
     if len(line) <= LONGEST_LINE and not is_skipping:

@@ -39,12 +39,12 @@ def open_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
     """Open a serial device for exclusive use: 8 data bits, no parity, one stop bit, as in NMEA 0183.
 
     Args:
-        device: its path.
+        device: path of the device.
         baud: bits per second.
         wait_s: timeout of a read for the first byte, s.
 
     Raises:
-        OSError: it cannot be opened; the error number is always set, also if pyserial omits it.
+        OSError: the device cannot be opened; the error number is always set, also if pyserial omits it.
     """
     try:
         return serial.Serial(device, baud, timeout=wait_s, write_timeout=0, exclusive=True)
@@ -59,7 +59,7 @@ def open_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
 
 
 def error_text(problem: Exception) -> str:
-    """Return the text of an error in one line, without additions of a library."""
+    """Return the text of an error in one line, without the additions of pyserial or other libraries."""
     if isinstance(problem, OSError) and problem.errno and not isinstance(problem, socket.gaierror):
         return os.strerror(problem.errno)
     return one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
@@ -68,13 +68,13 @@ def error_text(problem: Exception) -> str:
 def permanent_error(
     problem: Exception, prefix: str, config: Any, parameter_names: Mapping[str, tuple[str, str]]
 ) -> BadInput | None:
-    """Return the error of a first opening if waiting cannot clear it, otherwise None.
+    """Return the error of a first opening as BadInput; None if the error may disappear by waiting.
 
     Args:
         problem: exception raised by the opening.
         prefix: prefix of the names of the place's parameters, for example ``"sinks.bridge"``.
         config: parameters of the place, with its ``kind``.
-        parameter_names: kind → the parameter that names the place, and the parameter of its own address or its rate.
+        parameter_names: kind → parameter that names the place, and parameter of the own address or of the rate.
     """
     number = (isinstance(problem, OSError) and problem.errno) or 0
     is_unresolved = isinstance(problem, socket.gaierror)

@@ -52,11 +52,11 @@ def run_nmea_node(
         name: name of the node and of its executable.
         description: text of ``--help`` before the parameters.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
-        make_work: makes the work.
-        arguments: the command line without the program's name; None for that of the process.
+        make_work: creates the work of the node.
+        arguments: command line without the program's name; None for the command line of the process.
 
     Returns:
-        Exit code: 0 ended by a signal, 2 bad arguments or parameters (reported in one line on stderr).
+        Exit code: 0 after a signal, 2 for bad arguments or parameters (reported in one line on stderr).
     """
     rows = "\n".join(key_rows(config_type))
     parser = CommandParser(
@@ -74,7 +74,7 @@ def run_nmea_node(
 
 
 class Work(Protocol):
-    """Function of a node, created from its :class:`NmeaNode`; it raises InputError if its parameters are unusable."""
+    """Function of a node, created from its :class:`NmeaNode`. Unusable parameters raise InputError at the creation."""
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
         """Return the diagnostics of the function; called once a second."""
@@ -90,21 +90,21 @@ class NmeaNode:
 
     Attributes:
         node: the rclpy node.
-        config: its parameters; none of them changes while the node runs.
+        config: parameters of the node, which do not change while it runs.
         factory: makes messages.
-        clock: the node's time, by /clock if it follows that.
+        clock: the node's time, from /clock if the node follows it.
         guard: calls functions that may raise.
 
     Args:
         name: name of the node.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
-        make_work: makes the work.
+        make_work: creates the work of the node.
         context: an initialised rclpy context.
         parameter_files: files given on the command line, for the place of a bad parameter in its error text.
 
     Raises:
         BadInput: a parameter is unknown, of the wrong type, out of its range or missing, or the work cannot start with
-            it. The text contains file and line.
+            its value. The error text contains file and line.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class NmeaNode:
         self._events.start(self.node)
 
     def require_one_open(self, errors: Sequence[InputError], count: int) -> None:
-        """Log the places that cannot be opened, and raise if none is open.
+        """Log the places that cannot be opened, and raise an error if no place is open.
 
         Args:
             errors: errors of the places that cannot be opened.
@@ -160,9 +160,9 @@ class NmeaNode:
         """Call ``callback`` with each message of a topic.
 
         Args:
-            topic: to subscribe to.
+            topic: the topic.
             callback: called with the message; its exceptions are counted and reported.
-            latched: True if the last message published before is needed too.
+            latched: True if the last message published before the subscription is needed too.
         """
         qos = input_qos(topic, self._parameters.has_reliable_inputs)
         if latched:

@@ -1,5 +1,5 @@
-"""Checks before a voyage, one module each; reading the state of the machine is separate from evaluating it.
+"""Checks before a voyage, one module for each check; a state of the machine is first read and then evaluated.
 
-The folder may import ``suite/``, ``security/`` and the checks of suite files (``ship_replay.preflight``). Nothing in it
+The folder may import ``suite/``, ``security/`` and the checks of suite files (``ship_replay.preflight``). No check
 changes anything on the machine.
 """

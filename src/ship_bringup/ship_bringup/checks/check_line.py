@@ -11,7 +11,7 @@ from ship_bags.errors import one_line
 from ship_estimation.parameter_rows import aligned_lines
 
 MAX_ROWS = 12
-"""Maximum number of rows shown for one check; the others are counted."""
+"""Maximum number of rows shown for one check; further rows are counted."""
 
 
 class Result(Enum):
@@ -28,11 +28,11 @@ _ORDER = (Result.FAIL, Result.WARN, Result.NOT_CHECKED, Result.OK)
 
 @dataclass(frozen=True)
 class CheckLine:
-    """One row.
+    """One row of the table of checks.
 
     Attributes:
         check: name of the check.
-        result: its result.
+        result: result of the check.
         finding: what was found.
         advice: what to do; empty if there is nothing to do.
     """
@@ -69,7 +69,7 @@ def summary_text(lines: Sequence[CheckLine]) -> str:
 
 
 def worst_first(checks: Iterable[Iterable[CheckLine]]) -> list[CheckLine]:
-    """Return the rows of all checks: failures first, then warnings, then the others, in the order of the checks."""
+    """Return the rows of all checks: failures first, then warnings, then other rows, in the order of the checks."""
     lines = [line for check in checks for line in limit_rows(check)]
     return sorted(lines, key=lambda line: _ORDER.index(line.result))
 
@@ -88,7 +88,7 @@ def format_number(value: float) -> str:
 
 
 def limit_rows(lines: Iterable[CheckLine]) -> list[CheckLine]:
-    """Return the worst rows of one check first, each once, and the number of further rows."""
+    """Return the worst rows of one check, without duplicates, and a row with the number of further rows."""
     ordered = sorted(dict.fromkeys(lines), key=lambda line: _ORDER.index(line.result))
     if len(ordered) <= MAX_ROWS:
         return ordered

@@ -1,7 +1,7 @@
-"""Check of the computer's clock against UTC, by chrony or PTP, with the offset as an angle during a turn.
+"""Check of the computer's clock against UTC, by chrony or PTP. The offset is also expressed as an angle during a turn.
 
-The texts are those of ``chronyc tracking`` (chrony's manual page, command ``tracking``) and of ``pmc -u -b 0 'GET
-TIME_STATUS_NP'`` (linuxptp's manual pages).
+The state is read from the output of ``chronyc tracking`` (chrony's manual page, command ``tracking``) or of
+``pmc -u -b 0 'GET TIME_STATUS_NP'`` (linuxptp's manual pages).
 """
 
 import math
@@ -26,14 +26,14 @@ _ADVICE = "set up chrony with the ship's GNSS receiver or time server, or ptp4l 
 
 @dataclass(frozen=True)
 class ClockState:
-    """State of the clock.
+    """State of the computer's clock.
 
     Attributes:
         source: chrony or PTP; empty if neither is available.
         offset_s: offset of the clock from its source, without sign; NaN if unknown.
         bound_s: maximum error if the source is right (chrony's root distance); NaN if unknown.
         is_synchronised: True if the source reports that it follows a better clock.
-        detail: why nothing is known, or the status reported by the source.
+        detail: reason for an unknown state, or the status reported by the source.
         is_unresponsive: True if a synchronisation program is installed but gives no answer.
     """
 
@@ -46,7 +46,7 @@ class ClockState:
 
 
 def read_clock_state() -> ClockState:
-    """Read the state from chrony, otherwise from PTP."""
+    """Read the state of the clock from chrony or, without chrony, from PTP."""
     details, is_unresponsive = [], False
     for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
         if shutil.which(command[0]) is None:
@@ -93,7 +93,7 @@ def ptp_state(text: str) -> ClockState | None:
 
 
 def check_clock(state: ClockState, limits: Limits) -> CheckLine:
-    """Check the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
+    """Check the clock against the ship's limits: FAIL above the clock's limit, WARN above the heading's limit."""
     if state.is_unresponsive:
         found = f"no program synchronises the clock: {state.detail}"
         return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")
@@ -117,5 +117,5 @@ def check_clock(state: ClockState, limits: Limits) -> CheckLine:
 
 
 def turn_angle_arcsec(offset_s: float) -> float:
-    """Return the angle of a turn at :data:`TURN_DEG_PER_S` in this time, arcsec: 18 per millisecond."""
+    """Return the angle of a turn at :data:`TURN_DEG_PER_S` in a time, arcsec: 18 per millisecond."""
     return TURN_DEG_PER_S * 3600.0 * offset_s

@@ -1,7 +1,7 @@
 """Check of the disk space for a voyage: a record of all topics and a black box of each node.
 
-Bytes per hour = 3600 s × (sum of the inputs from outside, and for each node its outputs; with black boxes also its
-inputs and outputs once more). An input has rate × (message length + 31), as received, otherwise typical values. The
+Bytes per hour = 3600 s × (sum of the inputs from outside and the outputs of all nodes; with black boxes, also the sum
+of inputs and outputs of each node). An input has rate × (message length + 31), as received, or typical values. The
 outputs of a node are at most twice its inputs, plus :data:`REPORTS_BYTES_PER_S` of reports. Compression, which saves a
 quarter to two thirds, is not assumed.
 """
@@ -20,7 +20,7 @@ ENTRY_BYTES = 31
 """Overhead of a message in MCAP: opcode, length, channel, sequence, two times."""
 
 REPORTS_BYTES_PER_S = 8000.0
-"""Diagnostics, health, alignment, budget and integrity of one node: 5.6 and 7.2 kB/s in the suites of bags/."""
+"""Bytes/s of diagnostics, health, alignment, budget and integrity of a node; 5600 and 7200 in the suites of bags/."""
 
 _TICKS_BYTES_PER_S = 10 * 120.0
 _OUTPUT_RATIO = 2.0
@@ -38,7 +38,7 @@ _TYPICAL_STREAMS = {
     "gnss": (1.0, 125),
     "met": (1.0, 36),
 }
-"""First word of a topic → rate in Hz and message length, as in the suites of bags/; stars: twenty per message."""
+"""First word of a topic → rate, Hz, and message length, bytes, as in the suites of bags/ (twenty stars per message)."""
 _DEFAULT_STREAM = (10.0, 500)
 
 
@@ -57,7 +57,7 @@ class DiskState:
     Attributes:
         folder: the requested folder.
         device: number of the disk; None if it cannot be read.
-        free_bytes: free space on it; None if it cannot be read.
+        free_bytes: free space on the disk; None if it cannot be read.
         measured_folder: the folder that was measured: the nearest existing parent, if `folder` does not exist.
     """
 
@@ -71,8 +71,8 @@ def estimate_write_rates(adapters: Sequence[Adapter], observed: Sequence[Observe
     """Return the write rates of a suite.
 
     Args:
-        adapters: adapters of its nodes.
-        observed: inputs as received; for others, typical values are used.
+        adapters: adapters of the nodes of the suite.
+        observed: inputs as received; for other inputs, typical values are used.
     """
     streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in observed if each.rate_hz > 0.0}
     own_outputs = {topic.topic for adapter in adapters for topic in adapter.outputs}
@@ -101,8 +101,8 @@ def check_disk(
 
     Args:
         state: state of the disk.
-        needs_bytes_per_s: rate of writing to it.
-        hours: duration.
+        needs_bytes_per_s: rate of writing to the disk.
+        hours: duration of the writing, h.
         limits: limits of the ship.
         required_by: the setting that names this folder; empty for a folder that will be created.
     """
@@ -116,7 +116,7 @@ def check_disk(
     found = f"{state.folder}: {free_gb:.1f} GB free, {needs}"
     if state.measured_folder is not None and state.measured_folder != state.folder.absolute():
         if required_by:
-            # If it is not mounted, the parent folder is on another disk.
+            # If the disk is not mounted, the parent folder is on another disk.
             found = f"{state.folder}, named by {required_by}, is not there; {needs}"
             yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or correct {required_by}")
             return

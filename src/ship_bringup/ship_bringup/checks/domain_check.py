@@ -1,4 +1,4 @@
-"""Check of the ROS domain in which the suite will run: its settings, and the nodes already in it."""
+"""Check of the ROS domain in which the suite will run: the settings of the domain, and the nodes already in it."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -11,7 +11,7 @@ _CHECK = "domain"
 _DISCOVERY_RANGE, _STATIC_PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 _RANGES = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
 _LAST_SAFE_DOMAIN = 101
-"""Ports of higher domains are in the range that Linux assigns to any program."""
+"""Highest domain whose ports are below the range that Linux assigns to any program."""
 
 
 def check_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
@@ -50,8 +50,8 @@ def check_domain(state: NetworkState, own: Collection[str], companions: Collecti
     """Check the nodes in the domain.
 
     Args:
-        state: what was observed.
-        own: full names of the suite's nodes, none of which is started yet.
+        state: observed state of the network.
+        own: full names of the suite's nodes, which are not started yet.
         companions: full names of ``nmea_in`` and ``nmea_out`` if the suite file has them; a user may have started them
             by hand so that the instruments can be checked.
     """

@@ -16,7 +16,7 @@ from ship_bringup.suite.plan import SAVED_FILES
 _CHECK = "files"
 _DEVICES = "/dev/"
 _SINK = r"sinks\.[^.]+\.path"
-"""A file to which ``nmea_out`` appends."""
+"""Pattern of a parameter with a file to which ``nmea_out`` appends."""
 _SERIAL = r"(sinks|sources)\.[^.]+\.device"
 
 
@@ -26,12 +26,12 @@ class PathState:
 
     Attributes:
         path: the path.
-        named_by: the setting that names it, with its file and line.
-        is_device: True if it is a device, which must exist already.
-        exists: True if it exists.
-        readable: by this user.
-        writable: by this user; if it does not exist, True if it can be created.
-        is_wrong_kind: True if it is of another kind: no device, or a folder instead of a file.
+        named_by: the setting that contains the path, with its file and line.
+        is_device: True for a device, which must exist already.
+        exists: True if the path exists.
+        readable: True if this user can read the file.
+        writable: True if this user can write the file, or create it if it does not exist.
+        is_wrong_kind: True for a path of the wrong kind: not a device, or a folder instead of a file.
     """
 
     path: Path
@@ -61,8 +61,8 @@ def check_files(states: Sequence[PathState], missing_settings: Sequence[str]) ->
     """Check all paths.
 
     Args:
-        states: what was found.
-        missing_settings: settings of nodes that should name a saved file and do not, one line each.
+        states: states of the paths.
+        missing_settings: lines about nodes without the setting of a saved file.
     """
     user = getpass.getuser()
     for text in missing_settings:
@@ -100,7 +100,7 @@ def _state(
             path, named_by, is_device, True, os.access(path, os.R_OK), _can_create_file(path), is_wrong_kind
         )
     if path.exists():
-        # A saved file is replaced by a new one, so its folder must be writable.
+        # A saved file is replaced by a new file, so its folder must be writable.
         writable = os.access(path, os.W_OK) and (is_device or is_appended or _can_create_file(path.parent))
         is_wrong_kind = is_device and not stat.S_ISCHR(path.stat().st_mode)
         return PathState(path, named_by, is_device, True, os.access(path, os.R_OK), writable, is_wrong_kind)
@@ -111,7 +111,7 @@ def _state(
 
 
 def _can_create_file(folder: Path) -> bool:
-    """True if a file can be created in a folder; tested with an unnamed temporary file."""
+    """True if a file can be created in a folder, tested with an unnamed temporary file."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             return True

@@ -1,6 +1,6 @@
-"""State of the live network before the suite starts: its nodes, and what sensors publish for some seconds.
+"""State of the live network before the suite starts: its nodes, and the topics of sensors during some seconds.
 
-This is the only check that needs ROS. It subscribes as the nodes will and publishes nothing.
+This is the only check that needs ROS. It subscribes like the nodes of the suite and publishes nothing.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ from ship_node.edge.topics import InputTopic
 NAME = "preflight"
 
 STRONGER_QOS = frozenset({"reliable", "transient_local"})
-"""Qualities of service that a subscriber may require; it receives nothing from publishers that lack them."""
+"""Qualities of service that a subscriber may require; publishers that lack a required quality are not received."""
 
 _DEPTH = 200
 _MAX_STAMPS = 200
@@ -40,13 +40,13 @@ _MAX_STAMPS = 200
 _DISCOVERY_S = 4.0
 """Time for discovery, s.
 
-On one machine it takes 0.06 s to 1.6 s. If the first announcements of a participant are lost, the next follow after
-3 s.
+On one machine discovery takes 0.06 s to 1.6 s. If the first announcements of a participant are lost, the next follow
+after 3 s.
 """
 _FIRST_MESSAGE_TIMEOUT_S = 12.0
 """Additional timeout for the first message of a required topic, s.
 
-On a busy machine its publisher may be discovered late, and matched later still.
+On a busy machine the publisher of the topic may be discovered late, and connected even later.
 """
 
 _POLL_S = 0.1
@@ -55,12 +55,12 @@ _POLL_S = 0.1
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """Node name of a publisher that was discovered before its node."""
 _NODE_NAME_TIMEOUT_S = 5.0
-"""Timeout for the name of a publisher's node, s; a publisher that is not a ROS node never gets a name."""
+"""Timeout for the name of a publisher's node, s; a publisher outside a ROS node never gets a name."""
 
 
 @dataclass(frozen=True)
 class Publisher:
-    """A publisher of a topic: its node's full name, its type, and the stronger qualities that it offers."""
+    """A publisher of a topic: full name of its node, type of the topic, and offered stronger qualities of service."""
 
     node: str
     type_name: str
@@ -73,11 +73,11 @@ class ObservedTopic:
 
     Attributes:
         input: the topic.
-        publishers: its publishers.
-        rate_hz: messages per second, by :func:`observed_rate_hz`; 0 with fewer than two.
-        message_bytes: mean length of a message; 0 if there is none.
+        publishers: publishers of the topic.
+        rate_hz: messages per second, by :func:`observed_rate_hz`; 0 for fewer than two messages.
+        message_bytes: mean length of a message; 0 without messages.
         count: number of messages.
-        age_s: median of receipt minus stamp, negative for stamps in the future; None if no message has a stamp.
+        age_s: median of time of receipt minus stamp, negative for stamps in the future; None without stamps.
     """
 
     input: InputTopic
@@ -98,7 +98,7 @@ class NetworkState:
         inputs: the inputs of the suite.
         already_published: topics that only the suite publishes → nodes that publish them already.
         has_clock: True if /clock is published.
-        failure: why nothing was observed; empty if it was.
+        failure: reason why the network was not observed; empty if it was observed.
     """
 
     rmw: str = ""
@@ -119,7 +119,7 @@ def observe_network(
     """Receive the inputs of a suite for some time.
 
     Args:
-        inputs: from outside.
+        inputs: inputs of the suite from outside.
         outputs: relative names of topics that the suite itself publishes.
         namespace: namespace of the suite, without its outer slashes.
         listen_s: time for which a topic is received from its first message on, s.
@@ -150,12 +150,12 @@ def observe_network(
 
 
 def observed_rate_hz(count: int, span_s: float, observed_s: float) -> float:
-    """Return messages per second from their mean interval; at most the number divided by the whole time.
+    """Return the rate of messages from their mean interval; at most their number divided by the time of observation.
 
     Args:
         count: number of messages.
-        span_s: from the first to the last, s.
-        observed_s: from the first on, s.
+        span_s: time from the first to the last message, s.
+        observed_s: time of observation from the first message on, s.
     """
     if count < 2:
         return 0.0
@@ -164,7 +164,7 @@ def observed_rate_hz(count: int, span_s: float, observed_s: float) -> float:
 
 
 class _TopicObserver:
-    """One subscription, and its messages in the time from the first one on."""
+    """One subscription, and its messages for some time from the first message on."""
 
     def __init__(self, node: Node, topic: InputTopic, listen_s: float) -> None:
         self._node, self._topic, self._listen_s = node, topic, listen_s
@@ -191,11 +191,11 @@ class _TopicObserver:
 
     @property
     def is_done(self) -> bool:
-        """True if the time from its first message on is over."""
+        """True if the time of observation from the first message on is over."""
         return time.monotonic() >= self._first_s + self._listen_s
 
     def observed_topic(self) -> ObservedTopic:
-        """Return what was received."""
+        """Return the observations of the topic."""
         return ObservedTopic(
             input=self._topic,
             publishers=_publishers(self._node, self._topic.topic),
@@ -242,7 +242,7 @@ def _spinner(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None]
 def _wait_for_names(node: Node, topics: Sequence[str]) -> None:
     """Wait until the names of the nodes that publish some topics are known, or until a timeout.
 
-    Discovery continues without spinning. Callbacks are not handled meanwhile, so that no further message is counted.
+    Discovery needs no spinning. Callbacks are not handled meanwhile, so that no further message is counted.
     """
     end_s = time.monotonic() + _NODE_NAME_TIMEOUT_S
     while (

@@ -1,7 +1,7 @@
 """Check that ports, own addresses and serial devices of nmea_in and nmea_out are available now.
 
-A port is bound briefly, without listening, and released. A device is not opened, which could change its control lines;
-the system reports which process has it open.
+A port is bound briefly, without listening, and released. A device is not opened, because opening could change its
+control lines; the system reports the process that has the device open.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ _CHECK = "ports"
 _SOCKETS = {ResourceKind.UDP: socket.SOCK_DGRAM, ResourceKind.TCP: socket.SOCK_STREAM}
 _TABLES = {ResourceKind.UDP: ("udp", "udp6"), ResourceKind.TCP: ("tcp", "tcp6")}
 _BLOCKING_STATES = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
-"""Socket states in the system's table that prevent binding the same port."""
+"""Protocol → socket state in the system's table that prevents binding the same port."""
 _ANY_PORT = 0
 
 
@@ -33,11 +33,11 @@ class PlaceState:
     """A port or device that a node will use.
 
     Attributes:
-        node: its full name.
-        named_by: file, line and parameter.
+        node: full name of the node.
+        named_by: file, line and parameter with the place.
         place: the port or device; port 0 if only the address matters.
-        error: why it is not available, as errno; 0 if it is.
-        holder: program that uses it, if known.
+        error: errno of the reason why the place is not available; 0 if it is available.
+        holder: program that uses the place, if known.
     """
 
     node: str
@@ -48,7 +48,7 @@ class PlaceState:
 
 
 def read_place_states(path: Path, namespace: str, companions: Mapping[str, Any]) -> Iterator[PlaceState]:
-    """Yield the states of all ports and devices of a suite's NMEA nodes; files are left out, as several may open them.
+    """Yield the states of all ports and devices of a suite's NMEA nodes. Files may be shared and are not checked.
 
     Args:
         path: the suite file.
@@ -73,7 +73,7 @@ def check_places(states: Sequence[PlaceState], running: Collection[str]) -> Iter
     """Check all ports and devices.
 
     Args:
-        states: what was found.
+        states: states of the ports and devices.
         running: full names of running nodes, for example an ``nmea_in`` started by hand.
     """
     for state in states:
@@ -106,7 +106,7 @@ def _place_text(place: MachineResource) -> str:
 
 
 def _binding_error(place: MachineResource) -> int:
-    """Bind a port as the nodes do; return the errno of the failure, 0 if there is none."""
+    """Bind a port as the nodes do; return the errno of the failure, 0 on success."""
     try:
         with socket.socket(socket.AF_INET, _SOCKETS[place.kind]) as trial_socket:
             if place.kind is ResourceKind.TCP or place.is_multicast:
@@ -141,9 +141,9 @@ def _sockets(place: MachineResource) -> set[str]:
 
 
 def _holding_program(names: Collection[str]) -> str:
-    """Return the program that has one of some files open; empty if unknown, as for those of other users."""
+    """Return the program that has one of some files open; empty if unknown, as for programs of other users."""
     for process in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):  # ended, or of another user
+        with contextlib.suppress(OSError):  # the process has ended, or belongs to another user
             if any(
                 _link_target(f"/proc/{process}/fd/{number}") in names for number in os.listdir(f"/proc/{process}/fd")
             ):
@@ -155,11 +155,11 @@ def _link_target(path: str) -> str:
     try:
         return os.readlink(path)
     except OSError:
-        return ""  # closed meanwhile
+        return ""  # the file was closed meanwhile
 
 
 def _program_name(process: Path) -> str:
-    """Return the name of a process's program; for Python, of its script."""
+    """Return the name of a process's program; for Python, the name of the script."""
     name = process.joinpath("comm").read_text(encoding="utf-8", errors="replace").strip()
     words = process.joinpath("cmdline").read_text(encoding="utf-8", errors="replace").split("\0")
     is_script = name.startswith("python") and len(words) > 1 and not words[1].startswith("-")

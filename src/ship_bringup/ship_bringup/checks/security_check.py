@@ -14,12 +14,12 @@ _SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
 def check_security(
     environment: Mapping[str, str], has_security: bool | None, is_required: bool
 ) -> Iterator[CheckLine]:
-    """Check that DDS security is available and enforced: FAIL if the ship's profile, or the environment, demands it.
+    """Check that DDS security is available and enforced: FAIL if profile or environment demand security.
 
     Args:
         environment: environment of the process.
-        has_security: True if DDS was built with it; None if unknown.
-        is_required: True if the profile demands it.
+        has_security: True if DDS was built with security; None if unknown.
+        is_required: True if the ship's profile demands security.
     """
     found = security_problems(environment, has_security)
     if not found:
@@ -38,9 +38,9 @@ def check_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterat
     """Check the keystore and the policies in it.
 
     Args:
-        keystore: its folder; empty if the environment names none.
-        use: what it will be used for.
-        is_required: True if the profile demands security; then a check that is not possible is a failure.
+        keystore: folder of the keystore; empty if the environment names no keystore.
+        use: requirements of the suite on the keystore.
+        is_required: True if the ship's profile demands security; an impossible check is then a failure.
     """
     unchecked = Result.FAIL if is_required else Result.NOT_CHECKED
     if not keystore:

@@ -17,20 +17,20 @@ _NOT_TIME_ORDERED = "gnss", "weather"
 """Inputs whose values are used on arrival, not in order of time."""
 _OLD = "old"
 _UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
-"""Ages of at least two of a unit are given in it."""
+"""Units of ages and their lengths, s. An age of at least two units is given in this unit."""
 _OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
 def find_requested_qos(
     path: Path, topics: Iterable[str], namespace: str, reliable_inputs: bool = False
 ) -> dict[str, dict[str, str]]:
-    """Return relative topic → quality of service that a node requires beyond its default → the setting for it.
+    """Return relative topic → quality of service that a node requires beyond its default → setting of this quality.
 
     Args:
         path: the suite file.
         topics: relative names of inputs.
         namespace: namespace of the suite.
-        reliable_inputs: True if ``suite`` will be started with that option.
+        reliable_inputs: True if ``suite`` will be started with the option of this name.
     """
     on_ship = ship_names(path)
     names = {topic: resolve_topic(on_ship.get(topic, topic), namespace) for topic in topics}
@@ -60,12 +60,12 @@ def check_sensors(
     """Check all inputs.
 
     Args:
-        state: what was received.
+        state: observed state of the network.
         limits: limits of the ship; ``inputs.<id>.rate_hz`` is the expected rate.
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
         requested_qos: see :func:`find_requested_qos`.
         own: inputs that the suite's own ``nmea_in`` may publish once it is started.
-        own_command: command that starts it now.
+        own_command: command that starts this ``nmea_in`` now.
     """
     if state.failure:
         # A suite whose sensors were not received is not ready, for any reason.

@@ -1,1 +1,1 @@
-"""The executables of this package: command lines that may import everything."""
+"""Executables of this package: command lines that may import all folders."""

@@ -47,7 +47,7 @@ def _call(parsed: argparse.Namespace) -> int:
 
 
 def _fields(kind: str) -> dict[str, str]:
-    """Name → type of the fields of a request."""
+    """Return name → type of the fields of a request."""
     return dict(_KINDS[kind].Request.get_fields_and_field_types())
 
 
@@ -55,7 +55,7 @@ def _request(service: str, kind: str, given: Sequence[str]) -> dict[str, Any]:
     """Return the fields of a request.
 
     Raises:
-        BadInput: one is missing, unknown or not of its type.
+        BadInput: a field is missing, unknown or not of its type.
     """
     wanted, values = _fields(kind), {}
     for text in given:

@@ -59,7 +59,7 @@ def _row(name: str, descriptor: ParameterDescriptor, value: ParameterValue) -> t
 
 
 def _bound(value: float) -> str:
-    """Return a bound of a range; the largest numbers mean that there is none."""
+    """Return a bound of a range; the largest numbers mean that there is no bound."""
     return ("-inf" if value < 0 else "inf") if abs(value) >= sys.maxsize else f"{value:g}"
 
 

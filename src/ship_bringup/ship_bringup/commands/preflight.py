@@ -62,7 +62,7 @@ class _Suite:
         try:
             return load_companions(self.options.file, self.options.namespace)
         except BadInput:
-            return {}  # reported with the parameters
+            return {}  # the error is reported with the parameters
 
     @property
     def companion_names(self) -> list[str]:
@@ -130,7 +130,7 @@ def _preflight(options: argparse.Namespace) -> int:
     findings = Findings()
     nodes = check_file(options.file, ADAPTERS, findings, options.namespace)
     suite = _Suite(options, limits, nodes, findings, AdapterChain([node.adapter for node in nodes]))
-    # Before a node is created, which would fail if security is demanded but not available.
+    # Checked before a node is created: creation would fail if security is demanded but not available.
     security = list(_security(suite))
     settings = list(check_settings(os.environ))
     network = _network(suite, settings)
@@ -180,7 +180,7 @@ def _clock(suite: _Suite) -> Iterable[CheckLine]:
 
 
 def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
-    """Return the state of the network; with a wrong setting DDS would end this process instead."""
+    """Return the state of the network; with a wrong setting nothing is read, because DDS would end this process."""
     for line in settings:
         if line.result is Result.FAIL:
             return NetworkState(failure=line.finding)
@@ -228,7 +228,7 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    """Check the load at the received rates; nothing if none was received."""
+    """Check the load at the received rates; return no row if no input was received."""
     rates_hz = {observed.input.topic: observed.rate_hz for observed in network.inputs if observed.rate_hz > 0.0}
     if not rates_hz:
         return

@@ -1,4 +1,4 @@
-"""``suite``: start the nodes of a suite file, each as a process of its own, with one command."""
+"""``suite``: start the nodes of a suite file, each as a separate process, with one command."""
 
 import argparse
 import sys
@@ -37,7 +37,7 @@ Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship
 as NMEA sentences, and instruments' sentences become topics, but not with --bag. The others do not need them.
 """
 _NO_FILE = Path()
-"""Value of --limits without a file."""
+"""Value of the option ``--limits`` without a file."""
 
 _EPILOG = (
     "exit code: 0 ended by Ctrl-C, SIGTERM, SIGHUP or the end of the bag while all programs ran; otherwise that of\n"
@@ -152,7 +152,7 @@ def _suite(parsed: argparse.Namespace) -> int:
 
 
 def _show_limits(parsed: argparse.Namespace) -> int:
-    """Print expected availability and proposed limits; start nothing."""
+    """Print expected availability and proposed limits, without starting a node."""
     if parsed.bag is None:
         raise BadInput(
             "limits need --bag BAG: the expected accuracy is that of a recording replayed through the suite; without "
@@ -167,7 +167,7 @@ def _make_folder(box: Path) -> None:
     """Create the folder of the black boxes if it does not exist.
 
     Raises:
-        BadInput: it is not writable.
+        BadInput: the folder is not writable.
     """
     try:
         box.mkdir(parents=True, exist_ok=True)
@@ -185,7 +185,7 @@ def _write_attached_suite(bag: Path, folder: Path) -> Path:
 
 
 def _with_bag_name(text: str, path: Path, parsed: argparse.Namespace) -> str:
-    """Return a message with the bag instead of the temporary path of its attached suite file."""
+    """Return a message in which the bag replaces the temporary path of its attached suite file."""
     return text if parsed.file is not None else text.replace(str(path), f"{parsed.bag}, attached {SUITE_ATTACHMENT}")
 
 

@@ -1,4 +1,4 @@
-"""X.509 certificates of a keystore: reading them, and weaknesses that make one unacceptable."""
+"""X.509 certificates of a keystore: reading a certificate, and weaknesses that make it unacceptable."""
 
 import datetime
 from collections.abc import Iterator
@@ -15,14 +15,14 @@ from ship_bags.errors import BadInput
 LEAST_RSA_BITS = 2048
 LEAST_CURVE_BITS = 256
 LEAST_DIGEST_BITS = 256
-"""Excludes MD5, SHA-1 and all forms of SHA-224."""
+"""Minimum length of a digest, bits; excludes MD5, SHA-1 and all forms of SHA-224."""
 
 
 def read_certificate(path: Path) -> x509.Certificate:
     """Read a certificate.
 
     Raises:
-        BadInput: it cannot be read, or is not a certificate.
+        BadInput: the file cannot be read, or is not a certificate.
     """
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
@@ -50,7 +50,7 @@ def weaknesses(certificate: x509.Certificate) -> Iterator[str]:
 
 
 def is_authority(certificate: x509.Certificate) -> bool:
-    """True if a certificate may issue others (CA:TRUE)."""
+    """True if a certificate may issue other certificates (CA:TRUE)."""
     try:
         return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     except (x509.ExtensionNotFound, ValueError):
@@ -67,13 +67,13 @@ def is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> 
 
 
 def common_name(name: x509.Name) -> str:
-    """Return the common name (CN); empty if there is none."""
+    """Return the common name (CN) in a name; empty if the name contains no CN."""
     found = name.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
 
 
 def validity(certificate: x509.Certificate) -> tuple[datetime.datetime, datetime.datetime]:
-    """Return begin and end, UTC; cryptography before version 42, as in Ubuntu 24.04, omits the time zone."""
+    """Return begin and end of the validity, UTC; cryptography below version 42 (Ubuntu 24.04) omits the time zone."""
     if hasattr(certificate, "not_valid_after_utc"):
         return certificate.not_valid_before_utc, certificate.not_valid_after_utc
     utc = datetime.timezone.utc

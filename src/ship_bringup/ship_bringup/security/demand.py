@@ -1,7 +1,7 @@
-"""The demand for DDS security in a ship's profile, and what the process's environment lacks for it.
+"""The demand for DDS security in a ship's profile, and the items that the process's environment lacks for it.
 
-The profile is the file of the ship's limits, key ``machine.require_security``. The demand fails closed: what cannot be
-determined counts as absent.
+The profile is the file of the ship's limits, key ``machine.require_security``. The demand fails closed: an item that
+cannot be determined counts as absent.
 """
 
 import os
@@ -14,7 +14,7 @@ from ship_watch.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
-"""Variable with the enclave of a process, for any node names; without it ROS uses the enclave ``/``."""
+"""Variable with the enclave of a process, for any node names; without this variable ROS uses the enclave ``/``."""
 
 DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
 
@@ -25,8 +25,8 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
     """Return the reasons why DDS security is not available and enforced, each with advice.
 
     Args:
-        environment: of the process.
-        has_security: True if DDS was built with it (:func:`ship_bags.live.dds.dds_has_security`).
+        environment: environment of the process.
+        has_security: True if DDS was built with security (:func:`ship_bags.live.dds.dds_has_security`).
     """
     found = []
     if has_security is not True:
@@ -52,11 +52,11 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
 
     Args:
         limits: limits of the ship.
-        limits_path: their file; None for the defaults.
+        limits_path: file of the limits; None for the defaults.
         has_security: see :func:`security_problems`.
 
     Raises:
-        BadInput: contains the file, the key and the first missing item.
+        BadInput: security is demanded and not available; the text contains file, key and first missing item.
     """
     if not limits.machine.require_security:
         return
@@ -69,7 +69,7 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Return the domain in an environment; 0 if there is none that ROS accepts."""
+    """Return the domain in an environment; 0 if the environment contains no valid domain."""
     text = environment.get(DOMAIN, "")
     return int(text) if text.isascii() and text.isdigit() and int(text) <= LAST_DOMAIN else 0
 
@@ -77,7 +77,7 @@ def domain_of(environment: Mapping[str, str]) -> int:
 def enclave_command(enclave: str) -> tuple[str, ...]:
     """Return the prefix of a command that gives its process an enclave.
 
-    It sets a variable, because a program may create its nodes in contexts that no argument reaches; the process id
-    stays the same.
+    The prefix sets a variable, because a program may create its nodes in contexts that no argument reaches. The
+    process id stays the same.
     """
     return ("/usr/bin/env", f"{ENCLAVE}={enclave}")

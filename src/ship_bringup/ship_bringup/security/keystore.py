@@ -1,7 +1,7 @@
 """Checks of a keystore of ``ros2 security`` before a suite starts with it.
 
-Each fault is one line with file, line and what was expected; nothing is changed. A keystore of another ship is detected
-by its enclaves, its authority or the subjects of its certificates.
+Each fault is one text line with file, line and what was expected; the keystore is not changed. A keystore of another
+ship is detected by its enclaves, its authority or the subjects of its certificates.
 """
 
 import datetime
@@ -71,10 +71,10 @@ class KeystoreUse:
 
 
 def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
-    """Return all faults of a keystore; empty if there is none.
+    """Return all faults of a keystore; the list may be empty.
 
     Raises:
-        LookupError: signatures cannot be checked because there is no program ``openssl``.
+        LookupError: signatures cannot be checked because the program ``openssl`` is missing.
     """
     enclaves = keystore / ENCLAVES
     if not enclaves.is_dir():
@@ -121,10 +121,10 @@ def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
 
 
 def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
-    """Return path → certificate of the authorities in some folders; for equal certificates only the first path."""
+    """Return path → certificate of the authorities in some folders; for equal certificates, only the first path."""
     found: dict[x509.Certificate, Path] = {}
     for path in (folder / name for folder in folders for name in (_IDENTITY_CA, _PERMISSIONS_CA)):
-        with suppress(BadInput):  # reported with its enclave
+        with suppress(BadInput):  # an error is reported with its enclave
             found.setdefault(read_certificate(path), path)
     return {path: certificate for certificate, path in found.items()}
 
@@ -152,7 +152,7 @@ def _date_faults(
 def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) -> Iterator[KeystoreFault]:
     """Yield the folders with the identity authority of another ship.
 
-    All folders must contain the configured authority; without a configured one, the same as the first folder.
+    All folders must contain the configured authority or, if none is configured, the authority of the first folder.
     """
     paths = [path for folder in folders if (path := folder / _IDENTITY_CA).is_file()]
     expected, by = authority_sha256.replace(":", "").lower(), "machine.authority_sha256"
@@ -160,7 +160,7 @@ def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) ->
         try:
             digest = read_certificate(path).fingerprint(SHA256()).hex()
         except BadInput:
-            continue  # reported with its enclave
+            continue  # the error is reported with its enclave
         if not expected:
             expected, by = digest, str(path)
         if digest != expected:
@@ -265,7 +265,7 @@ def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:
-    """Yield the faults of permissions: they allow less or more than the code declares, or are out of date."""
+    """Yield the faults of permissions that allow less or more than the code declares, or are out of date."""
     if not permissions.is_for(domain_id):
         yield f"domains: no rule for domain {domain_id}, in which the suite runs"
         return
@@ -284,7 +284,7 @@ def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> I
 
 
 def _shortened_list(names: Iterable[str]) -> str:
-    """Return the first three names and the number of the others, as text."""
+    """Return the first three names and the number of further names, as text."""
     every = list(names)
     more = f" and {len(every) - _MAX_NAMED} more" if len(every) > _MAX_NAMED else ""
     return ", ".join(every[:_MAX_NAMED]) + more

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class KeystoreFault:
-    """One fault.
+    """One fault of a keystore.
 
     Attributes:
-        text: one line: file, line, the fault and what was expected.
+        text: one line with file, line, fault and what was expected.
         advice: what to do.
-        is_error: True if the suite must not start with it; otherwise it is a warning.
-        is_weakness: True if the suite can run with it, less protected: to be corrected ashore, not at sea.
-        of_policy: True if it concerns the permissions of an enclave, not its identity.
+        is_error: True if the suite must not start with the fault; False for a warning.
+        is_weakness: True if the suite can run with the fault, less protected: to be corrected ashore, not at sea.
+        of_policy: True if the fault concerns the permissions of an enclave, not its identity.
     """
 
     text: str

@@ -19,11 +19,11 @@ _KEY_MARK = b"PRIVATE KEY-----"
 
 
 def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -> Iterator[KeystoreFault]:
-    """Yield folders and files that other users may change, and keys that they may read.
+    """Yield faults about folders and files that other users may change, and keys that other users may read.
 
     Args:
-        keystore: its folder.
-        folders: whose files are used.
+        keystore: folder of the keystore.
+        folders: folders with used files.
         names: names of the files that are used.
     """
     holders = {keystore, *folders}
@@ -31,7 +31,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
         holders.update(parent for parent in folder.parents if parent.is_relative_to(keystore))
     for holder in sorted(filter(Path.is_dir, holders)):
         yield from _write_faults(holder, "replace the files in it")
-    # A link has the mode of its target; each file is checked once.
+    # A link has the mode of its target, so links are resolved and each file is checked once.
     files = {path.resolve(): path for folder in folders for name in names if (path := folder / name).is_file()}
     for path in sorted(files.values()):
         if path.name != _KEY:
@@ -42,7 +42,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
 
 
 def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]) -> Iterator[KeystoreFault]:
-    """Yield private keys that can sign certificates: an authority's, or any outside the enclaves' key.pem."""
+    """Yield faults about keys that can sign certificates: the key of an authority, or any key outside a key.pem."""
     names = {certificate_key(each): common_name(each.subject) for each in authorities}
     for path in _private_keys(keystore):
         name = names.get(_public_key(path))
@@ -54,7 +54,7 @@ def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]
 
 
 def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
-    """Yield write access: an error for all users, a warning for a group, which may be intended."""
+    """Yield a fault about write access: an error for all users, a warning for a group, whose access may be intended."""
     mode = path.stat().st_mode
     if mode & (_GROUP_WRITE | _OTHERS_WRITE):
         is_open = bool(mode & _OTHERS_WRITE)
@@ -64,7 +64,7 @@ def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
 
 
 def _private_keys(keystore: Path) -> list[Path]:
-    """Return the files of a keystore that contain a private key (PEM), each once, links followed."""
+    """Return the files of a keystore that contain a private key (PEM), each once; links are resolved."""
     paths = (Path(folder) / name for folder, _, names in os.walk(keystore) for name in names)
     return sorted({path.resolve() for path in paths if _has_private_key(path)})
 
@@ -78,7 +78,7 @@ def _has_private_key(path: Path) -> bool:
 
 
 def _public_key(path: Path) -> bytes | None:
-    """Return the public key of a private one (PEM); None with a password or an unsupported kind."""
+    """Return the public key of a private key (PEM); None for a key with a password or of an unsupported kind."""
     try:
         return public_bytes(load_pem_private_key(path.read_bytes(), password=None).public_key())
     except (ValueError, TypeError, UnsupportedAlgorithm):

@@ -1,7 +1,7 @@
 """Policies as files: the policy of SROS2, and governance and permissions of OMG DDS Security 1.1.
 
-The names of topics are those of ROS 2 in DDS: ``rt/`` before a topic, ``rq/`` and ``Request``, ``rr/`` and ``Reply``
-around a service. The files equal those that ``ros2 security`` makes from the policy; without ROS they are signed by
+Names are the names of ROS 2 in DDS: ``rt/`` before a topic; ``rq/`` and ``Request``, or ``rr/`` and ``Reply``, around a
+service. The files equal the files that ``ros2 security`` makes from the policy. Without ROS they are signed by
 hand.
 """
 
@@ -13,7 +13,7 @@ from ship_bringup.security.rights import Rights
 
 POLICY_VERSION = "0.2.0"
 FINGERPRINT = "fingerprint"
-"""Attribute in a policy's metadata, and word in a comment of permissions, for :attr:`Rights.fingerprint`."""
+"""Attribute of a policy's metadata, and word in a comment of permissions, with :attr:`Rights.fingerprint`."""
 
 DISCOVERY_TOPIC = "ros_discovery_info"
 """Topic by which participants of rmw_fastrtps exchange their nodes; every enclave needs it."""
@@ -72,13 +72,13 @@ def governance_text(domain_id: int) -> str:
 def permissions_text(
     rights: Rights, domain_id: int, not_before: datetime.datetime, not_after: datetime.datetime
 ) -> str:
-    """Return the permissions of one enclave: what is not allowed is denied.
+    """Return the permissions of one enclave, which deny every topic that is not allowed.
 
     Args:
         rights: rights of the enclave.
-        domain_id: ROS_DOMAIN_ID in which they apply.
-        not_before: begin of their validity, UTC.
-        not_after: end of it, UTC.
+        domain_id: ROS_DOMAIN_ID in which the permissions apply.
+        not_before: begin of the validity, UTC.
+        not_after: end of the validity, UTC.
     """
     root = _dds("permissions.xsd")
     grant = ET.SubElement(ET.SubElement(root, "permissions"), "grant", name=rights.enclave)

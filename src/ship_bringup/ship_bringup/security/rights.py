@@ -37,7 +37,7 @@ _KINDS_WITH_ID = "star", "reference", "beacon"
 """First words of topics whose second word is the id of a device."""
 
 _FRAMES = TF_TOPIC, TF_STATIC_TOPIC
-"""A suite in a namespace publishes its frames there, and not on the global topics."""
+"""Topics of frames, which a suite in a namespace publishes there and not globally."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ class Rights:
     """Rights of one enclave. All names are full, and may contain ``*`` for any text.
 
     Attributes:
-        enclave: its path, for example ``/demo/ship_attitude``.
-        publishes: topics.
-        subscribes: topics.
-        serves: services that it provides.
-        requests: services that it calls.
-        declarations: further declarations of the node in the code, types and parameters: they grant nothing, but a
-            policy made before they changed is out of date.
-        is_needed: True if the enclave must be on this computer, as those of the nodes.
+        enclave: path of the enclave, for example ``/demo/ship_attitude``.
+        publishes: topics that the enclave may publish.
+        subscribes: topics to which it may subscribe.
+        serves: services that it may provide.
+        requests: services that it may call.
+        declarations: further declarations in the code of the node (types and parameters). They grant nothing, but
+            after a change of these declarations a policy is out of date.
+        is_needed: True if the enclave must be on this computer, as the enclaves of the nodes.
     """
 
     enclave: str
@@ -79,14 +79,14 @@ def suite_rights(
     companions: Mapping[str, Any] = MappingProxyType({}),
     ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Rights, ...]:
-    """Return the rights of all programs of a suite, its estimators first.
+    """Return the rights of all programs of a suite, with the estimators first.
 
     Args:
-        adapters: adapters of its nodes.
-        namespace: namespace of the suite, without its outer slashes; empty if there is none.
+        adapters: adapters of the nodes of the suite.
+        namespace: namespace of the suite, without its outer slashes; empty for no namespace.
         is_locked: True if no parameter of a running node may be set.
-        is_played: True if a bag may be played into it, with /clock and the topics of sensors. Not for a voyage.
-        companions: result of :func:`load_companions` for its file.
+        is_played: True if a bag may be played into the suite (/clock and topics of sensors). Not for a voyage.
+        companions: result of :func:`load_companions` for the suite file.
         ship_names: names of the inputs on the ship, see :func:`ship_bags.renamed_topics.ship_names`.
     """
     return tuple(_SuiteRights(adapters, namespace, is_locked, is_played, companions, ship_names).all_rights())
@@ -96,7 +96,7 @@ def load_companions(suite_path: Path, namespace: str) -> dict[str, Any]:
     """Return name → configuration of each companion of the estimators in a suite file.
 
     Raises:
-        BadInput: a parameter of one is wrong, or its package is not installed.
+        BadInput: a parameter of a companion is wrong, or its package is not installed.
     """
     found = {}
     for companion in configured_companions(suite_path, namespace):
@@ -110,7 +110,7 @@ def load_companions(suite_path: Path, namespace: str) -> dict[str, Any]:
 
 
 def nmea_in_topics(companions: Mapping[str, Any]) -> dict[str, str]:
-    """Return relative topic → type of the topics of a suite's ``nmea_in``; empty if it has none."""
+    """Return relative topic → type of the topics of a suite's ``nmea_in``; empty without ``nmea_in``."""
     config = companions.get("nmea_in")
     topics: dict[str, str] = {}
     if config is not None:
@@ -166,12 +166,12 @@ class _SuiteRights:
         everything = self._topics(self._types) | self._inputs(self._external_inputs)
         monitored = self._topics([*self._monitored, ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
         acknowledge = {f"{self._alerts}/acknowledge"}
-        # The page also forwards topics to Foxglove.
+        # The monitor also forwards topics to Foxglove.
         yield self._tool_rights("monitor", everything | self._clock, acknowledge, own_nodes=("monitor", "acknowledge"))
         yield self._tool_rights(
             "monitor_terminal", monitored, acknowledge, own_nodes=("monitor_terminal", "acknowledge")
         )
-        # The recorder reads the parameters of all nodes, and sets none.
+        # The recorder reads the parameters of all nodes, and sets no parameter.
         parameter_reads = {"/*/list_parameters", "/*/get_parameters"}
         yield self._tool_rights("record", everything | self._clock | _TOPICS_OF_EVERY_NODE, parameter_reads)
         yield self._tool_rights("preflight", self._inputs(self._external_inputs))
@@ -219,13 +219,13 @@ class _SuiteRights:
 
     def _sensor_rights(self) -> Iterator[Rights]:
         """Yield an enclave for each device; the node of its driver is expected to have the device's name."""
-        # An instrument read by nmea_in has no driver: a certificate for one could only be misused.
+        # An instrument read by nmea_in has no driver: a certificate for its driver could only be misused.
         with_driver = set(self._external_inputs) - set(nmea_in_topics(self._companions))
         for device in sorted({device_of(topic) for topic in with_driver}):
             topics = self._inputs(topic for topic in with_driver if device_of(topic) == device)
             node = self._full_name(device)
             enclave = self._full_name(f"{SENSORS}/{device}")
-            # A node of rclcpp also subscribes to /parameter_events, and does not start without it.
+            # A node of rclcpp also subscribes to /parameter_events, and does not start without this subscription.
             subscribed = self._clock | {"/parameter_events"}
             yield Rights(enclave, topics | _TOPICS_OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, subscribed, _own_services(node))
 
@@ -238,7 +238,7 @@ class _SuiteRights:
         serves: Iterable[str] = (),
         own_nodes: Iterable[str] = (),
     ) -> Rights:
-        """Return the rights of a program that is not an estimator, with those that its own nodes, `own_nodes`, need."""
+        """Return the rights of a program that is not an estimator, including the rights of its nodes `own_nodes`."""
         own = frozenset[str]().union(*(_own_services(self._full_name(node)) for node in (own_nodes or (name,))))
         return Rights(
             enclave=self._full_name(name),
@@ -260,7 +260,7 @@ class _SuiteRights:
         return frozenset[str]().union(*(parameter_services(node, names) for node in nodes))
 
     def _inputs(self, names: Iterable[str]) -> frozenset[str]:
-        """Return topics as the nodes receive them, under the ship's own names if it has any."""
+        """Return topics as the nodes receive them, under the names on the ship if these names differ."""
         return self._topics(self._ship_names.get(name, name) for name in names)
 
     def _topics(self, names: Iterable[str]) -> frozenset[str]:
@@ -273,5 +273,5 @@ class _SuiteRights:
 
 
 def _own_services(node: str) -> frozenset[str]:
-    """Return the services that rclpy gives every node: those of its parameters and of its types."""
+    """Return the services that rclpy adds to every node, for its parameters and for its types."""
     return parameter_services(node) | {f"{node}/{_TYPE_DESCRIPTION}"}

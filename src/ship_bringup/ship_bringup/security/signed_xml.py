@@ -1,4 +1,4 @@
-"""Signed governance and permissions as Fast DDS reads them: checks of their signature and of their rules.
+"""Signed governance and permissions as Fast DDS reads them: checks of signature and rules.
 
 The signature is S/MIME (PKCS#7, detached). ``cryptography`` makes such signatures but cannot verify them, so the
 program ``openssl`` is used.
@@ -37,7 +37,7 @@ class SignedFile:
     text: str
 
     def line_of(self, words: str) -> int | None:
-        """Return the line of the file, from 1, that contains a text; None if there is none."""
+        """Return the line of the file, from 1, that contains a text; None if no line contains it."""
         whole = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
         return next((number for number, line in enumerate(whole, 1) if words in line), None)
 
@@ -71,11 +71,11 @@ class Permissions:
     """Permissions of an enclave in its signed file.
 
     Attributes:
-        subject: name that its certificate must have, for example ``CN=/demo/ship_attitude``.
-        not_before: begin of their validity, UTC.
-        not_after: end of it, UTC.
-        fingerprint: fingerprint of the rights from which they were made; empty if made by another program.
-        rules: in order; the first that applies decides.
+        subject: name that the certificate of the enclave must have, for example ``CN=/demo/ship_attitude``.
+        not_before: begin of the validity, UTC.
+        not_after: end of the validity, UTC.
+        fingerprint: fingerprint of the rights in the permissions; empty for permissions of other programs.
+        rules: rules in order, of which the first that applies to a topic is decisive.
         allows_by_default: True if a topic without a rule is allowed.
     """
 
@@ -93,7 +93,7 @@ class Permissions:
         )
 
     def allowed_topics(self, action: str) -> frozenset[str]:
-        """Return all topics, as written, that some rule allows."""
+        """Return the texts of all topics that any rule allows, which may contain wildcards."""
         return frozenset(topic for rule in self.rules if rule.allows for topic in rule.topics[action])
 
     def is_for(self, domain_id: int) -> bool:
@@ -121,11 +121,11 @@ def read_signed(path: Path) -> SignedFile:
 
 
 def signature_fault(path: Path, authority: Path) -> str | None:
-    """Return the fault of the signature of a file; None if it is valid.
+    """Return the fault of the signature of a file; None if the signature is valid.
 
     Args:
         path: path of the file.
-        authority: certificate that must have signed it.
+        authority: certificate of the required signer.
 
     Raises:
         LookupError: there is no program ``openssl`` here.
@@ -133,7 +133,7 @@ def signature_fault(path: Path, authority: Path) -> str | None:
     program = shutil.which("openssl")
     if program is None:
         raise LookupError("openssl")
-    # Dates are checked separately, with the days left.
+    # Dates are checked separately, with the remaining days.
     command = [program, "smime", "-verify", "-in", str(path), "-CAfile", str(authority), "-no_check_time", "-text"]
     run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_TIMEOUT_S, check=False)
     if run.returncode == 0:
@@ -144,7 +144,7 @@ def signature_fault(path: Path, authority: Path) -> str | None:
 
 
 def signature_digest(path: Path) -> str:
-    """Return the digest with which a file was signed, as openssl names it; empty if it cannot be read.
+    """Return the digest with which a file was signed, as named by openssl; empty if the signature cannot be read.
 
     Raises:
         LookupError: there is no program ``openssl`` here.
@@ -160,10 +160,10 @@ def signature_digest(path: Path) -> str:
 
 
 def read_permissions(file: SignedFile) -> Permissions:
-    """Return the permissions in a signed file; of several grants, the first.
+    """Return the permissions in a signed file; if it contains several grants, only the first.
 
     Raises:
-        BadInput: they are invalid; contains file, line and key.
+        BadInput: the permissions are invalid; the text contains file, line and key.
     """
     grant = file.root().find("permissions/grant")
     if grant is None:
@@ -180,7 +180,7 @@ def read_permissions(file: SignedFile) -> Permissions:
 
 
 def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
-    """Yield entries of a governance that make the policies of the domain ineffective."""
+    """Yield the entries of a governance that make the policies of the domain ineffective."""
     rules = [rule for rule in file.root().iter("domain_rule") if is_in_domains(rule.find("domains"), domain_id)]
     if not rules:
         line = file.line_of("<domains>")

@@ -1,12 +1,13 @@
 """Reserve the ports of a killed program, so that DDS connects its successor at once.
 
-A killed program does not announce its end: for 20 s, the default lease of DDS, its peers continue to send to it, and a
-successor on the same ports receives these messages. Shared memory has the same defect, and no ports that could be
+A killed program does not announce its end. For 20 s, the default lease of DDS, its peers continue to send to its ports,
+and a successor on these ports receives the messages. Shared memory has the same defect, without ports that could be
 reserved.
 
 On other ports the successor is discovered as soon as each peer announces itself: every 0.5 s with the suite's profile
-(:data:`ship_bags.live.dds.DDS_PROFILE`), every 3 s by default. It must wait for these announcements: the peers answer
-its own first one within 0.1 ms, before it listens, and do not answer repetitions (observed with Fast DDS 2.14).
+(:data:`ship_bags.live.dds.DDS_PROFILE`), every 3 s by default. The successor must wait for these announcements.
+The peers answer its own first announcement within 0.1 ms, before it listens, and do not answer repetitions (observed
+with Fast DDS 2.14).
 """
 
 import contextlib
@@ -30,9 +31,9 @@ class ReservedPorts:
         self._reserved: list[tuple[float, list[socket.socket]]] = []
 
     def reserve(self, ports: frozenset[int]) -> None:
-        """Reserve those of some ports that are free, and release those whose time is over.
+        """Reserve the free ports among some ports, and release reserved ports whose time is over.
 
-        A failure is ignored: the successor is then discovered later. The process may have no file descriptors left.
+        A failure (for example no file descriptors left) is ignored: the successor is then discovered later.
         """
         now_s = time.monotonic()
         for until_s, sockets in self._reserved:
@@ -55,7 +56,7 @@ class ReservedPorts:
 
 
 def udp_ports_of(pid: int) -> frozenset[int]:
-    """Return the UDP ports that a process has bound, without ephemeral ones; none if it has ended."""
+    """Return the UDP ports that a process has bound, without ephemeral ports; empty if the process has ended."""
     inodes = set()
     with contextlib.suppress(OSError):
         for link in Path(f"/proc/{pid}/fd").iterdir():

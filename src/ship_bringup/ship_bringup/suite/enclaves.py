@@ -1,4 +1,4 @@
-"""The programs of a suite with their identities in DDS security, if it is demanded."""
+"""Identities of the programs of a suite in DDS security, if security is demanded."""
 
 import datetime
 import os
@@ -24,10 +24,10 @@ def add_enclaves(
         programs: programs of the suite.
         all_rights: rights of all programs that may belong to the suite.
         namespace: namespace of the suite.
-        limits: limits of the ship, which may contain its authority.
+        limits: limits of the ship, which may contain the ship's authority.
 
     Raises:
-        BadInput: there is no keystore, a program has no enclave in it, or the keystore is that of another ship.
+        BadInput: there is no keystore, a program has no enclave in it, or it belongs to another ship.
     """
     keystore = os.environ.get(KEYSTORE)
     if not keystore:

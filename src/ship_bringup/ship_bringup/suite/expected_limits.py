@@ -1,4 +1,4 @@
-"""Expected availability of a suite's limits, from a recording that is replayed through the suite's own nodes."""
+"""Expected availability at a suite's limits, from a recording that is replayed through the nodes of the suite."""
 
 import math
 import tempfile
@@ -19,7 +19,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
     """Return lines of text: expected availability for each limit, proposed limits, and how to adopt them.
 
     Args:
-        suite_file: path of the suite file; None for the one attached to the bag.
+        suite_file: path of the suite file; None for the file attached to the bag.
         bag: recording of the suite's inputs.
         namespace: namespace of the ship in the bag.
         limits: limits of the ship.

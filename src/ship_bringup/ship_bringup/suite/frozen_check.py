@@ -1,4 +1,4 @@
-"""Check for programs of a suite that run without sending heartbeats: they are reported, and later killed."""
+"""Check for programs of a suite that run without sending heartbeats, which are reported and later killed."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -19,19 +19,19 @@ CHECK_PERIOD_S = 0.5
 """Period at which the times without a heartbeat are checked, s."""
 
 _MAX_START_S = 60.0
-"""Minimum time limit for the first heartbeat, s: a slow computer reads libraries for a while."""
+"""Minimum time limit for the first heartbeat, s, because a slow computer loads libraries for a while."""
 
 
 class FrozenCheck:
     """Checks the heartbeats of programs.
 
     Attributes:
-        heartbeats: socket that receives them.
+        heartbeats: socket that receives the heartbeats.
 
     Args:
         report_s: time without a heartbeat after which a program is reported, s.
-        restart_s: time without a heartbeat after which it is killed, s.
-        log: logs a line.
+        restart_s: time without a heartbeat after which a program is killed, s.
+        log: function that logs a line.
     """
 
     def __init__(self, report_s: float, restart_s: float, log: Callable[[str], None]) -> None:
@@ -60,7 +60,7 @@ class FrozenCheck:
                     entry.has_run = True
 
     def check(self, programs: Sequence[SupervisedProgram]) -> None:
-        """Report programs without a heartbeat, and kill those without one for long."""
+        """Report programs without a heartbeat, and kill programs that had no heartbeat for long."""
         now_s = time.monotonic()
         if now_s < self.due_s:
             return

@@ -1,4 +1,4 @@
-"""Heartbeats of the suite's processes: their receipt, and the time since the last one of each process.
+"""Heartbeats of the suite's processes: their receipt, and the time since the last heartbeat of each process.
 
 Only time in which a process could have worked counts. Time does not count while the supervisor itself stood still, as
 on a suspended computer, nor while the process waited for a processor on an overloaded computer.
@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 LONGEST_STEP_S = 1.0
-"""Maximum time between two checks that counts, s; a longer one is a standstill of the supervisor itself."""
+"""Maximum time between two checks that counts, s; a longer time is a standstill of the supervisor itself."""
 
 _LONGEST_MESSAGE = 32
 
@@ -36,7 +36,7 @@ class HeartbeatSocket:
         return pids
 
     def close(self) -> None:
-        """Close both ends."""
+        """Close both ends of the socket."""
         self.receiver.close()
         self._sender.close()
 
@@ -45,10 +45,10 @@ class HeartbeatAge:
     """Time since the last heartbeat of a process.
 
     Attributes:
-        time_s: that time, s.
-        has_heartbeat: True if it has sent a heartbeat since it began.
+        time_s: time since the last heartbeat, s.
+        has_heartbeat: True if the process has sent a heartbeat since it began its work.
         is_reported: True if the time was reported as too long.
-        is_killed: True if the process was killed for it.
+        is_killed: True if the process was killed because the time was too long.
 
     Args:
         pid: id of the process.

@@ -33,12 +33,12 @@ class SuiteOptions:
     """Options of bringing up a suite; see ``suite --help``.
 
     Attributes:
-        namespace: namespace of all its nodes and topics, without slashes at its ends; empty if there is none.
-        bag: played into the suite; None for real sensors.
+        namespace: namespace of all nodes and topics of the suite, without outer slashes; empty for no namespace.
+        bag: bag that is played into the suite; None for real sensors.
         rate: seconds of the bag per second.
-        loop: number of times that the bag is played; 0 without end.
+        loop: number of times that the bag is played; 0 for endless repetition.
         monitor: True if page and alerts are started too.
-        box: folder for a black box of each node; None if there is none.
+        box: folder for a black box of each node; None for no black boxes.
         reliable_inputs: True if lost messages to the nodes' inputs are sent again.
         use_sim_time: True if the nodes follow /clock although no bag is played here.
         limits: file of the ship's limits for page and alerts; None for the defaults.
@@ -73,7 +73,7 @@ def read_attached_suite(bag_path: Path) -> str:
     """Return the text of the suite file attached to a bag.
 
     Raises:
-        BadInput: the bag cannot be read, or has none attached.
+        BadInput: the bag cannot be read, or has no attached suite file.
     """
     with read_bag(bag_path) as bag:
         text: str = suite_text(bag, None)
@@ -84,8 +84,8 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
     """Return the programs of a suite file.
 
     Raises:
-        BadInput: contains the file, the line, the parameter or section, and what was expected; or the bag and what it
-            lacks; or a program that is not installed.
+        BadInput: file or bag is bad, or a program is not installed. The text contains the file, the line, the
+            parameter or section, and what was expected; or the item that the bag lacks; or the program.
     """
     nodes, warnings = check_nodes(path, options.namespace)
     if options.bag is not None and not nodes:
@@ -122,7 +122,7 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
 
 
 def check_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
-    """Return the nodes of a suite file, and warnings about it.
+    """Return the nodes of a suite file, and warnings about the file.
 
     Raises:
         BadInput: see :func:`make_plan`.
@@ -151,7 +151,7 @@ def missing_saved_files(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[st
 
 
 def _companion_program(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
-    """Return the program of a node that is not an estimator; without estimators it is a node of the suite itself."""
+    """Return the program of a node that is not an estimator; in a suite without estimators, its role is NODE."""
     command = executable(companion.package, companion.node_name)
     role = Role.NODE if is_alone else Role.FEEDER if companion.feeds else Role.WATCHER
     return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)
@@ -175,8 +175,8 @@ def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
 def _namespace_arguments(options: SuiteOptions) -> tuple[str, ...]:
     """Return arguments that put a process into the suite's namespace.
 
-    A bag's time is that of its own suite, not of another one. Frames have the same names on each ship: in a namespace
-    they are published there, and not on the global /tf.
+    If a bag is played, its clock is in the namespace, because the time of the bag is valid for this suite only.
+    Frames have the same names on each ship, and are therefore published in the namespace, not on the global /tf.
     """
     if not options.namespace:
         return ()
@@ -191,7 +191,7 @@ def _monitor_programs(options: SuiteOptions, ros: tuple[str, ...]) -> list[Progr
     where = ("--namespace", options.namespace) if options.namespace else ()
     page = (*executable("ship_monitor", "monitor"), *where, *limits, *options.monitor_arguments)
     alerts = (*executable("ship_monitor", "alerts"), *limits, "--ros-args", *ros)
-    # The alerts come last, so that they end first: for them the end of the others would be a fault.
+    # The alert node is last, so that it ends first: it would raise alerts about the end of other programs.
     return [Program("monitor", page, Role.WATCHER), Program("alerts", alerts, Role.WATCHER)]
 
 

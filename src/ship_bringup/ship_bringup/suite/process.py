@@ -1,7 +1,7 @@
-"""One process of a suite: start it in a session of its own, read its lines, let it begin, end it.
+"""One process of a suite: start in a separate session, reading of its lines, begin of its work, end.
 
-A process can be started before it is needed, as a reserve. It loads its libraries, which takes about a second and on a
-busy machine several, and waits for a line on stdin (:mod:`ship_node.live.start`).
+A process can be started before it is needed, as a reserve. It loads its libraries, which takes one second or, on a busy
+machine, several seconds. It then waits for a line on stdin (:mod:`ship_node.live.start`).
 """
 
 import contextlib
@@ -28,19 +28,19 @@ class Process:
     """A running process.
 
     Attributes:
-        pid: its id.
-        pidfd: file descriptor that becomes readable when it has ended.
-        start_s: steady time of its start, or of :meth:`begin` if it waits for that.
-        is_output_complete: True if its output is at its end.
-        heartbeat_age: time since its last heartbeat.
+        pid: id of the process.
+        pidfd: file descriptor that becomes readable when the process has ended.
+        start_s: steady time of the start, or of :meth:`begin` for a waiting process.
+        is_output_complete: True if the end of the output has been read.
+        heartbeat_age: time since the last heartbeat.
 
     Args:
         command: program and arguments.
         heartbeats: file descriptor of the socket for its heartbeats.
-        waits: True if it reads its libraries and then waits for :meth:`begin`.
+        waits: True if the process loads its libraries and then waits for :meth:`begin`.
 
     Raises:
-        OSError: it cannot be started; nothing remains of the attempt.
+        OSError: the process cannot be started; nothing remains of the attempt.
     """
 
     def __init__(self, command: Sequence[str], heartbeats: int, waits: bool = False) -> None:
@@ -52,7 +52,7 @@ class Process:
                 os._exit(1)
 
         own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAIT_VARIABLE: "1"} if waits else {})
-        # A session of its own: Ctrl-C on the terminal reaches only this process, which ends the others in order.
+        # A separate session: Ctrl-C on the terminal reaches only this process, which ends the other processes in order.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
@@ -93,7 +93,7 @@ class Process:
         return False
 
     def begin(self) -> None:
-        """Start the work of a waiting process; without effect if the process has died."""
+        """Start the work of a waiting process; no effect if the process has ended."""
         self.start_s = time.monotonic()
         self.heartbeat_age.reset(has_heartbeat=False)
         if self._process.stdin is not None:

@@ -1,22 +1,22 @@
-"""A program of a suite, and the consequence of its end for the others."""
+"""A program of a suite, and the consequence of its end for the other programs."""
 
 from dataclasses import dataclass
 from enum import Enum
 
 
 class Role(Enum):
-    """Role of a program: the consequence of its end for the others."""
+    """Role of a program, which determines the consequence of its end for the other programs."""
 
     NODE = "node"
     """A node for which the suite is run."""
     WATCHER = "watcher"
-    """It monitors the nodes; they do not need it."""
+    """A program that monitors the nodes; the nodes do not need it."""
     FEEDER = "feeder"
-    """It publishes the instruments' data; the nodes run without it, but not for long."""
+    """A program that publishes the instruments' data; the nodes run without it, but not for long."""
     PLAYER = "player"
-    """It plays a bag into the nodes, once: the suite ends with it, and it is not started again.
+    """A program that plays a bag into the nodes, once. The suite ends with it, and it is not started again.
 
-    It is the only role that sends no heartbeats (:mod:`ship_bags.live.heartbeat`).
+    Only programs of this role send no heartbeats (:mod:`ship_bags.live.heartbeat`).
     """
 
 
@@ -25,10 +25,10 @@ class Program:
     """One program of the suite.
 
     Attributes:
-        name: prefix of its lines.
-        command: its command line.
-        role: consequence of its end.
-        has_reserve: True if a second process of it waits, with its libraries read, to replace it.
+        name: name of the program, prefix of its lines.
+        command: command line.
+        role: role of the program.
+        has_reserve: True if a second process waits, with its libraries loaded, to replace the first.
     """
 
     name: str

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from ship_bags.command_line import EXIT_DONE, EXIT_INTERRUPTED
 
 STEADY_S = 60.0
-"""Run time after which earlier ends are not counted any more, s."""
+"""Run time after which earlier ends are no longer counted, s."""
 
 LONGEST_DELAY_S = 30.0
 """Longest pause before a restart, s."""
@@ -18,10 +18,10 @@ _SIGNAL_BASE = 128
 
 @dataclass
 class Restarts:
-    """Restarts of one program: the first at once, each further one after twice the delay, up to 30 s, without limit.
+    """Restarts of one program, unlimited: the first at once, then with delays that double up to 30 s.
 
     Attributes:
-        consecutive_count: number of ends; a run of :data:`STEADY_S` resets it.
+        consecutive_count: number of ends in a row; after a run of at least :data:`STEADY_S` a new row begins.
     """
 
     consecutive_count: int = field(default=0, init=False)
@@ -47,7 +47,7 @@ def exit_code_of(code: int) -> int:
 
 
 def end_text(code: int) -> str:
-    """Return how a program ended, as text."""
+    """Return a text about the end of a program with an exit code."""
     if code >= 0:
         return f"exit code {code}"
     try:

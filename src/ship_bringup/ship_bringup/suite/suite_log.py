@@ -1,6 +1,6 @@
 """Lines of a suite: on stdout, and in a file of bounded size while stdout does not accept them.
 
-The suite must continue if the reader of stdout has ended or does not read, or if its disk is full.
+The suite must continue if the reader of stdout has ended or does not read, or if the disk of stdout is full.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ import select
 from pathlib import Path
 
 LARGEST_FILE_BYTES = 5_000_000
-"""Maximum size of the file; then it is renamed to ``NAME.log.1``."""
+"""Maximum size of the file; a larger file is renamed to ``NAME.log.1``."""
 
 _WRITE_TIMEOUT_MS = 200
 
@@ -54,7 +54,7 @@ class SuiteLog:
         poll = select.poll()
         poll.register(self._descriptor, select.POLLOUT)
         while data:
-            # A pipe with room accepts PIPE_BUF bytes at once; with more, the write could wait for the reader.
+            # A pipe with room accepts PIPE_BUF bytes at once; writing more bytes could wait for the reader.
             if not poll.poll(0 if self._missed_count else _WRITE_TIMEOUT_MS):
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
             data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]

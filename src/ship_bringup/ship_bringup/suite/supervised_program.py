@@ -10,18 +10,18 @@ from ship_bringup.suite.restarts import Restarts
 
 @dataclass
 class SupervisedProgram:
-    """A program with its process, if it runs, its reserve process, and the times of their next starts.
+    """A program, its working process and reserve process if they exist, and the times of their next starts.
 
     Attributes:
         program: the program.
-        due_s: steady time of its next start, s; None if it runs, or is not started any more.
-        restarts: delays between its starts.
+        due_s: steady time of the next start, s; None if the program runs or is not started any more.
+        restarts: delays between starts of the program.
         process: the working process.
-        reserve: the process that waits to replace it.
+        reserve: the process that waits to replace the working process.
         reserve_due_s: steady time of the start of the reserve process, s.
         ports: UDP ports of the working process.
-        failure: contribution of its last end to the suite's exit code.
-        has_run: True if it has ever sent a heartbeat.
+        failure: exit code of the suite that follows from the last end of the program.
+        has_run: True if the program has ever sent a heartbeat.
     """
 
     program: Program

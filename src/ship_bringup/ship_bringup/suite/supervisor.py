@@ -1,8 +1,8 @@
-"""Supervise the programs of a suite as processes of their own: start, show their lines, restart, end in order.
+"""Supervise the programs of a suite as separate processes: start, show their lines, restart, end in order.
 
 One thread waits for lines and heartbeats of the programs, for their ends (by process descriptors), for signals and for
-the time of the next start. If this process ends, for any reason, the kernel ends the programs. It ends after a signal,
-at the end of a bag, or if all nodes refuse their input at the start.
+the time of the next start. If this process ends, for any reason, the kernel ends the programs. This process ends
+after a signal, at the end of a bag, or if all nodes refuse their input at the start.
 """
 
 import contextlib
@@ -25,9 +25,9 @@ from ship_estimation.rejections import failure_rejection
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_TIMEOUT_S = 10.0
-"""Timeout after a request to end; then the program is killed, s."""
+"""Timeout after a request to end, s; the program is then killed."""
 _RESERVE_DELAY_S = 5.0
-"""Delay of the reserve process after the start of its program, when the others have started, s."""
+"""Delay of the reserve process after the start of its program, s; other programs have started by then."""
 _SUITE = "suite"
 
 _END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
@@ -37,11 +37,12 @@ class Supervisor:
     """Runs programs until a signal, or until the end of a bag.
 
     Args:
-        programs: in the order of their start. They are ended in the opposite order, but first those that monitor, for
-            which the end of the others would be a fault, then those that play a bag or read instruments, then nodes.
-        write: takes each line, without its end, and does not raise.
+        programs: programs in the order of their start. First, monitoring programs are ended, which would report the
+            end of other programs as a fault; then programs that play a bag or read instruments; then nodes. Programs
+            of one kind are ended in the opposite order of their start.
+        write: function that writes a line, given without its end, and does not raise an error.
         frozen_report_s: time without a heartbeat after which a program is reported, s.
-        frozen_restart_s: time without a heartbeat after which it is killed and started again, s.
+        frozen_restart_s: time without a heartbeat after which a program is killed and started again, s.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class Supervisor:
     def run(self) -> int:
         """Run the programs; return the exit code of the player or of the first program that was down at the end, or 0.
 
-        If no node has run yet and all of them end with bad input, the suite ends.
+        If no node has run yet and all nodes end with bad input, the suite ends.
         """
         heartbeats = self._frozen_check.heartbeats
         self._selector.register(
@@ -90,7 +91,7 @@ class Supervisor:
             time.sleep(1.0)
 
     def _work(self) -> None:
-        """Do what is due, and wait for the next event or time."""
+        """Perform the actions that are due, and wait for the next event or time."""
         if self._is_end_requested and not self._is_ending:
             self._end()
         if self._is_ending:
@@ -101,7 +102,7 @@ class Supervisor:
         self._wait()
 
     def _start(self, entry: SupervisedProgram) -> None:
-        """Start a program, or its reserve process if there is one."""
+        """Start a program, or let its reserve process begin."""
         if entry.reserve is not None and entry.reserve.is_stopped:
             entry.reserve.kill()
             entry.reserve = None
@@ -122,10 +123,10 @@ class Supervisor:
             entry.reserve_due_s = entry.process.start_s + _RESERVE_DELAY_S
 
     def _start_process(self, entry: SupervisedProgram, waits: bool) -> Process:
-        """Return a new process, whose events are waited for.
+        """Return a new process whose events are registered.
 
         Raises:
-            OSError: it cannot be started, usually for lack of memory or file descriptors.
+            OSError: the process cannot be started, usually for lack of memory or file descriptors.
         """
         process = Process(entry.program.command, self._frozen_check.heartbeats.sender_descriptor, waits)
         try:
@@ -145,7 +146,7 @@ class Supervisor:
         due += [] if self._is_ending else [self._frozen_check.due_s]
         timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
         for key, _ in self._selector.select(timeout_s):
-            # Handling one event may unregister the next one.
+            # Handling one event may unregister the next event.
             if key.fd in self._selector.get_map():
                 key.data()
 
@@ -218,7 +219,7 @@ class Supervisor:
                 self._selector.unregister(descriptor)
 
     def _drop_reserve(self, entry: SupervisedProgram) -> None:
-        """End the reserve process; no further one is started."""
+        """End the reserve process, without starting another reserve process."""
         entry.reserve_due_s = None
         if entry.reserve is not None:
             self._unregister(entry.reserve)
@@ -227,7 +228,7 @@ class Supervisor:
             entry.reserve = None
 
     def _end(self) -> None:
-        """Start to end all programs; pending starts are cancelled."""
+        """Begin to end all programs; pending starts are cancelled."""
         self._is_ending, self._kill_due_s = True, None
         for entry in self._programs:
             if entry.process is None or not entry.has_run:
@@ -261,7 +262,7 @@ class Supervisor:
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """Handle signals within the context: the first ends all programs in order, the second at once."""
+        """Handle signals within the context: the first signal ends all programs in order, the second kills them."""
         wake_writer, wake_reader = socket.socketpair()
         for end in (wake_writer, wake_reader):
             end.setblocking(False)
@@ -290,5 +291,5 @@ class Supervisor:
 
 
 def _reason(problem: Exception) -> str:
-    """Return why something failed, as text."""
+    """Return the reason of a failure as text."""
     return (isinstance(problem, OSError) and problem.strerror) or failure_rejection(problem).text

@@ -1,4 +1,5 @@
-"""Playback of a bag or a black box on the page: its monitored messages, and the displayed time.
+"""Playback of a bag or a black box on the page.
 
-It reads bags into a :class:`ship_watch.suite_monitor.SuiteMonitor`. It uses Bokeh widgets for the time, and no ROS.
+The monitored messages are read into a :class:`ship_watch.suite_monitor.SuiteMonitor`. Bokeh widgets set the displayed
+time. No ROS is used.
 """

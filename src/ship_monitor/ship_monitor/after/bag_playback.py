@@ -1,9 +1,11 @@
 """Playback of a bag on the page: the state of its suite at a chosen time.
 
-The full state at a time needs the messages of the ten minutes before it, which take a second or two to read. A new time
-is therefore displayed at once from its last minute, which is enough for safety and NIS consistency. The ten minutes,
-for plots, events and times since which sources are OUT, are read in parts at each update and then replace the minute.
-Before them only latched alerts and states are read: a source that is OUT for longer is shown as OUT for ten minutes.
+The full state at a time needs the messages of the ten minutes before that time; reading them takes a second or two.
+A new time is therefore first displayed from the messages of the last minute. The minute is enough for safety and NIS
+consistency. Plots, events and the times since which sources are OUT need all ten minutes. Each update reads a part of
+the ten minutes; when all parts are read, they replace the minute.
+Only latched alerts and states are read from before the ten minutes. A source that has been OUT for longer is shown as
+OUT for ten minutes.
 """
 
 import math
@@ -21,14 +23,14 @@ from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import SuiteState
 
 SHORT_HISTORY_NS = 60 * NS_PER_S
-"""History that is read at once for a new time, ns: NIS consistency uses the last minute."""
+"""Length of the history that is read at once for a new time, ns: the minute that NIS consistency uses."""
 
 MAX_READ_S = 0.2
-"""Maximum time for reading the ten minutes in one update, s."""
+"""Maximum duration of reading a part of the ten minutes in one update, s."""
 
 
 class _Replay:
-    """A monitor that reads a recorded suite from a start time on."""
+    """Monitor with the messages of a recorded suite from a start time on."""
 
     def __init__(self, suite: RecordedSuite, limits: Limits, since_ns: int) -> None:
         self.monitor = SuiteMonitor(limits)
@@ -37,7 +39,7 @@ class _Replay:
         self._next = next(self._messages, None)
 
     def read_until(self, until_ns: int, deadline_s: float = math.inf) -> bool:
-        """Read messages until a log time; return False if the deadline, monotonic time in s, came first."""
+        """Read messages up to a log time; return False if a deadline (monotonic time, s) passed before."""
         while self._next is not None and self._next.log_time_ns <= until_ns:
             message = self._next
             self.monitor.process_message(message.topic, message.message, message.log_time_ns)
@@ -85,7 +87,7 @@ class BagPlayback:
 
     @property
     def history(self) -> History:
-        """Data of the plots: of the last minute until the ten minutes are read."""
+        """Data of the plots: of the last minute, and of all ten minutes as soon as they are read."""
         return self._current_replay().monitor.history
 
     @property
@@ -129,12 +131,12 @@ class BagPlayback:
         return self._controls.layout
 
     def _move(self, since_start_s: float) -> None:
-        """Set a time chosen by the user, and update the page at once."""
+        """Set the time that the user has chosen, and update the page at once."""
         self.go_to(since_start_s)
         self._notify_moved()
 
     def _current_replay(self) -> _Replay:
-        """Return the replay for the displayed time, a new one after a change of the time."""
+        """Return the replay for the displayed time; after a jump of the time it is a new replay."""
         if self._displayed_replay is None:
             kept_ns = self._time_ns - round(HISTORY_S * NS_PER_S)
             quick_ns = self._time_ns - SHORT_HISTORY_NS

@@ -15,13 +15,13 @@ from ship_watch.topics import monitored_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
 LATCHED_TOPICS = ("ship/alerts", "ship/alignment", "theodolite/calibration")
-"""Topics whose last message stays valid until the next one."""
+"""Topics whose last message stays valid until the next message."""
 
 _NOMINAL_TOPICS = LATCHED_TOPICS[1:]
 """Topics whose first message also contains the nominal values."""
 
 THINNING_PERIOD_NS = 100_000_000
-"""Interval at which one message is decoded if the newest is enough, ns: the period of the evaluation."""
+"""Period of decoded messages, ns, for topics whose newest message is enough: the period of the evaluation."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,15 @@ class RecordedSuite:
         start_ns: log time of the first message.
         end_ns: log time of the last message.
         is_simulated: True if the bag contains the truth or a scenario, unlike a recording of a ship.
-        notes: missing data and their consequence, one line each.
+        notes: lines about missing data and the consequence of each.
 
     Args:
         path: an MCAP file or a rosbag2 folder.
-        namespace: namespace of the suite in the bag, with or without slashes; empty if there is only one.
+        namespace: namespace of the suite in the bag, with or without slashes; empty if the bag contains only one suite.
 
     Raises:
-        BadInput: the bag cannot be read, contains several suites, or does not contain the given one.
+        BadInput: the bag cannot be read, contains several suites and no namespace is given, or does not contain the
+            given suite.
     """
 
     def __init__(self, path: Path, namespace: str = "") -> None:
@@ -72,7 +73,7 @@ class RecordedSuite:
         ]
 
     def messages(self, since_ns: int) -> Iterator[RecordedMessage]:
-        """Yield the monitored messages from a log time on, after the alerts and states that were valid then.
+        """Yield the alerts and states that were valid at a log time, then the monitored messages after that time.
 
         Messages that cannot be decoded are skipped.
 
@@ -107,7 +108,7 @@ class RecordedSuite:
             self._reported_topics.add(record.topic)
 
     def _only_namespace(self) -> str:
-        """Return the namespace of the monitored topics; empty if there is none."""
+        """Return the namespace of the monitored topics; empty if no topic is monitored."""
         found = {space for name, kind in self._bag.topics.items() if (space := _namespace_of(name, kind)) is not None}
         if len(found) > 1:
             named = ", ".join(f"/{space}" for space in sorted(found))
@@ -128,7 +129,7 @@ class RecordedSuite:
 
 
 def _namespace_of(name: str, type_name: str) -> str | None:
-    """Return the namespace in which a topic of a bag is a monitored one; None if it is none."""
+    """Return the namespace of a monitored topic of a bag; None if the topic is not monitored in any namespace."""
     words = name.strip("/").split("/")
     for length in range(len(words)):
         if monitored_topic("/".join(words[length:]), type_name) is not None:

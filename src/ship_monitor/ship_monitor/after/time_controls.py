@@ -1,6 +1,6 @@
 """Controls of a bag under the top bar: play and pause, speed, time slider, and a note about missing data.
 
-Their styles take the colours of the page from the custom properties of the document.
+The controls have the colours of the page, which are custom properties of the CSS of the document.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ class TimeControls:
 
     Args:
         length_s: length of the bag, s.
-        note: note about missing data; empty if there is none.
+        note: note about missing data; may be empty.
         go_to: called with the time chosen by the user, s after the first message.
     """
 
@@ -68,18 +68,18 @@ class TimeControls:
 
     @property
     def speed(self) -> int:
-        """Seconds of the bag in one second."""
+        """Seconds of the bag that are played in one second."""
         return SPEEDS[self._speed_index]
 
     _speed_index = 0
 
     def show(self, at_s: float) -> None:
-        """Move the slider to a time, s, without pausing."""
+        """Move the slider to a time, s, without pausing the playback."""
         self._set_s = at_s
         self._slider.value = at_s
 
     def stop(self) -> None:
-        """Pause."""
+        """Pause the playback."""
         self._play.active = False
 
     def _on_play_changed(self, _name: str, _old: Any, is_playing: bool) -> None:
@@ -93,7 +93,7 @@ class TimeControls:
         self._speed.label = f"× {self.speed}"
 
     def _on_slider_dragged(self, _name: str, _old: Any, at_s: float) -> None:
-        """Pause while the user drags the slider."""
+        """Pause the playback while the user drags the slider."""
         if at_s != self._set_s:
             self.stop()
 
@@ -103,7 +103,7 @@ class TimeControls:
 
 
 def _clock(at_s: float, length_s: float) -> str:
-    """Return time and length as hours, minutes and seconds."""
+    """Return a time and the length of the bag as hours, minutes and seconds."""
     return " / ".join(f"{int(s) // 3600}:{int(s) // 60 % 60:02d}:{int(s) % 60:02d}" for s in (at_s, length_s))
 
 

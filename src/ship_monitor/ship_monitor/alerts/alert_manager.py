@@ -1,4 +1,7 @@
-"""Alerts of a suite from its messages, saved in a file so that a crash of the node loses none. No ROS."""
+"""Alerts of a suite, raised from its messages and saved in a file, so that no alert is lost if the node crashes.
+
+No ROS is used.
+"""
 
 import json
 import math
@@ -19,7 +22,7 @@ from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import AlertEntry, SuiteState
 
 MAX_PAUSE_NS = 5 * NS_PER_S
-"""Time between two updates above which the computer has slept and the data are reset, ns."""
+"""Maximum time between two updates, ns. After a longer time the computer has slept, and the data are reset."""
 
 MAX_STATUS_AGE_NS = 5 * NS_PER_S
 """Maximum age of a node's diagnostic status, ns; nodes publish it once a second."""
@@ -36,7 +39,7 @@ class AlertManager:
 
     Args:
         limits: limits of the ship.
-        state_file: file of the alerts, read at once if it exists; None if there is none.
+        state_file: file of the alerts, read at once if it exists; None for no file.
         now_ns: steady time, ns.
         log_problem: called with one line about a problem with the file or the disk.
         files: reader and writer of files.
@@ -68,7 +71,7 @@ class AlertManager:
         return self._alert_list.alerts
 
     def process_message(self, topic: str, message: Any, arrival_ns: int) -> None:
-        """Process one message; the topic is relative to the namespace, the arrival a steady time, ns."""
+        """Process a message; ``topic`` is relative to the namespace, ``arrival_ns`` is a steady time."""
         self._monitor.process_message(topic, message, arrival_ns)
 
     def process_status(self, status: NodeStatus, arrival_ns: int) -> None:
@@ -99,7 +102,7 @@ class AlertManager:
         return self._save_changes(self._alert_list.update(found, now_ns, self._utc_ns(clock_ns)))
 
     def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
-        """Acknowledge one instance of an alert; return the change, None if there is none, and the result in words."""
+        """Acknowledge one instance of an alert; return the change (None if nothing changes) and the result in words."""
         change, text = self._alert_list.acknowledge(id_, instance, self._utc_ns(clock_ns))
         if change is not None:
             self._save_changes((change,))
@@ -110,7 +113,7 @@ class AlertManager:
         return self._save_changes(self._alert_list.silence(now_ns, self._utc_ns(clock_ns)))
 
     def diagnostic_entries(self) -> tuple[DiagnosticEntry, ...]:
-        """Return functions and their inputs as diagnostic entries, from the last update."""
+        """Return the functions of the suite and their inputs at the last update, as diagnostic entries."""
         return diagnostic_entries(self.suite_state, self._limits)
 
     def _utc_ns(self, clock_ns: int) -> int:
@@ -133,7 +136,7 @@ class AlertManager:
         return ComputerState(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
 
     def _read_alerts(self, now_ns: int) -> AlertList:
-        """Return the alerts of the file; an empty list without a file, or if it cannot be read."""
+        """Return the alerts of the file; an empty list if there is no file or the file cannot be read."""
         try:
             if self._state_file is None:
                 return AlertList(self._limits.alerts, (), now_ns)
@@ -149,7 +152,7 @@ class AlertManager:
             return AlertList(self._limits.alerts, (), now_ns)
 
     def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
-        """Return the changes after writing the file, if there are any or the last write failed."""
+        """Write the file if there are changes or the last write failed; return the changes."""
         if self._state_file is not None and (changes or self._is_unsaved):
             document = {"format": _FORMAT, "version": _VERSION, "alerts": self._alert_list.serialise()}
             try:

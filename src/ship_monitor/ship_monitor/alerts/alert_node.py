@@ -98,7 +98,7 @@ def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
 
 
 def default_state(namespace: str) -> Path:
-    """Return the file of the alerts of a namespace, in ROS_HOME."""
+    """Return the path of the file with the alerts of a namespace, in ROS_HOME."""
     home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
     return home / f"{'_'.join(filter(None, ['alerts', *namespace.split('/')]))}.json"
 
@@ -109,7 +109,7 @@ class AlertNode:
     Args:
         node: ROS node, spun by :meth:`run`.
         limits: limits of the ship.
-        state_file: file of the alerts; None if there is none.
+        state_file: file of the alerts; None for no file.
     """
 
     def __init__(self, node: Node, limits: Limits, state_file: Path | None) -> None:
@@ -182,14 +182,14 @@ class AlertNode:
                 where = {status.hardware_id.rpartition("/")[0] or "/"}
             if node == _NAME or self._node.get_namespace() not in where:
                 continue
-            # Statuses of other software contain no namespace, so nodes of one name in two namespaces look the same.
+            # Statuses of other software contain no namespace: two nodes with the same name cannot be distinguished.
             other = "" if len(where) == 1 else f" (a node of one of {', '.join(sorted(where))})"
             values = {pair.key: pair.value for pair in status.values}
             node_status = NodeStatus(node, name, status.level[0], status.message + other, values)
             self._manager.process_status(node_status, arrival_ns)
 
     def _namespaces(self) -> dict[str, set[str]]:
-        """Return the namespaces of the nodes that publish diagnostics, by node name: suites share the topic."""
+        """Return node name → namespaces of the nodes that publish diagnostics, because all suites share the topic."""
         found: dict[str, set[str]] = {}
         for endpoint in self._node.get_publishers_info_by_topic(DIAGNOSTICS_TOPIC):
             found.setdefault(endpoint.node_name, set()).add(endpoint.node_namespace)
@@ -214,7 +214,7 @@ class AlertNode:
         for change in changes:
             alert = change.alert
             line = f"{alert.priority.name} {alert.id} {alert.instance}: {alert.text}: {change.description}"
-            # Three calls: in rclpy a line of code keeps the severity with which it first logged.
+            # Three calls, because in rclpy each line of code may log with one severity only.
             if alert.is_acknowledged or alert.priority is Priority.CAUTION:
                 self._node.get_logger().info(line)
             elif alert.priority is Priority.WARNING:
@@ -231,7 +231,7 @@ class AlertNode:
         self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
 
     def _publish_state(self, now_ns: int) -> None:
-        """Publish the state from which the alerts are derived: at once after a change, else twice a second."""
+        """Publish the state from which the alerts are derived, at once after a change and otherwise twice a second."""
         suite_state = self._manager.suite_state
         change = change_key(suite_state)
         if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
@@ -252,7 +252,7 @@ class AlertNode:
         self._diagnostics.publish(message.__cdr__)
 
     def _utc_ns(self) -> int:
-        """Return the suite's time, UTC, ns; the computer's until the suite has one."""
+        """Return the time of the suite, UTC, ns; the time of the computer until the suite has a time."""
         return self._manager.suite_state.utc_ns or time.time_ns()
 
 

@@ -1,1 +1,1 @@
-"""Executables: each module parses the arguments of one of them and connects the parts that it needs."""
+"""Executables: each module parses the arguments of one executable and connects the parts of the program."""

@@ -63,7 +63,7 @@ def _run(parsed: argparse.Namespace) -> int:
             exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii, zone=parsed.time_zone).run()
         finally:
             suite.close()
-    # None: textual ended after an exception, which it has shown.
+    # The exit code is None if textual ended after an exception, which textual has displayed.
     return 1 if exit_code is None else exit_code
 
 
@@ -73,7 +73,7 @@ def _stderr_deferred_to_exit() -> Iterator[None]:
     terminal_fd, drawn_on = os.dup(2), sys.__stderr__
     with tempfile.TemporaryFile() as kept, os.fdopen(terminal_fd, "w", encoding="utf-8", closefd=False) as terminal:
         os.dup2(kept.fileno(), 2)
-        sys.__stderr__ = terminal  # type: ignore[misc]  # textual draws on it
+        sys.__stderr__ = terminal  # type: ignore[misc]  # textual draws on this stream
         try:
             yield
         finally:
@@ -85,7 +85,7 @@ def _stderr_deferred_to_exit() -> Iterator[None]:
 
 
 def is_utf8_locale(environment: Mapping[str, str]) -> bool:
-    """True if the locale of an environment is one with UTF-8.
+    """True if the locale of an environment uses UTF-8.
 
     LC_CTYPE=C.UTF-8 is ignored: Python itself sets it if the locale is C (PEP 538).
     """

@@ -17,7 +17,7 @@ def add_time_zone(parser: argparse.ArgumentParser) -> None:
 def _zone(name: str) -> ZoneInfo:
     try:
         return ZoneInfo(name)
-    # Unknown zone; a path or an empty name; the name of a folder of zones.
+    # KeyError: unknown zone. ValueError: a path or an empty name. OSError: the name of a folder of zones.
     except (KeyError, ValueError, OSError) as problem:
         text = f"{name!r} is not a time zone: use an IANA name as Europe/Oslo; timedatectl list-timezones lists them"
         raise argparse.ArgumentTypeError(text) from problem

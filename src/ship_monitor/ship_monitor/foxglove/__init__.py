@@ -1,4 +1,4 @@
 """Server of topics for Foxglove, by websocket.
 
-It forwards names, definitions and bytes unchanged, and uses no ROS.
+Names, type definitions and message bytes are forwarded unchanged. No ROS is used.
 """

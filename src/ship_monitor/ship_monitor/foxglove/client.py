@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 PROTOCOL = "foxglove.sdk.v1"
 
 MAX_PENDING_MESSAGES = 1024
-"""Maximum number of pending messages of one viewer, about one second of all topics. Older ones are dropped."""
+"""Maximum number of pending messages of one viewer: about one second of all topics. Older messages are dropped."""
 
 _MAX_NOTIFICATIONS = 100_000
-"""Maximum number of pending notifications of one viewer; beyond it the connection is closed."""
+"""Maximum number of pending notifications of one viewer. If there are more, the connection is closed."""
 
 _BATCH_SIZE = 32
 """Number of messages written before waiting for the connection to send them."""
@@ -31,12 +31,12 @@ _WARNING = 1
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic as offered to viewers.
+    """A topic that is offered to viewers.
 
     Attributes:
         id: number of the channel.
         topic: full name of the topic.
-        type_name: type of its messages.
+        type_name: type of the messages.
         definition: definition of the type.
     """
 
@@ -71,7 +71,7 @@ class Client(WebSocketHandler):
         self._write_task: asyncio.Task[None] | None = None
 
     def select_subprotocol(self, subprotocols: list[str]) -> str | None:
-        """Return the protocol if the viewer supports it, else None."""
+        """Return the name of the protocol if the viewer supports it, else None."""
         return PROTOCOL if PROTOCOL in subprotocols else None
 
     def check_origin(self, origin: str) -> bool:
@@ -87,7 +87,7 @@ class Client(WebSocketHandler):
         self._viewers.add(self)
 
     async def on_message(self, message: str | bytes) -> None:
-        """Process a request; the next one is read after the answer to this one has been written."""
+        """Process a request; the next request is read after the answer has been written."""
         error = self._handle_request(message)
         if error:
             try:
@@ -102,7 +102,7 @@ class Client(WebSocketHandler):
         self._viewers.remove(self)
 
     def abort(self) -> None:
-        """Close the connection without a closing handshake: the viewer no longer reads."""
+        """Close the connection without a closing handshake, because the viewer no longer reads."""
         stream = None if self.ws_connection is None else self.ws_connection.stream
         if stream is not None:
             stream.close()
@@ -119,8 +119,8 @@ class Client(WebSocketHandler):
 
         Args:
             channel: channel of the message.
-            data: its CDR bytes.
-            log_time_ns: its arrival, UTC, ns.
+            data: CDR bytes of the message.
+            log_time_ns: arrival time of the message, UTC, ns.
         """
         self._messages.append((channel.id, log_time_ns, data))
         was_woken, self._is_wake_pending = self._is_wake_pending, True

@@ -1,10 +1,10 @@
 """Read-only server of topics for Foxglove and Lichtblick ("Foxglove WebSocket").
 
-Messages are forwarded as bytes, with the definition of their type; the viewer decodes them. A slow client loses its
-oldest messages: it delays no other client, and its memory is bounded.
+Messages are forwarded as bytes, with the definition of their type; the viewer decodes them. The oldest messages for a
+slow client are dropped, so that a slow client delays no other client and needs no more memory.
 
-The protocol is that of foxglove-sdk (``foxglove.sdk.v1``). The server of that package answers every web page; this one
-answers only the viewers and pages of this machine.
+The server uses the protocol of foxglove-sdk (``foxglove.sdk.v1``). The server of foxglove-sdk answers every web page;
+this server answers only the viewers and pages of this machine.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "
 """Origins of the viewers that are web pages of other sites."""
 
 _DESKTOP_ORIGIN, _DESKTOP_AGENT = "file://", "Electron/"
-"""Origin and user agent of desktop viewers. A page saved to a file has this origin too, but another agent."""
+"""Origin and user agent of desktop viewers. A page saved to a file has the same origin, but another user agent."""
 
 MAX_CLIENTS = 32
 """Maximum number of viewers."""
@@ -39,11 +39,11 @@ _CLOSE_TIMEOUT_S = 1.0
 
 
 class Viewers:
-    """All connected viewers and all offered channels. Other threads may only read its attributes.
+    """All connected viewers and all offered channels. Other threads may only read the attributes.
 
     Attributes:
-        channels: number → offered channel.
-        receivers: number of a channel → connections that are subscribed to it.
+        channels: number of a channel → offered channel.
+        receivers: number of a channel → connections that are subscribed to the channel.
         subscribed_topics: topics to which any viewer is subscribed.
         new_subscriptions: topics to which viewers have subscribed, in order.
         clients: all connections.
@@ -59,7 +59,7 @@ class Viewers:
         self._info = {"op": "serverInfo", "name": name, "capabilities": [], "sessionId": str(time.time_ns())}
 
     def add(self, client: Client) -> None:
-        """Add a viewer, and notify it of all channels."""
+        """Add a viewer, and send all channels to the viewer."""
         self.clients.add(client)
         client.notify(self._info)
         for channel in self.channels.values():
@@ -120,7 +120,7 @@ class _Application(Application):
         return super().find_handler(request, **arguments)
 
     def _is_viewer(self, request: HTTPServerRequest) -> bool:
-        """True if the request comes from a viewer, or from a program without an origin."""
+        """True if the request comes from a viewer, or from a program that states no origin."""
         origin = request.headers.get("Origin", "")
         if origin == _DESKTOP_ORIGIN:
             return _DESKTOP_AGENT in request.headers.get("User-Agent", "")
@@ -132,7 +132,7 @@ class _Application(Application):
 class FoxgloveServer:
     """Serves topics to viewers, which cannot publish, call services or set parameters.
 
-    All methods except :meth:`close` must be called from one thread; the server runs in a thread of its own.
+    All methods except :meth:`close` must be called from one thread; the server runs in a separate thread.
 
     Attributes:
         address: address for clients.
@@ -140,11 +140,11 @@ class FoxgloveServer:
     Args:
         name: name of the suite, which clients display.
         host: address to listen on; loopback serves this machine only.
-        port: TCP port; 0 takes a free one.
-        allowed_hosts: host names, beyond this machine's, of accepted requests and web pages.
+        port: TCP port; 0 for a free port.
+        allowed_hosts: further host names that requests and web pages may have.
 
     Raises:
-        BadInput: the port is in use, or the address is not one of this machine.
+        BadInput: the port is in use, or the address does not belong to this machine.
     """
 
     def __init__(self, name: str, host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
@@ -165,8 +165,8 @@ class FoxgloveServer:
 
         Args:
             topic: full name of the topic.
-            type_name: type of its messages, as ``sensor_msgs/msg/Imu``.
-            definition: definition of the type with all types in it, as rosbag2 embeds it.
+            type_name: type of the messages, as ``sensor_msgs/msg/Imu``.
+            definition: definition of the type and of all types in it, in the form of rosbag2.
         """
         former = self._types.get(topic)
         if former is not None and former.type_name == type_name:
@@ -186,7 +186,7 @@ class FoxgloveServer:
         return frozenset(topics)
 
     def forward(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
-        """Forward a message to the subscribers of its topic, which must have been offered. It never waits.
+        """Forward a message to the subscribers of its topic, without waiting. The topic must have been offered.
 
         Args:
             topic: full name of the topic.

@@ -1,8 +1,7 @@
-"""State of a running suite: a reader of topics passes their messages to a monitor, which computes the state.
+"""State of a running suite: a reader receives the topics, and a monitor computes the state from their messages.
 
-Topics are read in a thread of their own. The display may be busy for a second; without the thread, the newest message
-after such a second would look like the end of a gap. The same thread forwards topics to a receiver outside ROS, if
-there is one.
+Topics are read in a separate thread. Without this thread, a display that is busy for a second would look like a gap in
+the data. The thread also forwards topics to a receiver outside ROS, if a receiver is given.
 """
 
 import itertools
@@ -26,7 +25,7 @@ READ_PERIOD_S = 0.2
 """Period at which topics are read, s."""
 
 _RELAYS_PER_READ = 4
-"""Number of forwarding steps for each reading of topics: twenty a second."""
+"""Number of forwarding steps for each reading of topics: twenty steps a second."""
 
 _STATE_PERIOD_NS = 200_000_000
 _CLOSE_TIMEOUT_S = 5.0
@@ -37,9 +36,9 @@ class LiveSuite:
 
     Args:
         node_name: name of the node on the network.
-        namespace: namespace of the suite, with or without slashes; empty if there is none.
+        namespace: namespace of the suite, with or without slashes; empty for no namespace.
         limits: limits of the ship, for the state of a suite without an alert node.
-        receiver: receiver of the suite's topics as bytes; None if there is none.
+        receiver: receiver of the suite's topics as bytes; None for no receiver.
 
     Raises:
         BadInput: as in :class:`ship_monitor.live.topic_reader.TopicReader`.
@@ -85,7 +84,7 @@ class LiveSuite:
             self._has_rejected_state = True
 
     def current_state(self) -> SuiteState:
-        """Return the current state; calls within 0.2 s share one."""
+        """Return the current state; calls within 0.2 s return the same state."""
         now_ns = steady_ns()
         if self._suite_state is None or now_ns - self._suite_state_ns > _STATE_PERIOD_NS:
             # Messages read already are processed before the state is evaluated.
@@ -128,7 +127,7 @@ class LiveSuite:
 
     @property
     def name(self) -> str:
-        """Namespace without its slash; "ship" for none."""
+        """Namespace without its slash; "ship" if there is no namespace."""
         return self._reader.namespace.strip("/") or "ship"
 
     @property
@@ -137,7 +136,7 @@ class LiveSuite:
         return self._reader.location
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
-        """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
+        """Acknowledge one instance of an alert; return the result in words. The call may take seconds."""
         return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
     def controls(self, _on_move: Callable[[], None]) -> None:

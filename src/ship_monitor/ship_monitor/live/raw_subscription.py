@@ -10,26 +10,26 @@ from ship_bags.live.installed_types import installed_class
 
 
 def are_latched(publishers: Sequence[TopicEndpointInfo]) -> bool:
-    """True if all publishers of a topic are transient local: late subscribers get their last message."""
+    """True if all publishers of a topic are transient local, so that a late subscriber gets the last message."""
     durability = {each.qos_profile.durability for each in publishers}
     return durability == {DurabilityPolicy.TRANSIENT_LOCAL}
 
 
 class RawSubscription:
-    """Subscription whose newest messages wait in DDS until they are fetched: nothing runs when one arrives.
+    """Subscription whose newest messages wait in DDS until they are fetched; no code runs when a message arrives.
 
-    It is best effort, so that no publisher waits for it. Latched topics are subscribed reliably, because DDS delivers
-    the last message to reliable subscriptions only.
+    The subscription is best effort, so that no publisher waits for it. Latched topics are subscribed reliably, because
+    DDS delivers the last message to reliable subscriptions only.
 
     Attributes:
-        type_name: type of its messages.
+        type_name: type of the messages.
         is_latched: True if a message published before the subscription is delivered.
-        message_class: class of its messages.
+        message_class: class of the messages.
 
     Args:
-        node: node of the subscription; it need not be spun.
+        node: node of the subscription; the node need not be spun.
         topic: full name of the topic.
-        type_name: type of its messages, as ``sensor_msgs/msg/Imu``.
+        type_name: type of the messages, as ``sensor_msgs/msg/Imu``.
         is_latched: see :func:`are_latched`.
         depth: number of messages that may wait.
 
@@ -49,7 +49,7 @@ class RawSubscription:
         self._subscription = node.create_subscription(self.message_class, topic, lambda _: None, qos, raw=True)
 
     def fetch_messages(self) -> Iterator[tuple[bytes, int]]:
-        """Yield the waiting messages: CDR bytes and arrival by the system's clock, UTC, ns."""
+        """Yield CDR bytes and arrival time (UTC of the system's clock, ns) of each waiting message."""
         handle = self._subscription.handle
         for _ in range(self._depth):
             with handle:

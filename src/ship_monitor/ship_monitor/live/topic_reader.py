@@ -1,7 +1,7 @@
 """Reader of the topics of one namespace: messages are fetched as bytes and decoded only on request.
 
-Nothing runs when a message arrives: DDS keeps the newest messages of each topic, and :meth:`TopicReader.fetch` fetches
-them. An INS at 1 kHz therefore costs a few decoded messages a second, and no Python thread is woken.
+No code runs when a message arrives: DDS keeps the newest messages of each topic, and :meth:`TopicReader.fetch` fetches
+these messages. An INS at 1 kHz therefore costs a few decoded messages a second, and no Python thread is woken.
 """
 
 import time
@@ -24,7 +24,7 @@ from ship_monitor.live.raw_subscription import RawSubscription, are_latched
 ALERTS_TOPIC = "ship/alerts"
 
 MAX_QUEUE_DEPTH = 256
-"""Queue depth of a topic of which each message is needed: a quarter of a second at 1 kHz."""
+"""Queue depth of a topic whose messages are all needed: a quarter of a second at 1 kHz."""
 
 CLOCK_TOPIC = "/clock"
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
@@ -35,14 +35,14 @@ DISCOVERY_NS = 500_000_000
 _CLOCK_BACK_NS = 100_000_000
 """Step back of /clock that resets the nodes, ns (:mod:`ship_node.live.live_node`)."""
 _STAMPS_BACK_NS = 5 * NS_PER_S
-"""Step back of an output's stamp that means another voyage, ns: stamps of outputs increase."""
+"""Step back of an output's stamp that indicates another voyage, ns: within a voyage the stamps increase."""
 _OUTPUTS = ("ship/attitude", "theodolite/pointing")
 _MIN_SLEEP_NS = 5 * NS_PER_S
 
 _CLOCK_MEMORY_NS = 10 * NS_PER_S
-"""Time before an output, ns. If a /clock or a truth topic existed within it, the output counts as played or simulated.
+"""Time before an output, ns. The output counts as played or simulated if /clock or a truth topic existed in this time.
 
-Both may have ended while the output is still displayed."""
+The topic may have ended while the output is still displayed."""
 
 
 def steady_ns() -> int:
@@ -65,7 +65,7 @@ class ReceivedBatch:
 
     Attributes:
         time_went_back: True if the suite's time went back, as at the start of a bag: earlier data are invalid.
-        messages: messages in the order of their arrival; none from before a step back.
+        messages: messages in the order of their arrival, without the messages before a step back of the time.
         alerts_ended: True if the alert node has ended since the last fetch.
     """
 
@@ -83,20 +83,20 @@ class _SubscribedTopic:
 
 
 class TopicReader:
-    """Reads the topics of a namespace and discovers new ones.
+    """Reads the topics of a namespace and discovers new topics.
 
-    It has its own context and node, which is not spun. After the computer has slept it joins the network again, because
-    the addresses may have changed.
+    The reader has its own context and its own node, which is not spun. After the computer has slept, the reader joins
+    the network again, because the addresses may have changed.
 
     Attributes:
-        domain_id: its ROS domain.
-        namespace: namespace with a leading slash; "/" for none.
+        domain_id: ROS domain of the reader.
+        namespace: namespace with a leading slash; "/" for no namespace.
 
     Args:
         name: name of the node.
-        namespace: namespace of the suite, with or without slashes; empty if there is none.
+        namespace: namespace of the suite, with or without slashes; empty for no namespace.
         queue_depth: returns the queue depth for relative name and type of a topic: 1 if the newest message is enough,
-            :data:`MAX_QUEUE_DEPTH` if each is needed, 0 if the topic is not needed.
+            :data:`MAX_QUEUE_DEPTH` if each message is needed, 0 if the topic is not needed.
 
     Raises:
         BadInput: the namespace is invalid, or DDS security is required but not available.
@@ -131,7 +131,7 @@ class TopicReader:
         kept = (each for each in received if each.topic != CLOCK_TOPIC)
         if jump_ns is None:
             return ReceivedBatch(False, tuple(kept), alerts_ended)
-        # Outputs follow the step of /clock later. Their latest stamps are reset, so that one step is not counted twice.
+        # The outputs step back after /clock. Their latest stamps are reset, so that the step is not counted twice.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
         latched = {
             subscribed.relative_name
@@ -143,7 +143,7 @@ class TopicReader:
 
     @property
     def is_simulated(self) -> bool:
-        """True if the suite's truth is on the network, or was at the time of the last output; no real ship has one."""
+        """True if the suite's truth is on the network, or was there at the time of the last output."""
         return self._output_ns - self._truth_ns < _CLOCK_MEMORY_NS
 
     @property
@@ -160,16 +160,16 @@ class TopicReader:
 
     @property
     def context(self) -> Context:
-        """Context of its node, for another node in this process; a new one after the computer has slept."""
+        """Context of the reader's node, for another node in this process; renewed after the computer has slept."""
         return self._context
 
     @property
     def node(self) -> Node:
-        """Its node, for subscriptions in the thread that calls :meth:`fetch`; a new one after a sleep."""
+        """Node for subscriptions in the thread that calls :meth:`fetch`; renewed after the computer has slept."""
         return self._node
 
     def relative_name(self, topic: str) -> str | None:
-        """Return a topic relative to the namespace, unchanged if all suites share it; None for other topics."""
+        """Return the name relative to the namespace, unchanged if all suites share the topic; None for other topics."""
         return topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
 
     def close(self) -> None:
@@ -205,7 +205,7 @@ class TopicReader:
         self._last_fetch_ns = self._next_discovery_ns = steady_ns()
 
     def _discover(self) -> None:
-        """Subscribe to new topics, and again to those with another type or durability."""
+        """Subscribe to new topics, and again to topics whose type or durability has changed."""
         names = self._node.get_topic_names_and_types()
         ending = "/" + _OUTPUTS[0]
         self._other_namespaces = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
@@ -232,9 +232,9 @@ class TopicReader:
             self._truth_ns = steady_ns()
 
     def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
-        """Return the topic of the suite's clock: one in its namespace, as for a bag played into it, else /clock.
+        """Return the topic of the suite's clock: a clock in the namespace, as of a bag played into it, else /clock.
 
-        If the topic changes, the latest time of the former one is dropped, so that the change is no step back in time.
+        If the topic changes, the latest time of the former topic is dropped: the change does not count as a step back.
         """
         own = self.namespace.rstrip("/") + CLOCK_TOPIC
         is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0
@@ -263,7 +263,7 @@ class TopicReader:
         self._subscriptions[topic] = _SubscribedTopic(subscription, relative)
 
     def _decode_waiting(self, now_ns: int) -> Iterator[ReceivedMessage]:
-        """Yield the waiting messages, decoded; those that cannot be decoded (other definition) are skipped."""
+        """Yield the waiting messages, decoded; messages that cannot be decoded (other type definition) are skipped."""
         clock_offset_ns = time.time_ns() - now_ns
         for subscribed in self._subscriptions.values():
             for data, received_ns in subscribed.subscription.fetch_messages():
@@ -279,7 +279,7 @@ class TopicReader:
                 yield ReceivedMessage(subscribed.relative_name, message, arrival_ns)
 
     def _jump_ns(self, received: ReceivedMessage) -> int | None:
-        """Return the arrival of a message whose time went back (/clock or a valid output), ns; None for others."""
+        """Return the arrival of a message of /clock or a valid output, ns, if its time went back; otherwise None."""
         message = received.message
         if isinstance(message, Clock):
             time_ns, tolerance_ns = ns_from_stamp(message.clock), _CLOCK_BACK_NS

@@ -1,7 +1,7 @@
 """Relay of a suite's topics as bytes to a receiver outside ROS.
 
-All topics of the namespace are offered; only those requested by the receiver are subscribed, so that the others cost
-nothing. Unlike for the page, each message is forwarded.
+All topics of the namespace are offered. Only topics requested by the receiver are subscribed, so that other topics cost
+nothing. Each message is forwarded, not only the newest as for the page.
 """
 
 import logging
@@ -16,7 +16,7 @@ from ship_monitor.live.topic_reader import DISCOVERY_NS, MAX_QUEUE_DEPTH, TopicR
 
 
 class TopicReceiver(Protocol):
-    """Receiver of topics. Topics have their full names; all methods return at once."""
+    """Receiver of topics. All names of topics are full names; all methods return at once."""
 
     def offer(self, topic: str, type_name: str, definition: str) -> None:
         """Offer a topic; a known topic may be offered again with another type."""
@@ -28,13 +28,13 @@ class TopicReceiver(Protocol):
         """Return the topics with a new subscriber since the last call."""
 
     def forward(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
-        """Forward a message of a topic: its CDR bytes and its arrival, UTC, ns."""
+        """Forward the CDR bytes of a message that arrived at a time, UTC, ns."""
 
 
 class TopicRelay:
-    """Subscribes for a receiver, on the node and in the thread of a topic reader.
+    """Forwards topics to a receiver, by subscriptions on the node and in the thread of a topic reader.
 
-    With the reader's node, both share one DDS participant, which receives each message once.
+    On this node, relay and reader share one DDS participant, which receives each message once.
 
     Args:
         reader: topic reader of the namespace.
@@ -98,7 +98,7 @@ class TopicRelay:
         self._types[topic] = type_name
         self._receiver.offer(topic, type_name, definition)
         if topic in self._subscriptions:
-            self._unsubscribe(topic)  # it has the former type
+            self._unsubscribe(topic)  # this subscription has the former type
 
     def _subscribe(self, topic: str) -> None:
         """Subscribe to a topic, and again if the durability of its publishers has changed."""
@@ -106,7 +106,7 @@ class TopicRelay:
         own = [each for each in publishers if each.topic_type == self._types[topic]]
         former = self._subscriptions.get(topic)
         if publishers and not own:
-            del self._known_types[topic]  # they have another type now
+            del self._known_types[topic]  # the publishers have another type now
         if not own or (former is not None and former.is_latched == are_latched(own)):
             return
         if former is not None:

@@ -1,4 +1,4 @@
-"""The live page: colours, first screen, panels below it, and their server.
+"""The live page: colours, first screen, panels and server.
 
-It draws the state computed in :mod:`ship_watch`. It uses Bokeh, and no ROS.
+The page displays the state computed in :mod:`ship_watch`. It uses Bokeh, and no ROS.
 """

@@ -1,7 +1,7 @@
 """Alignment and calibration panel: each state minus its nominal value, ±2σ.
 
-Most rows have a common scale. A row that does not fit has a wider scale of its own, which is stated, so that a gyro
-with an offset of 1 000″ does not shrink the others.
+Most rows have a common scale. A row that does not fit has a wider scale, which is written in the row. A gyro with
+an offset of 1 000″ therefore does not shrink the bars of the other rows.
 """
 
 import math
@@ -47,7 +47,7 @@ class AlignmentPanel:
         self.box = PanelBox(theme, "Alignment and calibration", [self.figure])
 
     def update(self, history: History, marked: str) -> None:
-        """Draw the current states; those of the marked source are highlighted."""
+        """Draw the current states; states of the marked source are highlighted."""
         states = [*history.alignment, *history.calibration]
         count = len(states)
         if not count:
@@ -120,7 +120,7 @@ def half_width(low: np.ndarray, high: np.ndarray) -> float:
 
 
 def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: float) -> np.ndarray:
-    """Return the half width of each row's scale, arcsec: that of the axis, or a wider step if its value needs it."""
+    """Return the half width of each row's scale, arcsec: as on the axis, or a wider step for a large value."""
     known = np.isfinite(low) & np.isfinite(high)
     needed = np.where(known, 1.05 * np.abs(value), 0.0)
     return np.array([half if not need > half else next_step(need, STEPS_ARCSEC) for need in needed])

@@ -24,7 +24,7 @@ STATIC = Path(__file__).with_name("static")
 """Folder of template, style and script of the page."""
 
 SCRIPTS = ("bokeh", "bokeh-widgets")
-"""Bokeh scripts that the page needs; the others, 4 of 6 MB, are not loaded."""
+"""Bokeh scripts that the page needs; the other scripts, 4 of 6 MB, are not loaded."""
 
 _ERROR_PAGE = """\
 <!doctype html><html style="background:{{ theme.background }};color:{{ theme.text }}">
@@ -63,7 +63,7 @@ class Page:
         self._panel_column = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
         self._is_paused = False
-        self._pending_angle = ""  # chosen, not yet displayed
+        self._pending_angle = ""  # angle chosen by the user but not yet displayed
         self._texts = ColumnDataSource(data={"text": [self._text()]}, name="texts")
         # The page's script is called at each change; the first call shows that the link works.
         self._texts.js_on_change("data", CustomJS(code="monitor.show(JSON.parse(cb_obj.data.text[0]))"))
@@ -79,7 +79,7 @@ class Page:
         self._panel_column.js_on_change("children", CustomJS(code="monitor.watchPanels(cb_obj.children[0].children)"))
         for root in (self._panel_column, self._texts, self._choice):
             document.add_root(root)
-        # The page itself reports a lost link, in its own colours.
+        # The page's script reports a lost link, in the colours of the theme.
         document.config.notify_connection_status = False
         document.title = f"{source.name} · monitor"
         document.template = _template()
@@ -88,7 +88,7 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Update texts and plots. After an error the page gets no updates and reports this itself."""
+        """Update texts and plots. After an error updates end, which the script of the page reports."""
         self._update_texts()
         self._count += 1
         if self._count % TEXTS_PER_PLOT_UPDATE == 0:
@@ -146,7 +146,7 @@ class Page:
         self._panels.marked = str(choice["marked"])
         if choice["seen"] is not None:
             self._panels.visible_panels = frozenset(str(choice["seen"]).split())
-        # Draw at once; for a paused page its own time.
+        # Draw at once; a paused page keeps its time.
         self._panels.update(self._source.history, self._drawn_state)
         if not self._is_placing:
             self._is_placing = True
@@ -160,7 +160,7 @@ def page_maker(
 
     Args:
         open_source: returns the source for one browser.
-        default_theme: theme of addresses without one.
+        default_theme: theme of a page whose address contains no theme.
         zone: time zone of the local time; None for UTC only.
     """
 
@@ -181,7 +181,7 @@ def page_maker(
 
 
 def json_in_script(text: str) -> str:
-    """Escape JSON for the inside of a script of a page, so that no text in it can end the script."""
+    """Escape JSON for use in a script of a page, so that no text in the JSON can end the script."""
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 

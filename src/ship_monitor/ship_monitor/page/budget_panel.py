@@ -1,7 +1,7 @@
-"""Error budget panel of one angle: variances of its sources stacked, the axis labelled with their square roots.
+"""Error budget panel of one angle: stacked variances of the error sources on an axis labelled with sigmas.
 
-Variances add up, sigmas do not: the bands add up to the total, and 2″ is four times as high as 1″. A short peak is cut
-off and its height is written.
+Variances add up, sigmas do not: the bands add up to the total, and 2″ is four times as high as 1″. The top of a short
+peak is cut off, and its height is written there.
 """
 
 import math
@@ -29,7 +29,7 @@ from ship_watch.history import HISTORY_S, BudgetPoint, History
 from ship_watch.suite_state import ANGLES
 
 MAX_BANDS = 5
-"""Number of sources with bands of their own."""
+"""Maximum number of sources with separate bands."""
 
 TOPS_ARCSEC = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 100.0, 200.0, 500.0)
 """Possible ends of the axis, sigma, arcsec."""
@@ -43,8 +43,8 @@ class BudgetPanel:
 
     Attributes:
         box: the panel.
-        angle: displayed angle, one of :data:`ship_watch.suite_state.ANGLES`; empty if there is none.
-        chosen_angle: angle chosen by the user; empty if there is none.
+        angle: displayed angle, one of :data:`ship_watch.suite_state.ANGLES`; empty if no angle is displayed.
+        chosen_angle: angle chosen by the user; empty before a choice.
     """
 
     def __init__(self, theme: Theme, times: TimeAxis) -> None:
@@ -78,7 +78,7 @@ class BudgetPanel:
 
         Args:
             history: history with the budgets.
-            marked: marked source: its parts have bands of their own, which are highlighted; empty if there is none.
+            marked: marked source, whose parts have separate, highlighted bands; empty if no source is marked.
         """
         topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
         self._names = [angle for angle in ANGLES if angle in topics]
@@ -161,7 +161,7 @@ class BudgetPanel:
         self.box.set_subtitle(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
 
     def _draw_bands(self) -> None:
-        """Draw new bands: the five largest sources, and the sum of the others."""
+        """Draw new bands: the five largest sources, and the sum of the other sources."""
         for renderer in self._band_renderers:
             self._figure.renderers.remove(renderer)
         edges = [[_column(name) for name in self._bands[: count + 1]] for count in range(len(self._bands))]
@@ -189,7 +189,7 @@ class BudgetPanel:
 
 
 def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequence[str]) -> FloatArray:
-    """Return the variances of an angle, arcsec², shape (points, sources); NaN for missing ones."""
+    """Return the variances of an angle, arcsec², shape (points, sources); NaN for missing variances."""
     empty: Mapping[str, float] = {}
     rows = [[point.by_angle.get(angle, empty).get(source, np.nan) for source in sources] for point in points]
     return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC_PER_RAD**2
@@ -198,12 +198,12 @@ def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequen
 def largest_sources(
     means: Mapping[str, float], current_bands: tuple[str, ...], required: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Return the sources with bands of their own, the largest at the bottom; small changes keep the current bands.
+    """Return the sources with separate bands, the largest at the bottom; after small changes the bands stay.
 
     Args:
         means: source → mean variance.
-        current_bands: current bands; one is replaced only by a source that is a quarter larger.
-        required: sources that always have bands.
+        current_bands: current bands; a band is replaced only by a variance that is a quarter larger.
+        required: sources that always have separate bands.
     """
     known = {source: mean for source, mean in means.items() if mean > 0.0}
     weight = {source: mean * (1.25 if source in current_bands else 1.0) for source, mean in known.items()}
@@ -260,9 +260,9 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, 
 
     Args:
         last: source → newest variance, arcsec².
-        bands: sources with bands of their own, from below.
+        bands: sources with separate bands, from below.
         height: height of the axis, arcsec².
-        marked: marked source; empty if there is none.
+        marked: marked source; empty if no source is marked.
     """
     others = sum(value for source, value in last.items() if source not in bands)
     parts = [(band, last[band]) for band in bands] + ([("other", others)] if len(last) > len(bands) else [])
@@ -281,7 +281,7 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, 
 
 
 def _column(source: str) -> str:
-    """Return the name of a source's column, which differs from those of the time and of the total."""
+    """Return the name of a source's column, which differs from the names of the columns of time and total."""
     return f"of {source}"
 
 

@@ -35,8 +35,8 @@ def rows_to_draw(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
 
     Args:
         time_ns: rising times, shape (n,).
-        value: values, shape (n,). NaN is ignored; of an interval with only NaN one row is returned, so that the line
-            has a gap.
+        value: values, shape (n,). NaN is ignored; for an interval with only NaN one row is returned, so that the
+            line has a gap.
     """
     ends = np.flatnonzero(np.diff(time_ns // BUCKET_NS)) + 1
     # The last interval is incomplete.
@@ -55,11 +55,11 @@ def median_period_ns(points: Sequence[Timed]) -> float:
 
 
 def gap_rows(time_ns: TimesNs, previous_ns: int | None, period_ns: float) -> NDArray[np.intp]:
-    """Return the rows that follow a gap. A gap is longer than three periods, and than 2 s.
+    """Return the rows that follow a gap. A gap is longer than three periods and longer than 2 s.
 
     Args:
         time_ns: rising times, shape (n,).
-        previous_ns: time of the row before the first; None if there is none.
+        previous_ns: time of the row before the first row; None if there is no such row.
         period_ns: usual time between two points, ns.
     """
     first = time_ns[0] if previous_ns is None else previous_ns
@@ -67,12 +67,12 @@ def gap_rows(time_ns: TimesNs, previous_ns: int | None, period_ns: float) -> NDA
 
 
 def next_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
-    """Return the smallest step that is at least ``largest``; the first step for NaN, the last if all are smaller."""
+    """Return the smallest step that is at least ``largest``; the first step for NaN, the last if all are too small."""
     return next((step for step in steps if not largest > step), steps[-1])
 
 
 def label_positions(wanted: Sequence[float], spacing: float, low: float, high: float) -> list[float]:
-    """Return positions of labels near the wanted ones without overlap, in the given order.
+    """Return positions of labels near the wanted positions, without overlap and in the given order.
 
     Args:
         wanted: best positions.

@@ -24,10 +24,10 @@ CHANNELS: Mapping[tuple[str, str], str] = {
 """Topic and channel → title of a plot."""
 
 STATISTICS_WINDOW_NS = 60_000_000_000
-"""Window of the figures at a plot, ns."""
+"""Window of the statistics written at a plot, ns."""
 
 AXIS_WINDOW_NS = 15_000_000_000
-"""Window whose values determine the height of a plot, ns: earlier values may be cut off, as after a start."""
+"""Window whose values determine the height of a plot, ns: earlier values, as after a start, may be cut off."""
 
 
 def has_truth(history: History) -> bool:
@@ -57,7 +57,7 @@ class ErrorPanel:
 
         Args:
             history: history with the errors.
-            chosen: highlighted angle; empty if there is none.
+            chosen: highlighted angle; empty for no angle.
         """
         newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
         keys = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]

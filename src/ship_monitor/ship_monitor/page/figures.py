@@ -123,13 +123,13 @@ class SideLabels:
         made.add_layout(self._axis, "right")
 
     def write(self, texts: Mapping[float, str]) -> None:
-        """Show these texts, each at its height."""
+        """Show texts, given as height → text."""
         self._axis.ticker.ticks = sorted(texts)
         self._axis.major_label_overrides = {height: without_formulas(text) for height, text in texts.items()}
 
 
 def add_hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_line: bool = False) -> None:
-    """Add a tooltip with a point's values; for a line at any height of the pointer.
+    """Add a tooltip with the values of a point; for a line the pointer may be at any height.
 
     ``html`` refers to columns as ``@column{0.0}``.
     """
@@ -147,19 +147,19 @@ def add_hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is
 
 
 def tooltip_style(theme: Theme) -> GlobalInlineStyleSheet:
-    """Return a style of the tooltips in the colours of the theme; without it they are white."""
+    """Return a style of the tooltips in the colours of the theme; without this style tooltips are white."""
     return GlobalInlineStyleSheet(css=f".bk-Tooltip{{background:{theme.background};border-color:{theme.border}}}")
 
 
 def narrow_height(height_px: int) -> InlineStyleSheet:
-    """Return a style with another height of a plot on a small screen."""
+    """Return a style that sets the height of a plot on a small screen."""
     return InlineStyleSheet(
         css=f"{NARROW}{{:host{{height:{height_px}px !important;flex-basis:{height_px}px !important}}}}"
     )
 
 
 def batched_model_changes(layout: Model) -> AbstractContextManager[None]:
-    """Return a context for adding or removing many models: the document checks all its models once at the end."""
+    """Return a context for adding or removing many models, at whose end the document checks all its models once."""
     made: AbstractContextManager[None] = nullcontext() if layout.document is None else layout.document.models.freeze()
     return made
 
@@ -170,7 +170,7 @@ def draw_texts(made: figure, source: ColumnDataSource, **options: Any) -> None:
 
 
 class ResidualBars:
-    """Bars of residuals in a plot, with true direction for any scales of its axes.
+    """Bars of residuals in a plot; their directions are true for any scales of the axes.
 
     Args:
         theme: colours.
@@ -191,8 +191,8 @@ class ResidualBars:
         """Draw a bar at each position.
 
         Args:
-            x: positions, shape (n,).
-            y: positions, shape (n,).
+            x: positions along x, shape (n,).
+            y: positions along y, shape (n,).
             right: residuals to the right, rad, shape (n,); no bar for NaN.
             up: residuals up, rad, shape (n,).
             colour: colour of the bars.
@@ -214,11 +214,11 @@ class ResidualBars:
 
 
 class GrowingRows(Generic[Key, Row]):
-    """Plots below each other, made few at a time because each takes some time on server and browser.
+    """Plots below each other. Few are made at a time, because each plot takes some time on server and browser.
 
     Args:
         box: panel of the plots.
-        make: makes the plot of a key; the last one has the axis.
+        make: returns the plot of a key; the second argument is True for the last plot, which has the time axis.
 
     Attributes:
         rows: key → plot.
@@ -234,9 +234,9 @@ class GrowingRows(Generic[Key, Row]):
         self.are_complete = False
 
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
-        """Make plots for keys without one, in the order of the keys; return all plots.
+        """Make plots for keys that have no plot, in the order of the keys; return all plots.
 
-        The caller draws them before :meth:`show`: changes of a plot that is being sent to a browser would be lost,
+        The caller draws the plots before :meth:`show`. Changes of a plot that is being sent to a browser would be lost,
         because the document does not contain the plot yet.
         """
         if list(keys) != self._keys:

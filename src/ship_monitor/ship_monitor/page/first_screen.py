@@ -1,6 +1,6 @@
 """Texts and lengths of the page's first screen, from the state of a suite.
 
-The page's script only puts them in their places. Texts from the network stay plain texts and are never markup.
+The page's script only inserts these texts and lengths. Texts from the network stay plain texts and are never markup.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ RIBBON_S = 600
 _THEODOLITE_ANGLES = ("azimuth", "elevation")
 _TICK_S = 120
 _NO_ALERT = {"icon": "", "state": "", "text": "No alerts", "sub": "", "advice": "", "unack": 0, "all": []}
-_MAX_BANNERS = 3  # with more, the list of sources would have no room
+_MAX_BANNERS = 3  # with more banners, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
 # Alert.state of ship_msgs: icon and text.
 _ALERT_STATES = {
@@ -48,7 +48,7 @@ def first_screen(
         history: history with the safety of the last ten minutes.
         label: LIVE, BAG or SIMULATED, from the source of the state.
         location: namespace and domain, for a page that waits for data.
-        local: local time, displayed under UTC; empty if there is none.
+        local: local time, displayed under UTC; empty if only UTC is displayed.
     """
     has_lights = any(angle.name in _THEODOLITE_ANGLES for angle in suite_state.angles)
     waiting = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
@@ -84,7 +84,7 @@ def _tile(angle: AngleState) -> dict[str, Any]:
         "number": reading.number,
         "sense": reading.sense or ("theodolite" if angle.name in _THEODOLITE_ANGLES else ""),
         "accuracy": value_texts.accuracy_text(angle),
-        # The limit is in the middle of the bar. No bar without a number.
+        # The limit is at the middle of the bar. Without a number there is no bar.
         "bar": min(ratio, 1.0) if ratio >= 0.0 and not angle.is_old else None,
         "reason": reason,
         "is_reason": bool(angle.reason),
@@ -140,15 +140,15 @@ def _alert(alert: AlertEntry) -> dict[str, str]:
 
 
 def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str, Any]:
-    """Return banners of the sources that are OUT, then the list; sources not configured come last, not counted.
+    """Return the banners of sources that are OUT, and all sources; sources not configured are last and not counted.
 
-    A source that is OUT because of another one, or of an overloaded node, is listed below that one without a banner.
+    A source that is OUT due to another source or a node has no banner, but its cause has. It is marked in the list.
     """
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]
     names = {source.name for source in sources}
     roots = [source for source in out if not source.because_of or source.because_of == CAUSE_NODE]
-    # Sources whose cause is IN again.
+    # Sources that are still OUT although the source that caused it is IN again.
     roots += [source for source in out if source.because_of in names - {each.name for each in out}]
     below = [source for source in out if source not in roots]
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
@@ -173,7 +173,7 @@ def _more_banner(banners: list[tuple[str, str]]) -> tuple[str, str]:
 
 
 def _reason_lines(source: SourceDetails) -> list[str]:
-    """Return two lines about the only source that is OUT by a fault of its own."""
+    """Return one or two lines about the only source that is OUT due to its own fault."""
     since = f"since {value_texts.utc_clock(source.out_since_ns)}"
     rejected = f"{source.rejected_in_a_row} rejected" if source.rejected_in_a_row else ""
     if not source.disagreement:
@@ -188,7 +188,7 @@ def _source_row(source: SourceDetails, *, is_because: bool, is_alone: bool) -> d
     )
     sub = source.disagreement or shift or consistency
     if source.presence is Presence.OUT:
-        # With several banners the list has the details that are otherwise under the banner.
+        # With several banners, details are in the list; with one banner, they are below the banner.
         since = (
             f"{source.reason} since {value_texts.utc_clock(source.out_since_ns)}"
             if source.out_since_ns
@@ -237,7 +237,7 @@ def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
 
 
 def _intervals(points: list[SafetyPoint], name: str) -> Iterator[tuple[int, int, Safety]]:
-    """Yield first second, last second and safety of each interval; a second without data ends one."""
+    """Yield first second, last second and safety of each interval; a second without data ends an interval."""
     first_s = last_s = 0
     safety: Safety | None = None
     for point in points:

@@ -1,6 +1,7 @@
 """Innovation panel: measured minus predicted values by source, with the band of ±3 sigma.
 
-A dot is the mean of a measurement along one axis, a cross a rejected one. While a source is OUT, its plot is shaded.
+A dot is the mean of a measurement along one axis; a cross is a rejected measurement. The times for which a source was
+OUT are shaded.
 """
 
 import math
@@ -29,7 +30,7 @@ from ship_watch.history import History, InnovationPoint, points_after
 from ship_watch.suite_state import Presence, SourceDetails, SuiteState
 
 MEAN_WINDOW_NS = 10_000_000_000
-"""Window of the means at a plot, ns; its height is determined by six windows."""
+"""Window of the means at a plot, ns; the height of the plot is determined by six windows."""
 
 AXES_DRAWN = (("up", "z"), ("right", "x"))
 """Drawn axes of star sensors and lights, one marker each; rotations about the boresight are far less accurate."""
@@ -57,7 +58,7 @@ class InnovationPanel:
         Args:
             history: history with the innovations.
             suite_state: state with the sources.
-            marked: marked source; empty if there is none.
+            marked: marked source; empty if no source is marked.
             has_truth: True if the errors against truth are known.
         """
         sources = {source.name: source for source in suite_state.sources}
@@ -128,7 +129,7 @@ class _SourceRow:
         self._shade_outages(source, utc_ns)
 
     def _shade_outages(self, source: SourceDetails | None, utc_ns: int) -> None:
-        """Shade the times for which the source was OUT; times after now are removed."""
+        """Shade the times for which the source was OUT; shades after now are removed."""
         now = MS * utc_ns
         spans = [
             (start, min(end, now))
@@ -144,12 +145,12 @@ class _SourceRow:
 
 
 def source_line(name: str, source: SourceDetails | None, step: float) -> tuple[str, bool]:
-    """Return the title of a source's plot, with presence and reason or NIS consistency, and True if it is OUT.
+    """Return the title of a source's plot, with presence and reason or NIS consistency, and True if the source is OUT.
 
     Args:
         name: name of the source.
         source: state of the source; None if unknown.
-        step: half the height of the axis, arcsec; stated if it is not the smallest.
+        step: half the height of the axis, arcsec; stated in the title if it is not the smallest step.
     """
     axis = f" · axis ±{step:g}″" if step > STEPS_ARCSEC[0] else ""
     if source is None:
@@ -163,8 +164,8 @@ def source_line(name: str, source: SourceDetails | None, step: float) -> tuple[s
 
 
 def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
-    """Return the columns of one axis, arcsec; NaN for measurements without it."""
-    # Hundreds of points for each browser once a second, nearly all with the same axes: looked up once per axes.
+    """Return the columns of one axis, arcsec; NaN for measurements without this axis."""
+    # Hundreds of points for each browser once a second have nearly all the same axes: one look-up for each set of axes.
     places = {
         point_axes: next((place for place, axis in enumerate(point_axes) if axis in axes), None)
         for point_axes in {p.axes for p in points}
@@ -198,14 +199,14 @@ def _axis_limit(points: Sequence[InnovationPoint]) -> float:
 
 
 def _side_texts(points: Sequence[InnovationPoint], step: float) -> dict[float, str]:
-    """Return the recent mean of each axis as text, at its height."""
+    """Return height → text of the recent mean of each axis."""
     means: list[tuple[float, str]] = []
     for axes, (_, glyph) in zip(AXES_DRAWN, _MARKERS, strict=True):
         known = (values := _columns(points, axes)["value"])[np.isfinite(values)]
         if len(known):
             name = next(axis for point in points for axis in point.axes if axis in axes)
             means.append((float(np.mean(known)), f"{glyph} {name} {signed_text(float(np.mean(known)))}″"))
-    # At one of forty heights: otherwise labels that move by a pixel would be sent at each update.
+    # Labels are at one of forty heights: otherwise labels that move by a pixel would be sent at each update.
     wanted = [round(20.0 * mean / step) * step / 20.0 for mean, _ in means]
     heights = label_positions(wanted, 0.32 * step, -0.9 * step, 0.9 * step)
     return {height: text for height, (_, text) in zip(heights, means, strict=True)}

@@ -1,7 +1,7 @@
 """Assignment of names to the marked source, for all panels.
 
-States, alerts and events are named after their source. An error budget has sources of error, common to all instruments
-of a kind: the noise of stars is that of all star sensors.
+States, alerts and events are named after their source. An error source of a budget is common to all instruments of a
+kind: one noise of stars is the noise of all star sensors.
 """
 
 import re
@@ -23,8 +23,8 @@ _BUDGET_PREFIXES = {
     "gnss": ("ship_position",),
     "weather": ("refraction",),
 }
-"""Kind of a source → prefixes of its sources of error in a budget. The others belong to the hull, the theodolite or the
-Earth's orientation."""
+"""Kind of a source → prefixes of its sources of error in a budget. Other sources of error belong to the hull,
+the theodolite or the Earth's orientation."""
 
 
 def belongs_to_source(name: str, source: str) -> bool:
@@ -33,7 +33,7 @@ def belongs_to_source(name: str, source: str) -> bool:
 
 
 def is_event_of_source(event: Event, source: str) -> bool:
-    """True if an event concerns a source: by its subject, or by the name as a word of its text."""
+    """True if an event concerns a source: if the source is its subject or a word of its text."""
     return belongs_to_source(event.subject, source) or (
         bool(source) and re.search(rf"(?<![\w.]){re.escape(source)}(?!\w|\.\w)", event.text) is not None
     )

@@ -1,7 +1,7 @@
 """Source of the page's data: a running suite or a bag.
 
-All browsers share the source of a running suite. For a bag each browser has its own source, because it displays its
-own time.
+All browsers share the source of a running suite. For a bag each browser has its own source, because each browser
+displays its own time.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ class PageSource(SuiteStateSource, Protocol):
         ...
 
     def controls(self, on_move: Callable[[], None]) -> UIElement | None:
-        """Return new controls to be placed under the top bar, such as the time slider of a bag; None without controls.
+        """Return new controls to be placed under the top bar, such as the time slider of a bag; None for no controls.
 
         Args:
             on_move: called after the controls have changed the displayed time; the page then updates.

@@ -29,13 +29,13 @@ class Panels:
     Args:
         theme: colours.
         is_stepwise: True to start with empty frames, which :meth:`place_next` fills.
-        is_bag: True if the data are from a bag; for texts about missing data.
+        is_bag: True if the data are from a bag, which changes the texts about missing data.
 
     Attributes:
         layout: layout that the page places below its first screen.
         times: time axis of the plots.
-        marked: name of the marked source; empty if there is none.
-        visible_panels: names of the visible panels, which are drawn; None for all panels at once.
+        marked: name of the marked source; empty if no source is marked.
+        visible_panels: names of the visible panels, which are drawn; None to draw all panels.
         frames: name → frame of the panel.
     """
 
@@ -90,9 +90,9 @@ class Panels:
                 self._draw(name, history, suite_state)
 
     def place_next(self, history: History, suite_state: SuiteState) -> bool:
-        """Draw part of a visible, incomplete panel and put it into its frame; return False if all are complete.
+        """Draw part of a visible, incomplete panel and put it into its frame; return False if no panel is incomplete.
 
-        It is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
+        A panel is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
         """
         name = next((each for each in self._update_layout(history, suite_state) if each not in self._complete), None)
         if name is not None:
@@ -145,14 +145,14 @@ def build_panels(theme: Theme, *, is_stepwise: bool = False, is_bag: bool = Fals
 
 
 _ROWS_AT_ONCE = 1
-"""Plots of one panel that are made in one step."""
+"""Number of plots of a panel that are made in one step."""
 
 _HEIGHTS_PX = {"innovations": 420, "error": 420, "alignment": 300, "inputs": 200}
-"""Heights of frames without a panel; others have 260 px."""
+"""Heights of frames that contain no panel yet; other frames have 260 px."""
 
 
 def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
-    """Return a frame with the title of a panel and about its height."""
+    """Return a frame with the title and about the height of a panel."""
     head = PanelBox(theme, box.title, []).layout
     box.layout.styles = {"flex": "1 1 auto"}
     head.styles = {"flex": "1 1 auto"}

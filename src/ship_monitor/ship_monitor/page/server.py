@@ -30,7 +30,7 @@ TICK_MS = 250
 """Period of the server's tick."""
 
 MAX_PAGES = 32
-"""Maximum number of open pages: closing that many at once delays all others by a second."""
+"""Maximum number of open pages: closing so many pages at once delays other pages by a second."""
 
 _PAGES = "/", "/autoload.js"
 """Paths at which Bokeh makes a document."""
@@ -90,7 +90,7 @@ class _Socket(WSHandler):
 
 
 class _Application(BokehTornado):
-    """Bokeh application that answers only pages of its own address.
+    """Bokeh application that answers only pages of its address.
 
     Requests of pages of other sites in the same browser are refused. The port is not compared, because the page may be
     opened through an ssh tunnel.
@@ -108,10 +108,10 @@ class _Application(BokehTornado):
                 (r"/fonts/(DejaVuSans(?:-Bold)?\.ttf)", StaticFileHandler, {"path": str(fonts)}),
             ],
             use_index=False,
-            # Only this server makes sessions: a websocket cannot open one that is not counted.
+            # Only this server makes sessions: a websocket cannot open a session that is not counted.
             sign_sessions=True,
             secret_key=secrets.token_bytes(32),
-            # A browser that reconnects gets a new session; that of a closed page is removed soon.
+            # A browser that reconnects gets a new session; the session of a closed page is removed soon.
             unused_session_lifetime_milliseconds=5000,
             check_unused_sessions_milliseconds=5000,
             # Updates that wait longer than this for a browser are useless.
@@ -142,7 +142,7 @@ class _Application(BokehTornado):
 
 
 def _host_and_port(origin: str) -> str:
-    """Return host and port of an origin; empty if there are none."""
+    """Return host and port of an origin; empty if the origin has no host."""
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
@@ -158,12 +158,12 @@ class PageServer:
     Args:
         make: fills the document of a browser.
         host: address to listen on; loopback serves this machine only.
-        port: TCP port; 0 takes a free one.
+        port: TCP port; 0 for a free port.
         tick: called four times a second, with or without a browser.
         allowed_hosts: further host names in the address of the page.
 
     Raises:
-        BadInput: the port is in use, or the address is not one of this machine.
+        BadInput: the port is in use, or the address does not belong to this machine.
     """
 
     def __init__(

@@ -28,11 +28,11 @@ def _rotating_sky() -> RefreshedSky:
 
 
 def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
-    """Return the position on the map, East and North, with the horizon at radius 1; larger radii are below it.
+    """Return the position on the map, East and North, with the horizon at radius 1; larger radii are below the horizon.
 
     Args:
-        azimuth: from North to East, rad.
-        elevation: rad.
+        azimuth: azimuth from North to East, rad.
+        elevation: elevation, rad.
 
     Example:
         >>> east, north = map_position(np.deg2rad(90.0), np.deg2rad(45.0))
@@ -46,7 +46,7 @@ def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
 def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequence[AngleState]) -> tuple[float, float]:
     """Return azimuth and elevation of a star sensor's boresight, rad, from its installation and the attitude.
 
-    It is used for sensors that publish attitudes without stars, which have no solution. NaN if an angle is unknown.
+    It is used for sensors that publish attitudes without stars. The result is NaN if an angle is unknown.
 
     Args:
         name: name of the source, "star.<id>".
@@ -59,22 +59,22 @@ def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequenc
     deck = [values.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
     if not np.isfinite([azimuth, elevation, *deck]).all():
         return math.nan, math.nan
-    # The installation's azimuth is from the bow to starboard, as an azimuth of a level deck that heads North.
+    # The installation's azimuth is from the bow to starboard, like an azimuth on a level deck that heads North.
     forward_d = rotation_from_angles(np.asarray(azimuth), np.asarray(elevation), np.asarray(0.0))[:, 0]
     north, up, east = rotation_from_angles(*map(np.asarray, deck)) @ forward_d
     return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, math.hypot(north, east))
 
 
 def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[float, float] | None:
-    """Return azimuth and elevation of the Moon from a position at sea level, rad, without refraction.
+    """Return azimuth and elevation of the Moon at a position at sea level, rad, without refraction.
 
-    The series of Meeus (ERFA ``moon98``) is accurate to about 10″. The parallax of the ship's position is up to a
-    degree.
+    The series of Meeus (ERFA ``moon98``) is accurate to about 10″. The parallax due to the ship's position, up to a
+    degree, is included.
 
     Args:
-        utc_ns: UTC as POSIX time.
-        latitude: geodetic, rad.
-        longitude: rad.
+        utc_ns: UTC as POSIX time, ns.
+        latitude: geodetic latitude, rad.
+        longitude: longitude, rad.
 
     Returns:
         Azimuth and elevation; None if the Earth's orientation is unknown for that time.

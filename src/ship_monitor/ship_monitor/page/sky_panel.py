@@ -59,7 +59,7 @@ class SkyPanel:
         Args:
             history: history with the exposures.
             suite_state: state with the sources and the attitude.
-            marked: marked source; its field is drawn before those of other sources that are IN. Empty if there is none.
+            marked: marked source, whose field precedes the fields of other sources that are IN; may be empty.
         """
         sources = {source.name: source for source in suite_state.sources}
         names = [name for name, exposure in sorted(history.star_exposures.items()) if len(exposure.u)]
@@ -77,7 +77,7 @@ class SkyPanel:
 
 
 def _columns_css(*, has_fields: bool) -> str:
-    """Return the columns: the map in the middle, or with the fields at its right."""
+    """Return the CSS of the columns: the map in the middle, or the map with the fields at its right."""
     columns = "minmax(0,11fr) minmax(0,9fr)" if has_fields else "minmax(0,560px)"
     return (
         f":host{{display:grid;justify-content:center;grid-template-columns:{columns}}}"
@@ -241,7 +241,7 @@ def residual_star_mask(exposure: ExposurePoint) -> np.ndarray:
 
 
 def used_star_mask(exposure: ExposurePoint) -> np.ndarray:
-    """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
+    """Return a mask of the stars drawn as used, shape (n,): stars with a residual; all stars without residuals."""
     mask = residual_star_mask(exposure)
     return mask if mask.any() else np.ones(len(exposure.u), bool)
 
@@ -254,7 +254,7 @@ def positions_in_field(exposure: ExposurePoint) -> tuple[np.ndarray, np.ndarray]
 
 
 def _detector_side(places: np.ndarray) -> float:
-    """Return the side of a detector, px: the next multiple of 256 that contains all positions; no topic states it."""
+    """Return the side of a detector, px, which no topic contains: a multiple of 256 px beyond all positions."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
 
 

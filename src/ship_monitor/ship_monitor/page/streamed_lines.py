@@ -1,4 +1,4 @@
-"""Lines over time of which only new points are sent to the browsers, and the common time axis of all plots."""
+"""Lines over time, whose new points are sent to the browsers, and the common time axis of all plots."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -17,10 +17,10 @@ BAND = ("low", "high", "edge_low", "edge_high")
 
 
 class StreamedLine:
-    """Data of a line in the browsers: new points are streamed, points older than ten minutes roll over.
+    """Data of a line in the browsers: new points are streamed, points older than ten minutes are dropped.
 
     Args:
-        columns: names of its columns in addition to ``t``, the time in ms.
+        columns: names of the columns in addition to ``t``, the time in ms.
         by: column whose minima and maxima are kept.
         filled: columns that bound areas. In a gap they are 0, not NaN, because browsers fill across NaN.
 
@@ -36,7 +36,7 @@ class StreamedLine:
         self._oldest_ns = 0
 
     def stream_new(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
-        """Stream the new points; all of them if the data have restarted.
+        """Stream the new points, or all points if the data have restarted.
 
         Args:
             points: points in the order of their times.

@@ -28,7 +28,7 @@ class EventsPanel:
         self.box = PanelBox(theme, "Events", [self._table])
 
     def update(self, suite_state: SuiteState, marked: str) -> None:
-        """Write the newest events; those of the marked source are highlighted."""
+        """Write the newest events; events of the marked source are highlighted."""
         events = suite_state.events[:MAX_EVENTS]
         self._table.text = f"<table>{''.join(event_row(event, marked) for event in events)}</table>"
         more = len(suite_state.events) - len(events)
@@ -47,7 +47,7 @@ class InputsPanel:
         self.box = PanelBox(theme, "Inputs", [self._table])
 
     def update(self, suite_state: SuiteState, marked: str) -> None:
-        """Write the inputs; rows of a source that is OUT are highlighted, those of the marked source have a frame."""
+        """Write the inputs; rows of sources that are OUT are highlighted, rows of the marked source framed."""
         faulty_sources = {
             topic: source
             for source in suite_state.sources
@@ -80,9 +80,9 @@ def event_row(event: Event, marked: str = "") -> str:
 
 
 def input_row(state: InputState, faulty_sources: Mapping[str, SourceDetails], *, is_marked: bool = False) -> str:
-    """Return a row of the inputs; rejections at the input and by the filter are one number.
+    """Return a row of the inputs; rejections at the input and by the filter are added up.
 
-    The row of a source that is OUT by a fault of its own is highlighted, not that of a source that needs it.
+    The row of a source is highlighted if the source is OUT due to its own fault, not due to another source.
     """
     source = faulty_sources.get(state.topic)
     rejected = state.rejected_60s

@@ -34,7 +34,7 @@ class TerminalSource(SuiteStateSource, Protocol):
         """Process the received messages."""
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
-        """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
+        """Acknowledge one instance of an alert; return the result in words. The call may take seconds."""
 
 
 class _Lines(Widget):
@@ -48,7 +48,7 @@ class _Lines(Widget):
         self._styles: dict[TextStyle, Style] = {}
 
     def show(self, lines: tuple[Line, ...], styles: dict[TextStyle, Style]) -> None:
-        """Draw these lines."""
+        """Draw lines of text."""
         if (lines, styles) != (self._lines, self._styles):
             self._lines, self._styles = lines, styles
             self.refresh()
@@ -113,14 +113,14 @@ class TerminalApp(App[int]):
         self.call_after_refresh(self.draw)
 
     def _process_topics(self) -> None:
-        """Process the received messages; an invalid one is skipped with a note."""
+        """Process the received messages; an invalid message is skipped with a note."""
         try:
             self._suite.tick()
         except Exception as problem:
             self._show_note(f"message skipped: {type(problem).__name__}: {problem}")
 
     def draw(self) -> None:
-        """Draw the current state; while paused, the held state with the current alerts."""
+        """Draw the current state; during a pause, the state at its start with the current alerts."""
         now, now_s = self._suite.current_state(), _now_s()
         if self._suite_state is None or math.isnan(self._paused_s):
             self._suite_state = now
@@ -145,7 +145,7 @@ class TerminalApp(App[int]):
         self._drawing.show(lines, styles_of(THEMES[self._theme_name]))
 
     def action_toggle_page(self, page: str) -> None:
-        """Open a page, or close the open one."""
+        """Open a page, or close it if it is open."""
         self._page = "" if self._page else page
         self.draw()
 
@@ -170,12 +170,12 @@ class TerminalApp(App[int]):
         self.draw()
 
     def action_pause(self) -> None:
-        """Pause or resume."""
+        """Pause or resume the display."""
         self._paused_s = _now_s() if math.isnan(self._paused_s) else math.nan
         self.draw()
 
     def action_leave(self, exit_code: int) -> None:
-        """End with an exit code."""
+        """End the program with an exit code."""
         self.exit(exit_code)
 
     def action_acknowledge(self) -> None:
@@ -211,7 +211,7 @@ def styles_of(theme: Theme) -> dict[TextStyle, Style]:
         TextStyle.SECOND: style(theme.second_text),
         TextStyle.STRONG: style(theme.text, bold=True),
         TextStyle.SAFE: style(theme.safe),
-        # Reversed: the colour becomes the fill.
+        # In reversed text the colour becomes the fill.
         TextStyle.CAUTION: Style(color=theme.caution_fill, bgcolor=theme.caution_word, reverse=True),
         TextStyle.UNSAFE: Style(color=theme.unsafe_fill, bgcolor=theme.unsafe_word, reverse=True, bold=True),
         TextStyle.OLD: style(theme.old, strike=True),

@@ -47,7 +47,7 @@ def help_page(suite_state: SuiteState, view: View) -> tuple[Line, ...]:
 
 
 def details(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view: View) -> tuple[Line, ...]:
-    """Return the details of the selected angle or source; without a selection those of alerts and inputs."""
+    """Return the details of the selected angle or source; without a selection, the details of alerts and inputs."""
     for angle in suite_state.angles:
         if angle.name == view.chosen:
             return _page(suite_state, view, angle.name, _angle_rows(angle, suite_state, view.formatter))

@@ -1,7 +1,7 @@
 """First screen of the terminal view: the state of a suite as rows, at 80 columns by 24 rows.
 
-All states are words, so that colours are not needed. A larger terminal shows more; a too small one a single line with
-the worst state.
+All states are words, so that colours are not needed. A larger terminal shows more rows; a too small terminal shows a
+single line with the worst state.
 """
 
 import math
@@ -22,7 +22,7 @@ from ship_watch.suite_state import (
 )
 
 MIN_WIDTH, MIN_HEIGHT = 64, 15
-"""Smallest terminal with a full screen; a smaller one has one line."""
+"""Size of the smallest terminal with a full screen; a smaller terminal shows one line."""
 
 MIN_EVENT_ROWS = 6
 """Minimum number of events before inputs are shown."""
@@ -50,12 +50,12 @@ class View:
     Attributes:
         width: columns of the terminal.
         height: rows of the terminal.
-        name: name of the suite: its namespace.
+        name: name of the suite, which is its namespace.
         label: LIVE, BAG or SIMULATED.
         location: namespace and domain, shown while waiting for data.
         paused_s: time since the pause, s; NaN if not paused.
-        chosen: name of the selected angle or source; empty if there is none.
-        note: result of the last action, shown instead of the keys; empty if there is none.
+        chosen: name of the selected angle or source; empty without a selection.
+        note: result of the last action, shown instead of the keys; empty for no note.
         is_ascii: True if the terminal shows ASCII only.
         zone: time zone of the local time; None for UTC only.
     """
@@ -81,7 +81,7 @@ def screen(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view:
     """Return the first screen: exactly ``view.height`` lines, each as wide as the view.
 
     Args:
-        suite_state: displayed state; an earlier one while the view is paused.
+        suite_state: displayed state; an earlier state while the view is paused.
         alerts: current alerts, also while the view is paused; None without an alert node.
         view: parameters of the display.
     """
@@ -106,7 +106,7 @@ def screen(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view:
 
 
 def alert_to_show(alerts: tuple[AlertEntry, ...] | None) -> AlertEntry | None:
-    """Return the alert of the alert line: the most urgent unacknowledged one, else the most urgent."""
+    """Return the alert of the alert line: the most urgent unacknowledged alert, else the most urgent alert."""
     return min(alerts or (), key=lambda alert: alert.urgency, default=None)
 
 
@@ -142,7 +142,7 @@ def top_bar(suite_state: SuiteState, view: View) -> Line:
 
 
 def safety_line(suite_state: SuiteState, formatter: LineFormatter) -> Line:
-    """Return the safety of all angles in one row, for the other pages: HDG + SAFE  PIT ! CAUTION."""
+    """Return the safety of all angles in one row, for the other pages, as in "HDG + SAFE  PIT ! CAUTION"."""
     pieces = [
         piece
         for angle in suite_state.angles
@@ -170,9 +170,9 @@ def alert_pieces(alert: AlertEntry, formatter: LineFormatter, text_width: int) -
 
 
 def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
-    """Return the row of a source: presence, age, rate, reason; indented below the source that causes it.
+    """Return the row of a source: presence, age, rate, reason. A source is indented below its cause.
 
-    Without any current output the row is struck through and has no tick.
+    If no output is current, the row is struck through and has no tick.
     """
     is_out = source.presence is Presence.OUT
     is_consequence = is_out and source.because_of in {each.name for each in suite_state.sources if not each.because_of}
@@ -207,12 +207,12 @@ def input_line(state: InputState, formatter: LineFormatter) -> Line:
 
 
 def reasons_text(state: InputState) -> str:
-    """Return the reasons of rejections of an input with their counts: "gate 9, misidentified 4"."""
+    """Return the reasons of rejections of an input with their counts, as in "gate 9, misidentified 4"."""
     return ", ".join(f"{name} {count}" for name, count in sorted(state.reasons.items()) if count)
 
 
 def event_lines(suite_state: SuiteState, formatter: LineFormatter, room: int, subject: str = "") -> list[Line]:
-    """Return the rows of the newest events, all or those of one subject."""
+    """Return the rows of the newest events, of all subjects or of one subject."""
     events = [event for event in suite_state.events if not subject or event.subject == subject]
     return [
         formatter.styled_line(
@@ -229,7 +229,7 @@ def _pad_to_height(lines: list[Line], view: View) -> tuple[Line, ...]:
 
 
 def _small_screen_line(suite_state: SuiteState, view: View) -> Line:
-    """Return the line of a too small terminal: the worst state."""
+    """Return the line with the worst state, for a too small terminal."""
     worst = max(suite_state.angles, key=lambda angle: angle.safety, default=None)
     text = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
     if worst is not None and not text:
@@ -312,7 +312,7 @@ def _sources_rule(suite_state: SuiteState, formatter: LineFormatter) -> Line:
 
 
 def _sources(suite_state: SuiteState, view: View, room: int) -> list[Line]:
-    """Return the rows of the sources that fit, including the selected one; the last row counts the others."""
+    """Return the rows of the sources that fit, including the selected source; the last row counts the other sources."""
     sources = suite_state.sources
     row_count = room if len(sources) <= room else max(room - 1, 0)
     chosen = next((place for place, source in enumerate(sources) if source.name == view.chosen), 0)

@@ -1,7 +1,7 @@
 """Text in the cells of a terminal: styled, cleaned, cut and padded.
 
-A wide character takes two cells, a combining one none. Names and texts come from the network: characters that control
-the terminal are removed.
+A wide character takes two cells, a combining character no cell. Names and texts come from the network: characters that
+control the terminal are removed.
 """
 
 import enum
@@ -17,7 +17,7 @@ _ZERO_WIDTH = ("Mn", "Me", "Cf")
 
 
 class TextStyle(enum.Enum):
-    """Kind of a piece of text; the theme gives its colour. The most important ones differ without colours too."""
+    """Kind of a piece of text; the theme gives its colour. The most important kinds differ without colours too."""
 
     TEXT = enum.auto()
     SECOND = enum.auto()

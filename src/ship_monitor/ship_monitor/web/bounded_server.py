@@ -14,7 +14,7 @@ from tornado.netutil import bind_sockets
 from ship_bags.errors import BadInput
 
 MAX_CONNECTIONS = 256
-"""Maximum number of open connections, without websockets. Further ones are closed."""
+"""Maximum number of open connections, without websockets. Further connections are closed."""
 
 REQUEST_TIMEOUT_S = 10.0
 """Timeout for sending a request, s."""
@@ -29,7 +29,7 @@ _LOG_PERIOD_S = 10.0
 
 
 class BoundedServer(HTTPServer):
-    """Serves a tornado application; connections beyond the bounds are closed, with one line in the log."""
+    """Serves a tornado application; connections beyond the maximum are closed, with one line in the log."""
 
     def initialize(self, application: Any) -> None:  # type: ignore[override]
         """Initialise the server; called by the constructor with its arguments."""
@@ -44,7 +44,7 @@ class BoundedServer(HTTPServer):
         limit_log_rate()
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
-        """Serve a connection, or close it if there are too many."""
+        """Serve a connection; close it if there are too many."""
         if self._count >= MAX_CONNECTIONS:
             text = "%s: connection closed: %d are open, the maximum"
             logging.getLogger("tornado.general").warning(text, address[0], self._count)
@@ -54,7 +54,7 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def on_close(self, server_conn: object) -> None:
-        """Count a connection that has ended or has become a websocket."""
+        """Reduce the count by a connection that has ended or has become a websocket."""
         self._count -= 1
         super().on_close(server_conn)
 
@@ -64,11 +64,11 @@ def listening_sockets(host: str, port: int, option: str) -> list[socket.socket]:
 
     Args:
         host: address to listen on.
-        port: TCP port; 0 takes a free one.
+        port: TCP port; 0 for a free port.
         option: command line option for the port, for the error text.
 
     Raises:
-        BadInput: the port is in use, or the address is not one of this machine.
+        BadInput: the port is in use, or the address does not belong to this machine.
     """
     try:
         return bind_sockets(port, host)
@@ -79,12 +79,12 @@ def listening_sockets(host: str, port: int, option: str) -> list[socket.socket]:
 
 
 def address_in_url(host: str) -> str:
-    """Return a host in the form of a URL: an IPv6 address in brackets."""
+    """Return a host as in a URL: an IPv6 address is in brackets."""
     return f"[{host}]" if ":" in host else host
 
 
 class _RateLimitFilter(logging.Filter):
-    """Log filter that passes one line of each kind in ten seconds, so that repeated requests do not fill the log."""
+    """Log filter that passes one line of each kind every ten seconds, so that repeated requests do not fill the log."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,7 +1,7 @@
 """Allowed names and addresses of a server: a request with another Host or Origin is refused.
 
-A page of another site in a browser on this machine may have a name that resolves to this server (DNS rebinding). Its
-requests contain that name, which is not in the list.
+A page of another site in a browser on this machine may have a name that resolves to this server (DNS rebinding). The
+requests of this page contain its name, which is not in the list.
 """
 
 import socket
@@ -17,7 +17,7 @@ class OwnHosts:
     """Names of this machine, and names allowed by the user.
 
     Args:
-        address: address of the server. The machine's host name is allowed only if it is not a loopback address.
+        address: address of the server. The machine's host name is allowed unless this is a loopback address.
         allowed: further names or addresses.
     """
 
@@ -41,7 +41,7 @@ class OwnHosts:
 
 
 def host_of(address: str) -> str | None:
-    """Return the host in an address, without port, in lower case; None if there is none."""
+    """Return the host in an address, without port, in lower case; None if the address has no host."""
     try:
         name = urlsplit(address).hostname
     except ValueError:

@@ -1,1 +1,1 @@
-"""The executables: each module parses the arguments of one and imports the folders that it needs."""
+"""The executables: each module parses the arguments of one executable and imports the folders that it needs."""

@@ -1,5 +1,5 @@
 """Convert instruments' sentences to topics.
 
-The folder contains links (sockets, serial lines), lines of text and the messages made from them; the parser is that of
-:mod:`ship_bags.nmea`. Only `nmea_in` imports rclpy. Of the package, the folder imports only the node runtime.
+The folder contains links (sockets, serial lines), lines of text and the messages made from them; the parser is in
+:mod:`ship_bags.nmea`. Only `nmea_in` imports rclpy. The folder imports no other folder of the package.
 """

@@ -1,4 +1,4 @@
-"""Parameters of ``nmea_in``: its sources, where each is received and what its sentences become."""
+"""Parameters of ``nmea_in``: its sources, the place where each is received, and the messages of its sentences."""
 
 import os.path
 from dataclasses import dataclass
@@ -25,15 +25,15 @@ _PARAMETERS_OF_KIND = {
     TCP: ("address", "port"),
     SERIAL: ("device", "baud"),
 }
-"""Kind → parameters of the source's place that apply to it."""
+"""Kind of a source → parameters of its place."""
 
 _UNIQUE_ROLES = (INS, GNSS, WEATHER)
-"""Roles whose topics do not contain the name of the source: only one source may have each."""
+"""Roles whose topics do not contain the name of the source: only one source may have each role."""
 
 
 @dataclass(frozen=True)
 class NmeaSourceConfig:
-    """One instrument: where its sentences are received, and what they become."""
+    """One instrument: the place where its sentences are received, and the messages made from them."""
 
     kind: str = parameter(
         doc="udp listens for datagrams, tcp connects to a server, serial reads a device", choices=(UDP, TCP, SERIAL)
@@ -89,13 +89,13 @@ class NmeaSourceConfig:
 
     @property
     def place(self) -> str:
-        """Return where the source is received, as text; sources with the same place share it."""
+        """Return the place where the source is received, as text; several sources may share a place."""
         if self.kind == SERIAL:
             return f"{os.path.normpath(self.device)} at {self.baud} Bd"
         return f"{self.kind} {self.address or ANY_ADDRESS}:{self.port}"
 
     def held_place(self, name: str) -> MachineResource | None:
-        """Return the port or device of this machine that it occupies; None if there is none.
+        """Return the port or device of this machine that the source occupies; None if there is no such place.
 
         Args:
             name: name of the source's group of parameters, for example ``sources.gyro``.
@@ -135,7 +135,7 @@ class NmeaInConfig:
 
     @property
     def places(self) -> tuple[MachineResource, ...]:
-        """Return the ports and devices that the node occupies; one shared by sources is listed once, by the first."""
+        """Return the ports and devices that the node occupies, each once, with the first source that uses it."""
         held: dict[str, MachineResource | None] = {}
         for id_, source in self.sources.items():
             held.setdefault(source.place, source.held_place(f"sources.{id_}"))
@@ -143,12 +143,12 @@ class NmeaInConfig:
 
     @property
     def interfaces(self) -> dict[str, str]:
-        """Dotted name of a parameter → own address of this machine in it, in addition to that of a port."""
+        """Dotted name of a parameter → address of this machine in it, in addition to the address of a port."""
         own = {f"sources.{id_}.interface": source.interface for id_, source in self.sources.items()}
         return {name: address for name, address in own.items() if address}
 
     def _check_shared(self) -> None:
-        """Refuse sources that share a device or a group but need it opened differently."""
+        """Refuse sources that share a device or a group with different settings."""
         firsts: dict[str, tuple[str, NmeaSourceConfig]] = {}
         for id_, source in self.sources.items():
             where = os.path.normpath(source.device) if source.kind == SERIAL else source.place
@@ -161,7 +161,7 @@ class NmeaInConfig:
                 raise _error(f"sources.{id_}.interface", source.interface, reason)
 
     def role(self, id_: str) -> InstrumentRole:
-        """Return the role of a source: what its lines become."""
+        """Return the role of a source: the kind of messages made from its lines."""
         source = self.sources[id_]
         has_receiver = any(other.becomes == GNSS for other in self.sources.values())
         by_instrument = source.time == INSTRUMENT_TIME

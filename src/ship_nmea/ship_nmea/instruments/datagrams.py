@@ -8,7 +8,7 @@ JOIN_TIMEOUT_NS = 200_000_000
 """Maximum wait for the rest of a cut sentence, ns."""
 
 _MAX_INCOMPLETE = 100
-"""Maximum number of senders with a cut sentence in memory; it bounds memory if addresses are forged."""
+"""Maximum number of senders with a cut sentence in memory: a bound in case of forged addresses."""
 _CUT_SENTENCE = re.compile(rb".*[$!](?!.*\*[0-9A-Fa-f]{2}\s*$)[^$!]*", re.DOTALL)
 """Pattern of a text that ends within a sentence, before the end of its checksum."""
 
@@ -20,10 +20,10 @@ class DatagramLines:
         self._incomplete: dict[str, tuple[int, int, bytes]] = {}
 
     def split(self, data: bytes, sender: str, arrival_ns: int, now_ns: int) -> list[tuple[int, bytes, str]]:
-        """Return the complete lines and those whose rest has not arrived in time: arrival, line and sender of each.
+        """Return arrival, line and sender of the complete lines, and of cut lines whose rest has not arrived in time.
 
         Args:
-            data: data of the datagram; empty if none arrived.
+            data: data of the datagram; empty if no datagram arrived.
             sender: sender of the datagram.
             arrival_ns: arrival time of the datagram, by the node's clock.
             now_ns: steady time.

@@ -1,6 +1,7 @@
-"""Links to instruments: a UDP port, a TCP server or a serial device, each read by a thread of its own.
+"""Links to instruments: a UDP port, a TCP server or a serial device, each read by a separate thread.
 
-A lost link is reopened for as long as the node runs. Each line carries the node's time at which its end was read.
+A lost link is reopened for as long as the node runs. The arrival time of a line is the node's time at which the end of
+the line was read.
 """
 
 import contextlib
@@ -21,7 +22,7 @@ from ship_node.parameters.machine_resources import ANY_ADDRESS
 
 RETRY_S = 1.0
 MAX_QUEUED_LINES = 1000
-"""Maximum number of queued lines of a link; of a flood the oldest are dropped."""
+"""Maximum number of queued lines of a link. If more arrive, the oldest lines are dropped."""
 
 _READ_TIMEOUT_S = 0.2
 _CONNECT_TIMEOUT_S = 2.0
@@ -29,10 +30,10 @@ _JOIN_TIMEOUT_S = 0.5
 _MAX_READ_BYTES = 65536
 _RECEIVE_BUFFER = 1 << 20
 _SO_RXQ_OVFL = 40
-"""Linux socket option: each datagram then states how many were dropped before it. Python has no name for it."""
+"""Linux socket option that adds to each datagram the number of dropped datagrams. Python has no name for it."""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(64)
 _KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
-"""TCP keep-alive: an idle connection is probed after 3 s and closed 3 s later, also if the server lost power."""
+"""TCP keep-alive: an idle connection is probed after 3 s and, without an answer, closed 3 s later."""
 
 
 class Link(Protocol):
@@ -41,7 +42,7 @@ class Link(Protocol):
     Attributes:
         is_stream: True if lines continue from one read to the next.
         opens_at_once: True if opening never blocks.
-        dropped_count: number of datagrams that the system dropped because they were not read in time.
+        dropped_count: number of datagrams that were dropped by the system because they were not read in time.
     """
 
     is_stream: bool
@@ -53,7 +54,7 @@ class Link(Protocol):
         ...
 
     def read(self) -> tuple[bytes, str]:
-        """Return the next bytes, empty after a timeout, and the sender of a datagram; a datagram is returned whole."""
+        """Return the next bytes (empty after a timeout), and the sender of a datagram; datagrams are returned whole."""
         ...
 
     def close(self) -> None:
@@ -62,7 +63,7 @@ class Link(Protocol):
 
 
 class UdpLink:
-    """Receives datagrams at a port of this machine, or of a multicast group."""
+    """Receives datagrams sent to a port of this machine or of a multicast group."""
 
     is_stream = False
     opens_at_once = True
@@ -81,7 +82,7 @@ class UdpLink:
             self._socket.settimeout(_READ_TIMEOUT_S)
             is_group = _is_multicast(self._address)
             if is_group:
-                # Every receiver of a group gets each datagram: other programs may bind the port, too.
+                # Every receiver of a group gets each datagram, so other programs may bind the same port.
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((self._address, self._port))
             if is_group:
@@ -108,7 +109,7 @@ class UdpLink:
 
 
 class TcpLink:
-    """Connects to a server and reads what it sends."""
+    """Connects to a TCP server and reads the data that it sends."""
 
     is_stream = True
     opens_at_once = False
@@ -175,16 +176,16 @@ def make_link(source: NmeaSourceConfig) -> Link:
 
 
 class LinkReader:
-    """Reads a link in a thread of its own and queues its lines, at most :data:`MAX_QUEUED_LINES`.
+    """Reads a link in a separate thread and queues its lines, at most :data:`MAX_QUEUED_LINES`.
 
     Args:
-        link: not opened yet.
-        now_ns: the node's time.
+        link: the link, not opened yet.
+        now_ns: returns the node's time, ns.
         on_lines: called when lines have arrived.
 
     Attributes:
-        problem: why the link is not open, in one line; empty if it is.
-        failure: exception of its first opening, if any.
+        problem: one line about why the link is not open; empty if it is open.
+        failure: exception of the first opening of the link, if any.
     """
 
     def __init__(self, link: Link, now_ns: Callable[[], int], on_lines: Callable[[], None]) -> None:
@@ -209,11 +210,11 @@ class LinkReader:
 
     @property
     def dropped(self) -> int:
-        """Number of queued lines dropped for newer ones, and of datagrams dropped before they were read."""
+        """Number of lines dropped from the full queue, plus number of datagrams dropped before they were read."""
         return self._overwritten + self._link.dropped_count
 
     def take_lines(self, max_count: int) -> list[tuple[int, bytes, str]]:
-        """Remove and return the oldest queued lines: arrival time, line and sender of each."""
+        """Remove the oldest queued lines; return arrival time, line and sender of each."""
         with self._lock:
             return [self._lines.popleft() for _ in range(min(max_count, len(self._lines)))]
 
@@ -222,7 +223,7 @@ class LinkReader:
         self._stop.set()
 
     def wait_for_end(self) -> None:
-        """Wait for the end of the thread; one that waits for a name or a connection ends with the process."""
+        """Wait for the end of the thread. A thread that waits for a name or a connection ends with the process."""
         self._thread.join(_JOIN_TIMEOUT_S)
 
     def _run(self) -> None:

@@ -26,10 +26,12 @@ other than the first, or not listed in from. A lost source is reported there and
 """
 
 _LINES_PER_TURN = 50
-"""Lines of a link processed before the next link's turn: a flood on one link delays no other."""
+"""Number of lines of a link processed before the next link, so that a flood on one link delays no other link."""
 _IDLE_S = 0.5
 _PARAMETER_NAMES = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
-"""See :func:`ship_nmea.link_opening.permanent_error`; a TCP failure is that of the other side and has no entry."""
+"""Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
+
+TCP has no entry, because the cause of a TCP failure is the other side."""
 _JOIN_TIMEOUT_S = 2.0
 
 
@@ -39,10 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class NmeaIn:
-    """Work of the node: a thread for each link that reads, and one that publishes.
+    """Work of the node, with a reading thread for each link and one publishing thread.
 
     Raises:
-        InputError: no source can be opened: a port is in use, or a device cannot be read.
+        InputError: no source can be opened, because a port is in use or a device cannot be read.
     """
 
     def __init__(self, runtime: NmeaNode) -> None:
@@ -84,7 +86,7 @@ class NmeaIn:
             reader.wait_for_end()
 
     def _opening_errors(self) -> Iterator[BadInput]:
-        """Yield the errors of places that only the user can clear."""
+        """Yield the errors of opening places that only the user can clear."""
         for place, reader in self._readers.items():
             source = self._sources[place][0]
             error = reader.failure and permanent_error(

@@ -1,13 +1,14 @@
-"""The one sender whose datagrams a source uses.
+"""Selection of the one sender whose datagrams a source uses.
 
-Datagrams of two instruments, or of an instrument and of a foreign host, would be mixed on one topic. If one stamps
-ahead, the other's attitudes would be late. So the first sender with usable data is selected until it times out.
+Datagrams of two instruments, or of an instrument and of a foreign host, would be mixed on one topic. If the
+clock of one sender is ahead, the attitudes of the other sender would be too late. The first sender with usable data is
+therefore selected until it times out.
 """
 
 from ship_bags.stamps import NS_PER_S
 
 SENDER_TIMEOUT_NS = 10 * NS_PER_S
-"""Time without data after which another sender may replace the selected one, ns."""
+"""Time without data after which another sender may replace the selected sender, ns."""
 
 NOT_LISTED = "sender that is not in 'from'"
 NOT_SELECTED = "sender other than the first (name the instrument's address in 'from')"
@@ -17,10 +18,10 @@ class SenderFilter:
     """Selects the sender whose datagrams are used.
 
     Args:
-        addresses: allowed addresses, from any port; empty for one port of any address.
+        addresses: allowed addresses, each with any port; if empty, one port of any address is selected.
 
     Attributes:
-        selected: the selected sender; empty if there is none.
+        selected: the selected sender; empty if no sender is selected.
     """
 
     def __init__(self, addresses: tuple[str, ...]) -> None:
@@ -29,7 +30,7 @@ class SenderFilter:
         self._last_ns = 0
 
     def rejection_reason(self, sender: str, now_ns: int) -> str:
-        """Return why a text of a sender is rejected; empty if it is used.
+        """Return why a text of a sender is rejected; empty if the text is used.
 
         Args:
             sender: address and port, for example ``10.0.0.7:4001``; empty for a stream, which has one sender.
@@ -47,7 +48,7 @@ class SenderFilter:
         return ""
 
     def select(self, sender: str, now_ns: int) -> None:
-        """Select a sender of usable data."""
+        """Select a sender whose data are usable."""
         self.selected, self._last_ns = self._identity(sender), now_ns
 
     def _identity(self, sender: str) -> str:

@@ -1,4 +1,4 @@
-"""One source of sentences: lines are converted to messages; the outcome of each line is counted and reported."""
+"""One source of sentences: its lines are converted to messages, and the outcome of each line is counted."""
 
 import threading
 from collections import Counter
@@ -27,7 +27,7 @@ _BACKWARD_JUMP_NS = NS_PER_S
 """Backward jump of the node's time beyond which the instrument is reset, ns."""
 
 _CLOCK_CORRECTED_NS = 3 * NS_PER_S
-"""Time without a published message, while the last stamp is in the future, after which the instrument is reset, ns."""
+"""Time without published messages after which the instrument is reset if its last stamp is in the future, ns."""
 
 _MAX_CHARACTERS = 60
 _MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
@@ -40,7 +40,7 @@ class LiveReport(LineReport):
     Attributes:
         talkers: talker that the configuration does not accept → number of its sentences.
         senders: sender that is not used → number of its texts.
-        last_rejected: reason → the line that was last rejected for it, shortened.
+        last_rejected: reason → the line last rejected for this reason, shortened.
         rejected_ns: reason → steady time of the last rejection.
         now_ns: steady time of the line being processed.
     """
@@ -75,9 +75,9 @@ class Source:
     """Converts received sentences to messages in one thread, and reports its status in another.
 
     Args:
-        id_: of the source.
-        config: of the source.
-        role: kind of messages that its lines become.
+        id_: id of the source.
+        config: configuration of the source.
+        role: kind of messages made from the lines.
         factory: makes the messages.
         now_ns: steady time.
     """
@@ -97,15 +97,15 @@ class Source:
         self._published: Counter[str] = Counter()
         self._heave_m: float | None = None
         self._published_before = 0
-        # Times of the last problems, so far in the past that they are no warnings.
+        # The times of the last problems are initialised so far in the past that no warning results.
         self._dropped, self._dropped_ns = 0, now_ns - 2 * WARNING_NS
         self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * WARNING_NS
         self._talkers = TalkerComparison()
-        # An INS must give attitudes; a weather station any of its quantities.
+        # An INS must provide attitudes; a weather station must provide any of its quantities.
         self._required_topics = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
     def convert(self, received: ParsedText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
-        """Return the messages of the next text, each with its topic; they are counted as published.
+        """Return topic and message of each message of the next text; the messages are counted as published.
 
         Args:
             received: the text and its parsed content.
@@ -134,7 +134,7 @@ class Source:
         messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
         was_ahead = self._stamp_ns > arrival_ns and now_ns - self._published_ns > _CLOCK_CORRECTED_NS
         if was_ahead and report.rejected[NOT_LATER] > not_later:
-            # The instrument's clock was corrected: its new stamps are right, and the earlier ones were not.
+            # The instrument's clock was corrected: its new stamps are right, and the earlier stamps were wrong.
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         for topic, message in messages:
             self._published[topic] += 1

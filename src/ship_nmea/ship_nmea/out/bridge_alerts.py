@@ -1,4 +1,4 @@
-"""Alerts to the bridge and its commands back: each change at once, the list and a heartbeat periodically.
+"""Alerts sent to the bridge, each change at once, list and heartbeat periodically; commands of the bridge.
 
 Acknowledgements of the bridge are passed to the alert node; commands that cannot be executed are answered with ARC.
 """
@@ -43,7 +43,7 @@ _RESPONSE_TIMEOUT_NS = 3 * NS_PER_S
 
 @dataclass(frozen=True)
 class _PendingAcknowledgement:
-    """A command that was passed on: its pending response, the deadline, and the sink that it came from."""
+    """A command passed to the alert node: its pending response, the deadline, and the sink that received it."""
 
     future: Future
     deadline_ns: int
@@ -89,7 +89,7 @@ class BridgeAlerts:
         self._received.append((name, text, address))
 
     def status(self) -> DiagnosticStatus:
-        """Return what was sent, and what was not."""
+        """Return the diagnostic status, with the counts of sent alerts and of commands."""
         values = {name: str(count) for name, count in sorted(self._counts.items())}
         if is_played(self._runtime):
             return DiagnosticStatus(
@@ -151,7 +151,7 @@ class BridgeAlerts:
         if command is None:
             self._counts["for others"] += 1
         elif not sink.config.accepts_commands_from(address):
-            # No ARC: the bridge would receive it, too, and gave no such command.
+            # No ARC is sent, because the bridge would also receive the ARC, without having given such a command.
             self._counts["not allowed"] += 1
             self._runtime.node.get_logger().warning(
                 f"{sink.name}: command {command.command} about alert {command.identifier} of {address} not executed: "
@@ -203,7 +203,7 @@ class BridgeAlerts:
         return [sink for sink in self._sinks.values() if name in sink.config.sentences]
 
     def _next_sequence(self, name: str) -> int:
-        """Return the number of the next message of a kind: the bridge detects a lost one from a gap."""
+        """Return the number of the next message of a kind: the bridge detects a lost message from a gap."""
         self._sequences[name] += 1
         return self._sequences[name]
 

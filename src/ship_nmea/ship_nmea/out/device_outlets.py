@@ -13,12 +13,12 @@ from ship_nmea.link_opening import open_serial
 from ship_nmea.out.outlet import RECEIVE_BYTES, Outlet, command_texts
 
 _MAX_UNSENT_S = 0.1
-"""Maximum duration of the unsent data of a serial line at which it accepts the next sentence, s."""
+"""Maximum duration of unsent data of a serial line, s; with more unsent data, no sentence is accepted."""
 _BITS_PER_BYTE = 10
 
 
 class SerialOutlet(Outlet):
-    """A serial line; it accepts the next sentence when the previous one is nearly sent."""
+    """A serial line; it accepts the next sentence when the previous sentence is nearly sent."""
 
     _port: serial.Serial | None = None
 
@@ -82,7 +82,7 @@ class FileOutlet(Outlet):
         assert self._file is not None
         written = os.write(self._file, sentence)
         if written < len(sentence):
-            # Full disk: an incomplete sentence would precede the next one.
+            # The disk is full: an incomplete sentence would precede the next sentence.
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, os.fstat(self._file).st_size - written)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -9,14 +9,14 @@ from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.outlet import RECEIVE_BYTES, LineReceiver, Outlet, command_texts
 
 MAX_CLIENTS, MAX_CLIENTS_PER_HOST = 32, 8
-"""Maximum number of clients, and of clients of one host, so that it cannot shut out the others."""
+"""Maximum number of clients, and of clients of one host, so that one host cannot shut out other hosts."""
 CLIENT_TIMEOUT_S = 10.0
 """Time without acknowledgement of sent data after which a client is disconnected, s."""
 
 _MAX_READS = 20
 """Maximum number of reads in a row: a flood from one client must not delay the sentences."""
 _SEND_BUFFER_BYTES = 4096
-"""Small, because data that waits in the kernel for a slow client is old when it is read."""
+"""Size of the send buffer of a client: small, because data waiting for a slow client are old when they are read."""
 
 
 class UdpOutlet(Outlet):
@@ -45,7 +45,7 @@ class UdpOutlet(Outlet):
         except BlockingIOError:
             return False
         except ConnectionRefusedError:
-            pass  # error of an earlier sentence: no program receives there now
+            pass  # error of an earlier sentence: no program receives at the destination now
         return True
 
     def close(self) -> None:
@@ -65,7 +65,7 @@ class UdpOutlet(Outlet):
 
 
 class _Client:
-    """A connected client, and the part of a sentence that it has not taken yet."""
+    """A connected client, and the part of a sentence that the client has not taken yet."""
 
     def __init__(self, connection: socket.socket, address: str) -> None:
         self.connection, self.address = connection, address
@@ -74,7 +74,7 @@ class _Client:
 
 
 class TcpOutlet(Outlet):
-    """A server; each client receives what it can take, and one that takes nothing is disconnected."""
+    """A server; each client receives as much as it can take, and a client that takes nothing is disconnected."""
 
     def __init__(self, config: SinkConfig, receive: LineReceiver) -> None:
         super().__init__(config, receive)
@@ -95,7 +95,7 @@ class TcpOutlet(Outlet):
         selector.register(self._server, selectors.EVENT_READ, self._accept)
 
     def send(self, sentence: bytes) -> bool:
-        """See :meth:`Outlet.send`; always True, and clients that are not ready are skipped."""
+        """See :meth:`Outlet.send`; always True, because clients that are not ready are skipped."""
         for client in list(self._clients):
             if client.unsent:
                 self._write(client)
@@ -127,7 +127,7 @@ class TcpOutlet(Outlet):
         try:
             connection, (address, _) = self._server.accept()
         except OSError:
-            return  # closed again, or too many open files: the listening socket itself still works
+            return  # connection closed again, or too many open files: the listening socket itself still works
         of_host = sum(client.address == address for client in self._clients)
         if len(self._clients) >= MAX_CLIENTS or of_host >= MAX_CLIENTS_PER_HOST:
             connection.close()

@@ -1,7 +1,7 @@
-"""Work of ``nmea_out``: the attitude at each sink's rate, and alerts.
+"""Work of ``nmea_out``: attitudes, at the rate of each sink, and alerts.
 
 An attitude is sent on arrival, so that it is as recent as possible. Without a valid attitude a timer sends void
-sentences: without any sentence the bridge could not distinguish this from a broken cable.
+sentences: without any sentence the bridge could not distinguish a missing attitude from a broken cable.
 """
 
 import math
@@ -42,7 +42,7 @@ class Throttle:
     """Selects the attitudes that are sent to a sink: one per period, up to half a period early or late.
 
     Args:
-        rate_hz: attitudes per second; of attitudes that arrive at this rate, none is skipped because of jitter.
+        rate_hz: attitudes per second; attitudes that arrive at this rate are not skipped due to jitter.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -50,7 +50,7 @@ class Throttle:
         self._next_ns: int | None = None
 
     def is_due(self, now_ns: int) -> bool:
-        """True if the attitude of this time is sent."""
+        """True if an attitude that arrives at this time is to be sent."""
         late_ns = 0 if self._next_ns is None else now_ns - self._next_ns
         if late_ns < -self._period_ns // 2:
             return False
@@ -67,7 +67,7 @@ class NmeaOut:
         runtime: runtime of the node.
 
     Raises:
-        BadInput: no sink can be opened, and trying again would not help.
+        BadInput: no sink can be opened, and retries cannot succeed.
     """
 
     def __init__(self, runtime: NmeaNode) -> None:
@@ -136,7 +136,7 @@ class NmeaOut:
                     sink.queue(sentence.render(), self._max_age_ns)
 
     def _void_reason(self, now_ns: int, waiting_ns: int) -> str:
-        """Return why there is no valid attitude to send; empty if there is one."""
+        """Return why there is no valid attitude to send; empty for a valid attitude."""
         message = self._attitude
         if message is None:
             return f"{ATTITUDE.topic}: no message received yet"

@@ -23,8 +23,8 @@ class Outlet(ABC):
     """Destination of a sink.
 
     Attributes:
-        place: kind and address of the destination, for texts.
-        client_lost_ns: steady time at which a client was last disconnected; None if never.
+        place: kind and address of the destination, as text.
+        client_lost_ns: steady time at which a client was last disconnected; None if no client was disconnected.
 
     Args:
         config: configuration of the sink.
@@ -68,6 +68,6 @@ class Outlet(ABC):
 
 
 def command_texts(lines: Iterable[bytes]) -> list[str]:
-    """Return received lines as texts, without empty lines and lines longer than the longest valid sentence."""
+    """Return received lines as texts, without empty lines and without lines longer than the longest valid sentence."""
     texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
     return [text for text in texts if text]

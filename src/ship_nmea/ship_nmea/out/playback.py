@@ -1,4 +1,4 @@
-"""Played data must not reach the bridge as if it were live."""
+"""Detection of played data, which must not reach the bridge like live data."""
 
 import time
 
@@ -13,5 +13,5 @@ def is_played(runtime: NmeaNode) -> bool:
 
 
 def utc_ns(runtime: NmeaNode) -> int:
-    """Return the node's time, POSIX UTC; the machine's before the first /clock."""
+    """Return the node's time, POSIX UTC, ns; before the first /clock, the machine's time."""
     return runtime.clock.now_ns() or time.time_ns()

@@ -40,8 +40,8 @@ class _Entry:
 class SentAlerts:
     """All alerts of the suite as sent to the bridge.
 
-    The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. Revisions
-    start at 1 again.
+    The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. After a
+    restart, revisions start at 1 again.
 
     Attributes:
         omitted_count: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.
@@ -57,14 +57,14 @@ class SentAlerts:
         return [entry.sent for entry in self._entries.values()]
 
     def update(self, alerts: Sequence[Any], now_ns: int) -> list[SentenceAlert]:
-        """Return the changes: new and changed alerts, and alerts that no longer exist as normal.
+        """Return new and changed alerts, and alerts that no longer exist (with the state normal).
 
-        An instance that is replaced by another one is first returned as normal: the bridge identifies an alert by its
-        number and instance, and would keep both.
+        An instance that is replaced by another instance is first returned as normal: the bridge identifies an alert by
+        number and instance, and would keep both instances.
 
         Args:
             alerts: the ship_msgs/Alert of an AlertArray.
-            now_ns: time at which those that no longer exist became normal.
+            now_ns: time at which the alerts that no longer exist became normal.
         """
         self.omitted_count = max(0, len(alerts) - MAX_ALERTS)
         before, now = self._entries, dict[int, _Entry]()
@@ -77,14 +77,14 @@ class SentAlerts:
                 changed.append(_normal_alert(former.sent, now_ns))
             if former is None or entry.key != former.key:
                 changed.append(entry.sent)
-        # At the end, so that a list that cannot be read changes nothing.
+        # Assigned at the end, so that a list that cannot be read changes nothing.
         self._entries = now
         return changed + [_normal_alert(entry.sent, now_ns) for number, entry in before.items() if number not in now]
 
     def alert_key(self, command: AlertCommand) -> tuple[str, int] | None:
         """Return id and instance of the alert of a command; None if there is no such alert.
 
-        A command without an instance refers to the present one. An instance that it names is checked by the alert node.
+        A command without an instance refers to the present instance. The alert node checks an instance that is given.
         """
         entry = self._entries.get(command.identifier)
         if entry is None:
@@ -98,7 +98,7 @@ class SentAlerts:
 
 
 def _identifier(id_: str, used: Container[int]) -> int:
-    """Return the number of an alert from its id: the next free one if another alert of the list has it."""
+    """Return the number of an alert from its id; if another alert of the list has this number, the next free number."""
     count = LAST_IDENTIFIER - FIRST_IDENTIFIER + 1
     number = zlib.crc32(id_.encode()) % count
     while (FIRST_IDENTIFIER + number) in used:
@@ -120,7 +120,7 @@ def _make_entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     if before is not None:
         revision = before.sent.revision % _LAST_REVISION + 1
         is_escalated = _PRIORITIES.index(priority) > _PRIORITIES.index(before.sent.priority)
-        # A more urgent alert is another instance (docs/explanation/alerts.md); one that only recurs starts at 0.
+        # A more urgent alert is another instance (docs/explanation/alerts.md). One that only recurs has escalation 0.
         if is_escalated or before.instance == alert.instance:
             escalation = min(before.sent.escalation + is_escalated, _LAST_ESCALATION)
     instance = (alert.instance - 1) % MAX_INSTANCE + 1
@@ -132,10 +132,10 @@ def _make_entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
 
 
 def _title(id_: str) -> str:
-    """Return an id in words, none left out; if too long, the longest word loses its last letter until the title fits.
+    """Return all words of an id; if too long, the longest word is shortened by its last letter until the title fits.
 
-    So "attitude.degraded" is ATTITUD DEGRADED, and "star.starboard2.out" is STAR STARBO2 OUT: a number at the end of a
-    word distinguishes two devices and stays.
+    For example, "attitude.degraded" is ATTITUD DEGRADED and "star.starboard2.out" is STAR STARBO2 OUT. A number at the
+    end of a word is kept, because it distinguishes two devices.
     """
     words = id_.upper().replace("_", " ").replace(".", " ").split()
     while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_length_without_number, words), default=0)) > 1:

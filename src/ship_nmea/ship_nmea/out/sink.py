@@ -19,7 +19,7 @@ from ship_nmea.out.outlet import LineReceiver, Outlet
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 MAX_QUEUED = 200
-"""Maximum number of queued sentences; more would be old when they are sent."""
+"""Maximum number of queued sentences; sentences at the end of a longer queue would be old when they are sent."""
 RETRY_S = 2.0
 """Time after which a failed outlet is opened again, s."""
 
@@ -38,18 +38,18 @@ _PARAMETER_NAMES = {
 }
 """Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
 
-For UDP such an error can only come from binding the port or from the interface."""
+For UDP, only binding the port and the interface can cause a permanent error."""
 
 
 class _QueuedSentence(NamedTuple):
-    """A sentence with its line end, and the steady time at which it expires; 0 for never."""
+    """A sentence with its line end, and the steady time at which the sentence expires; 0 if it never expires."""
 
     data: bytes
     expiry_ns: int
 
 
 class Sink:
-    """Destination of some sentences.
+    """Queue of sentences for a destination, and the thread that sends them.
 
     Args:
         name: name of the sink.
@@ -83,7 +83,7 @@ class Sink:
 
     @property
     def place(self) -> str:
-        """Return a description of its outlet."""
+        """Return a description of the outlet of the sink."""
         return self._outlet.place
 
     def start(self) -> None:
@@ -91,10 +91,10 @@ class Sink:
         self._thread.start()
 
     def queue(self, sentence: str, max_wait_ns: int = 0) -> None:
-        """Queue a sentence; if the queue is full, the oldest is dropped.
+        """Queue a sentence; if the queue is full, the oldest sentence is dropped.
 
         Args:
-            sentence: without its line end.
+            sentence: the sentence without its line end.
             max_wait_ns: maximum time in the queue, ns; 0 for no limit.
         """
         until_ns = time.monotonic_ns() + max_wait_ns if max_wait_ns else 0
@@ -127,13 +127,13 @@ class Sink:
         return DiagnosticStatus(f"sink {self.name}", Level.WARN if is_recent else Level.OK, text, values)
 
     def close(self) -> None:
-        """Send queued sentences if that is possible at once, and end."""
+        """Send the queued sentences that can be sent at once, and end the thread."""
         self._is_stopped = True
         self._wake()
         if not self._thread.ident:
             self._close_all()
         elif self._thread.is_alive():
-            self._thread.join(_JOIN_TIMEOUT_S)  # with a disk that hangs, the thread ends with the process
+            self._thread.join(_JOIN_TIMEOUT_S)  # while a disk hangs, the thread does not end before the process
 
     def _run(self) -> None:
         while not self._is_stopped:
@@ -163,7 +163,7 @@ class Sink:
             timeout_s = _SELECT_TIMEOUT_S if self._send_queued() else _SEND_RETRY_S
 
     def _send_queued(self) -> bool:
-        """Return True if all queued sentences are sent; expired ones are dropped."""
+        """Send queued sentences, drop expired sentences; return True if no sentence is left."""
         while True:
             with self._lock:
                 if not self._queue:
@@ -178,7 +178,7 @@ class Sink:
                 return False
             self._sent += 1
             with self._lock:
-                # The node may have dropped it meanwhile to make room.
+                # The node may have dropped this sentence meanwhile to make room.
                 if self._queue and self._queue[0] is queued:
                     self._queue.popleft()
 

@@ -1,8 +1,9 @@
-"""Alerts for the bridge's alert management, and its commands: ALF, ALC, ARC, HBT out, ACN in.
+"""Alerts for the alert management of the bridge (ALF, ALC, ARC, HBT), and commands of the bridge (ACN).
 
-After IEC 61162-1 and IEC 62923-1: an ALF at every change of an alert, the list of all alerts periodically in ALC, so
-that the bridge can detect what it has missed, and a heartbeat. The bridge answers with ACN; a command that cannot be
-executed is answered with ARC. An alert is identified by a manufacturer's code, a number from 10000 on and its instance.
+As in IEC 61162-1 and IEC 62923-1, an ALF is sent at every change of an alert. A heartbeat (HBT) and the list of all
+alerts (ALC), by which the bridge can detect missed changes, are sent periodically. The bridge sends
+commands by ACN; a command that cannot be executed is answered with ARC. An alert is identified by a manufacturer's
+code, a number from 10000 on and its instance.
 """
 
 from collections.abc import Sequence
@@ -16,14 +17,14 @@ FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
 """Range of alert identifiers that a manufacturer may use."""
 MAX_INSTANCE = 999_999
 MAX_ALERTS = 200
-"""Maximum number of alerts sent: ten times the most that a suite has had."""
+"""Maximum number of alerts sent: ten times the highest number in any suite so far."""
 
 ACKNOWLEDGE, REPEAT = "A", "Q"
 """Commands that are executed; O (responsibility transfer) and S (silence) are refused."""
 
 _TITLE_LENGTH = 16
 _CATEGORY = "B"
-"""The alert itself contains all information needed to decide what to do."""
+"""Category of all alerts: an alert contains all information needed to decide what to do."""
 _TIME_DECIMALS = 2
 _FRAME_LENGTH = len("$*hh\r\n")
 
@@ -36,12 +37,12 @@ class SentenceAlert:
         identifier: from FIRST_IDENTIFIER to LAST_IDENTIFIER.
         instance: from 1 to MAX_INSTANCE.
         revision: from 1 to 99, incremented at every change.
-        escalation: number of times that it became more urgent, from 0 to 9.
+        escalation: number of times that the alert became more urgent, from 0 to 9.
         priority: A alarm, W warning, C caution.
         state: V unacknowledged, S silenced, A acknowledged or a caution, U rectified and unacknowledged, N normal.
-        changed_ns: time of its last change, POSIX UTC.
+        changed_ns: time of the last change, POSIX UTC, ns.
         title: a few words.
-        description: a sentence; empty if there is none.
+        description: a sentence; may be empty.
     """
 
     identifier: int
@@ -61,7 +62,7 @@ class AlertCommand:
 
     Attributes:
         identifier: identifier of the alert.
-        instance: instance of the alert; None where the bridge names none.
+        instance: instance of the alert; None if the command contains no instance.
         command: A, Q, O or S.
     """
 
@@ -71,12 +72,12 @@ class AlertCommand:
 
 
 def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
-    """Return an alert in one sentence, or in two if it has a description; the second repeats only its identity.
+    """Return an alert in one sentence, or in two with a description; the second repeats only the alert's identity.
 
     Args:
         alert: the alert.
-        talker: its two letters.
-        manufacturer: code of three letters; empty if there is none.
+        talker: two letters of the talker.
+        manufacturer: code of three letters; may be empty.
         sequence: number of the call; its last digit identifies the two sentences of one alert.
     """
     total = "2" if alert.description else "1"
@@ -119,15 +120,15 @@ def arc(command: AlertCommand, talker: str, manufacturer: str, time_ns: int) -> 
 
 
 def hbt(is_operational: bool, talker: str, period_s: float, sequence: int) -> pynmea2.NMEASentence:
-    """Return a heartbeat of the source of alerts: its period, s, and whether it works."""
+    """Return a heartbeat of the source of alerts, with its period, s, and its state: operational or not."""
     return HBT(talker, "HBT", (f"{period_s:g}", "A" if is_operational else "V", str(sequence % 10)))
 
 
 def parse_command(text: str, manufacturer: str) -> AlertCommand | None:
-    """Return the command to this source in a sentence; None for another sentence, or a command to another source.
+    """Return the command in a sentence; None for another sentence, or a command to another source of alerts.
 
     Raises:
-        ValueError: it is not a sentence, its checksum is wrong or absent, or its command cannot be read.
+        ValueError: the text is not a sentence, its checksum is wrong or absent, or its command cannot be read.
     """
     try:
         sentence = pynmea2.NMEASentence.parse(text, check=True)

@@ -1,8 +1,8 @@
 """An attitude as sentences: HDT, THS, ROT, PASHR, PSXN 20 and 23.
 
-Signs of all of them are those of the suite: heading clockwise from true North, pitch positive with the bow up, roll
-positive with the starboard side down. This roll is called "port side up" in Kongsberg's Seapath manual (PSXN), and has
-the sign that Trimble and NovAtel print (PASHR). A rate of turn is negative if the bow turns to port. Without an
+All signs are as in the suite: heading clockwise from true North, pitch positive with the bow up, roll
+positive with the starboard side down. Kongsberg's Seapath manual (PSXN) calls this roll "port side up"; the manuals of
+Trimble and NovAtel (PASHR) have the same sign. A rate of turn is negative if the bow turns to port. Without an
 attitude the fields are void and the status is invalid: no sentence repeats an old value. Heave, which the suite does
 not estimate, is void.
 """
@@ -24,11 +24,11 @@ _FULL_TURN_DEG = 360
 _S_PER_MIN = 60.0
 _TIME_DECIMALS = 3
 _ROUNDING_MARGIN = 1.0 - 1e-12
-"""Factor that keeps floating-point errors of a whole number of units from being rounded up."""
+"""Factor before rounding up, so that a whole number of units with a floating-point error is not rounded up."""
 
 
 class AttitudeQuality(Enum):
-    """Quality of an attitude: mode of THS, and quality of PSXN 20 (0 normal, 1 reduced, 2 invalid)."""
+    """Quality of an attitude, as mode of THS and as quality of PSXN 20 (0 normal, 1 reduced, 2 invalid)."""
 
     NORMAL = "A", 0
     ESTIMATED = "E", 1
@@ -53,11 +53,11 @@ class SentenceAttitude:
     """An attitude with the values of its sentences.
 
     Attributes:
-        time_ns: its time of validity, POSIX UTC; of a void one, the time of sending.
-        quality: its quality.
+        time_ns: time of validity, POSIX UTC, ns; for a void attitude, the time of sending.
+        quality: quality of the attitude.
         angles: heading, pitch, roll, rad; NaN = void.
-        sigmas: standard deviation of each, rad; NaN = unknown.
-        heading_rate: clockwise, rad/s; NaN = unknown.
+        sigmas: standard deviations of the angles, rad; NaN = unknown.
+        heading_rate: clockwise rate of the heading, rad/s; NaN = unknown.
     """
 
     time_ns: int
@@ -71,9 +71,9 @@ def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]
     """Return the clockwise rate of the heading, rad/s; NaN if the bow points to the zenith and there is no heading.
 
     Args:
-        pitch: bow up positive, rad.
-        roll: starboard down positive, rad.
-        rate_flu: angular velocity of the deck against the horizon in its (forward, left, up), right-handed, rad/s.
+        pitch: pitch, bow up positive, rad.
+        roll: roll, starboard down positive, rad.
+        rate_flu: angular velocity of the deck relative to the horizon, in deck axes forward, left, up, rad/s.
 
     Example:
         >>> heading_rate(0.0, 0.0, (0.0, 0.0, -0.01))  # turning to starboard
@@ -86,7 +86,7 @@ def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]
 
 
 def hdt(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Return the true heading. It has no status: without a heading the field is void."""
+    """Return the true heading. HDT has no status: without a heading its field is void."""
     return pynmea2.HDT(talker, "HDT", (_heading_text(attitude.angles[0], decimals), "T"))
 
 
@@ -96,15 +96,15 @@ def ths(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEAS
 
 
 def rot(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Return the rate of turn, °/min; V if it is unknown."""
+    """Return the rate of turn, °/min, with status V if the rate is unknown."""
     rate = _signed_text(attitude.heading_rate * _S_PER_MIN, decimals)
     return pynmea2.ROT(talker, "ROT", (rate, "A" if rate else "V"))
 
 
 def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Return time, heading, roll, pitch and their standard deviations, with one decimal more and never rounded to zero.
+    """Return time, heading, roll, pitch and their standard deviations, which have one decimal more and are never zero.
 
-    The last two fields are 1 if there is an attitude, otherwise 0: "position" and "after alignment" at NovAtel.
+    The last two fields are 1 if there is an attitude, otherwise 0. NovAtel calls them "position" and "after alignment".
     """
     heading, pitch, roll = attitude.angles
     is_valid = str(int(attitude.quality is not AttitudeQuality.VOID))
@@ -116,7 +116,7 @@ def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NM
 
 
 def psxn20(attitude: SentenceAttitude, _talker: str, _decimals: int) -> pynmea2.NMEASentence:
-    """Return the quality of position, height, heading, roll and pitch; position and height, not sent, are invalid."""
+    """Return the quality of position, height, heading, roll and pitch; position and height are not sent and invalid."""
     quality = str(attitude.quality.psxn_quality)
     invalid = str(AttitudeQuality.VOID.psxn_quality)
     return pynmea2.sxn.SXN20("SXN", ("", "20", invalid, invalid, quality, quality))
@@ -132,18 +132,18 @@ def psxn23(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.N
 ATTITUDE_SENTENCES: dict[str, Callable[[SentenceAttitude, str, int], Any]] = {
     "HDT": hdt, "THS": ths, "ROT": rot, "PASHR": pashr, "PSXN20": psxn20, "PSXN23": psxn23,
 }  # fmt: skip
-"""Name → function of an attitude, the talker's two letters, and the number of decimals of its angles."""
+"""Name → function that returns the sentence of an attitude, a talker (two letters) and a number of decimals."""
 SIMULATION_SENTENCES = ("THS",)
 """Sentences with a mode for simulated data."""
 
 
 def simulated_attitude(name: str, attitude: SentenceAttitude) -> SentenceAttitude:
-    """Return a played attitude for a sentence: void, unless the sentence has a mode for simulated data."""
+    """Return a played attitude for a sentence; it is void unless the sentence has a mode for simulated data."""
     return attitude if name in SIMULATION_SENTENCES else SentenceAttitude(attitude.time_ns)
 
 
 def _heading_text(angle: float, decimals: int) -> str:
-    """Return a heading from 0 to below 360°; a value that would be rounded to 360 is 0."""
+    """Return a heading from 0 to below 360°; a value that would be rounded to 360 becomes 0."""
     if not math.isfinite(angle):
         return ""
     unit = 10**decimals
@@ -151,10 +151,10 @@ def _heading_text(angle: float, decimals: int) -> str:
 
 
 def _signed_text(angle: float, decimals: int, sign: str = "-") -> str:
-    """Return an angle, °, with a sign if negative, or always if ``sign`` is ``+``; zero has no minus."""
+    """Return an angle, °, with a sign if it is negative, or always if ``sign`` is ``+``; zero is never negative."""
     if not math.isfinite(angle):
         return ""
-    # Zero is added because round() gives a negative one for small negative numbers.
+    # 0.0 is added because round() returns -0.0 for small negative numbers.
     return f"{round(math.degrees(angle), decimals) + 0.0:{sign}.{decimals}f}"
 
 

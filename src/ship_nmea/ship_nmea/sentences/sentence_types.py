@@ -1,4 +1,4 @@
-"""Sentences of alerts (IEC 61162-1) that pynmea2 lacks; their definition here adds them to its parser.
+"""Sentences of alerts (IEC 61162-1) that pynmea2 lacks; their definition here adds them to the parser of pynmea2.
 
 pynmea2 registers a sentence under the name of its class, with (description, name, converter) of each field.
 """
@@ -22,7 +22,7 @@ _ELLIPSIS = ".."
 
 
 class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """Alert: the state of one alert; two sentences if it has a description in addition to its title."""
+    """Alert: the state of one alert; two sentences if the alert has a description in addition to its title."""
 
     fields = (
         ("Total number of sentences, 1 or 2", "total", int),
@@ -42,7 +42,7 @@ class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
 
 
 class ALC(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """Cyclic alert list: after the fields here follow manufacturer, identifier, instance, revision of each alert."""
+    """Cyclic alert list: these fields are followed by manufacturer, identifier, instance and revision of each alert."""
 
     fields = (
         ("Total number of sentences, 01 to 99", "total", int),
@@ -88,9 +88,10 @@ class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
 
 
 def text_field(text: str, max_length: int) -> str:
-    """Return a text as a field: ASCII, reserved characters as codes, at most ``max_length`` characters.
+    """Return a text as a field of a sentence: ASCII, reserved characters as codes, at most ``max_length`` characters.
 
-    A character without an equivalent in ASCII is ``?``. A text that is too long ends after a word, with ``..``.
+    A character without an equivalent in ASCII becomes ``?``. A text that is too long is cut after a word and ends with
+    ``..``.
 
     Example:
         >>> text_field("σ 3.2″, limit 2″", 40)
@@ -109,7 +110,7 @@ def text_field(text: str, max_length: int) -> str:
             break
         shortened = longer
     if not shortened:
-        # The first word alone is too long: as many of its characters as fit.
+        # The first word alone is too long: it is cut to the characters that fit.
         lengths = itertools.accumulate(map(len, words[0]))
         shortened = "".join(code for code, length in zip(words[0], lengths, strict=True) if length <= room)
     return shortened.rstrip(":;") + _ELLIPSIS
@@ -121,7 +122,7 @@ def _ascii_text(text: str) -> str:
 
 
 def _escape(word: str) -> list[str]:
-    """Return the characters of a word as written in a field; a code is never cut."""
+    """Return the characters of a word as written in a field; a code is one element, so that it is never cut."""
     return [f"^{ord(one):02X}" if one in _RESERVED or not one.isprintable() else one for one in word]
 
 

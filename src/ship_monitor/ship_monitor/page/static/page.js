@@ -1,4 +1,4 @@
-// Writes the server's texts into the first screen. The only thing evaluated here is the link: whether texts still
+// Writes the server's texts into the first screen. The script evaluates only the link: it is lost if no texts
 // arrive. Times of arrival are by a clock that never steps.
 "use strict";
 const monitor = (() => {
@@ -50,7 +50,7 @@ const monitor = (() => {
     tile.tip = angle.tip;
   }
 
-  // Safety of the suite in the bar; below it that of each angle while the tiles are scrolled away.
+  // Safety of the suite in the bar; below it the safety of each angle while the tiles are scrolled away.
   function states(model) {
     const overall = at("overall");
     chip(overall.firstElementChild, model.overall.safety);
@@ -84,7 +84,7 @@ const monitor = (() => {
     icon(document.querySelector("#icon .sign"), alert.state);
     text(at("alert-text"), alert.text);
     at("alert-text").classList.toggle("long", alert.text.length > 32);
-    // The line shows the advice instead of the time; the list has both.
+    // The line shows the advice instead of the time; the list shows advice and time.
     text(at("alert-sub"), alert.advice || alert.sub);
     at("alert-sub").classList.toggle("advice", Boolean(alert.advice));
     at("unack-count").hidden = !alert.unack;
@@ -132,7 +132,7 @@ const monitor = (() => {
     });
     fit(sources.rows);
   }
-  // OUT comes first in the list. Without enough room the second lines are removed first, then sources are counted.
+  // OUT comes first in the list. Without enough room, second lines are removed first; then sources are only counted.
   function fit(rows) {
     const parent = document.querySelector("#sources ul"), items = [...parent.children];
     items.forEach((item) => { item.hidden = false; });
@@ -186,7 +186,7 @@ const monitor = (() => {
     ribbons(model.ribbons);
   }
 
-  // The model without a link: every value is old, with its age.
+  // Content of the screen without a link: every value is old, and its age is shown.
   function withoutLink(model, silentS) {
     const old = structuredClone(model);
     for (const angle of Object.values(old.angles)) {
@@ -222,7 +222,7 @@ const monitor = (() => {
       checking = true;
       fetch("health", { cache: "no-store", signal: AbortSignal.timeout(2000) })
         .then((answer) => answer.ok, () => false)
-        // A server that was only busy answers this first, then sends its texts over the existing link.
+        // A server that was only busy answers this request, then sends its texts over the existing link.
         .then((isAlive) => setTimeout(() => {
           checking = false;
           if (isAlive && performance.now() - receivedMs > limits.reloadAfterMs) location.reload();
@@ -230,8 +230,8 @@ const monitor = (() => {
     }
   }
 
-  // The marked source in the list and in every panel. It is kept after a change of theme and after a reconnect, as is
-  // the angle of the budget.
+  // The marked source in the list and in every panel. The mark and the angle of the budget are kept after a
+  // change of theme and after a reconnect.
   function mark(name) {
     marked = name;
     sessionStorage.setItem("marked", marked);
@@ -239,7 +239,7 @@ const monitor = (() => {
     sendChoice({ marked });
   }
   const toggle = (name) => mark(name === marked ? "" : name);
-  // The user's choices go to the server's model of this page only: the plots follow them. The turn makes each message
+  // The user's choices go to the server's model of this page only, which draws the plots. `turn` makes each message
   // different, so that the same choice can be sent twice.
   let choice = { paused: false, wanted: false, seen: null, marked }, chosen = null, turn = 0;
   function sendChoice(change, once = {}) {
@@ -285,7 +285,7 @@ const monitor = (() => {
   }
   if (sessionStorage.getItem("plots")) showPlots();
   at("plots-wanted").onclick = showPlots;
-  // The panels are made when the first of them becomes visible; each is updated only while it is visible.
+  // The panels are made when the first of them becomes visible; each panel is updated only while it is visible.
   const want = new IntersectionObserver((entries) => {
     if (!entries.at(-1).isIntersecting) return;
     want.disconnect();
