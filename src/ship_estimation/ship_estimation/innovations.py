@@ -162,9 +162,9 @@ class InnovationTable:
     Attributes:
         axes: names of all axes.
         times_ns: stamps, shape (n,).
-        numbers: one row per innovation, shape (n, c). The columns are degrees, NIS, number of components, own share and
-            is used, then for each axis the innovation in sigmas and in rad, then the squares of the parts. Missing
-            values are NaN.
+        numbers: one row per innovation, shape (n, c). The columns are ``degrees``, ``nis``, ``components``,
+            ``own_share`` and ``is_used`` of :class:`Innovation`, then for each axis the innovation in sigmas and in
+            rad, then the squares of the parts. Missing values are NaN.
 
     Example:
         >>> table = InnovationTable()
@@ -283,7 +283,7 @@ class PartStatistics:
 
     @property
     def _has_many_outliers(self) -> bool:
-        """True if outliers are significantly more frequent than for a sigma too small by the tolerated factor."""
+        """True if outliers are significantly more frequent than if sigma were optimistic by the tolerated factor."""
         count, expected = self._count, _expected_outlier_share(self._degrees)
         return count * (self.outlier_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
@@ -306,7 +306,7 @@ class PartStatistics:
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
     def _excess(self, count: int) -> float:
-        """Return the excess of the number of squares above the predicted median over one half of all squares, sigmas.
+        """Return the number of squares above the predicted median minus half of all squares, in sigmas of this number.
 
         Args:
             count: number of smallest squares that are counted.
@@ -355,8 +355,8 @@ class AxisStatistics:
 
     def bias_text(self, residual: FloatArray) -> str:
         """Return the text of a bias and its possible cause, from the innovations along the axis, rad, shape (n,)."""
-        # The bias is in rad, because the sigma depends on the prediction. Successive differences give the noise without
-        # drift.
+        # The medians are compared in rad, because the sigma of an innovation changes with that of the prediction. The
+        # noise is computed from successive differences, which a drift hardly changes.
         half, bias = len(residual) // 2, float(np.median(residual))
         change = float(np.median(residual[half:]) - np.median(residual[:half]))
         noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(residual)))) / math.sqrt(2.0)

@@ -88,7 +88,7 @@ def _classify_binary(is_before_sentence: bool) -> NotOfInterest | Unusable:
 
 
 def _parse_without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:
-    """Parse a text without ``$``: a mast's line, an encapsulated sentence (AIS), or the end of a sentence."""
+    """Parse a text without ``$``: a line ``MET`` of a weather mast, AIS, or the end of a sentence."""
     if text.startswith("!"):
         return NotOfInterest(text.split(",")[0])
     return Unusable(INCOMPLETE) if is_cut or _CHECKSUM.fullmatch(text) else read_sentence(text)
