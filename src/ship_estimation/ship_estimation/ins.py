@@ -136,7 +136,7 @@ class InsJump:
     def shared_with_clock(self) -> tuple[FloatArray, FloatArray]:
         """Jump with one half attributed to the attitude and one half to the clock, and the covariance of both.
 
-        While the ship's rotation does not change, a jump of the attitude and a clock step cannot be distinguished. By
+        While the ship rotates at a constant rate, a jump of the attitude and a clock step cannot be distinguished. By
         the covariance, a jump of the attitude alone and a clock step alone are both one sigma away.
 
         Returns:

@@ -265,7 +265,7 @@ class FaultDetector:
                 [row for row in rows if row not in subfilters.ins_subfilters] for rows in (candidates, pairs)
             )
         elif stepped and len(in_use) <= MIN_SOURCES_FOR_PAIRS:
-            # A fault of one source and a step of the INS explain as much as faults of the two other sources.
+            # The pair of the INS and one source explains a fault as well as the pair of the two other sources.
             pairs = []
         threshold, after = subfilters.k.false_exclusion, self._degraded_after
         isolation = isolate_fault(
@@ -281,7 +281,7 @@ class FaultDetector:
         if self.ins_fault.has_reported_jump(state, time_ns):
             state = with_changes(state, ins_fault_ns=time_ns)
             if INS not in faulty and not set(subfilters.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
-                faulty = ()  # The reported jump of the INS explains the fault as well: its axes may have rotated.
+                faulty = ()  # The INS may be at fault as well: after the reported jump its axes may be rotated.
         contradicting = self._contradicting_stars(state, faulty, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in faulty and stepped)
         if against_ins and self.ins_fault.has_reported_jump(state, time_ns) and self.ins_fault.can_be_excluded(in_use):
@@ -355,10 +355,11 @@ class FaultDetector:
         )
 
     def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after the INS reported its own jump, without contradictions of sources with the INS.
+        """Return the state after a reported jump of the INS, which may have caused the faults detected so far.
 
         If a fault is unresolved, all filters restart from the main filter, because their differences are due to that
-        fault.
+        fault. Detected faults are then reset. If the stars have excluded the INS, its reinstatement timer restarts
+        instead.
         """
         if state.unresolved_fault is not None:
             means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
@@ -403,8 +404,8 @@ class FaultDetector:
     def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
         """Return the isolated sources; empty without an isolated source.
 
-        If several subfilters explain the fault, and one of them alone excludes only sources that were excluded before,
-        the fault is attributed to these sources.
+        If several subfilters explain the fault, and exactly one of them excludes only sources that were excluded
+        before, the fault is attributed to the sources that this subfilter excludes.
         """
         excluded_sources = self.subfilters.excluded_sources
         known = [

@@ -241,9 +241,10 @@ def _stars_in_deck(
 
 
 def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: FloatArray) -> FloatArray | None:
-    """Return the rotation of each of m exposures by one sigma of each rotation error, rad, shape (m, 3, 3 m).
+    """Return a square root of the covariance of the rotation errors of m exposures, rad, shape (m, 3, 3 m).
 
-    The result is None without rotation errors.
+    Each column has the rotation vectors of all exposures for one sigma of one independent error. The result is None
+    without rotation errors.
     """
     own = [mounted.exposure.turn_variance for mounted in group]
     if not (any(own) or turn_covariance_d.any()):

@@ -68,7 +68,9 @@ class ExposureLength:
         return Rejection(Reason.GAP, f"no INS samples over the whole exposure of {self.exposure_s:g} s")
 
     def unmeasured_turn_variance(self, acceleration: float) -> float:
-        """Return the variance of mean attitude minus middle attitude without an INS, each axis, rad².
+        """Return the variance of the mean attitude minus the attitude at mid-exposure, each axis, rad².
+
+        This difference is unknown without an INS.
 
         Args:
             acceleration: standard deviation of the sensor's angular acceleration, each axis, rad/s².
@@ -162,7 +164,7 @@ class StarExposure:
         )
 
     def with_pixel_dwell(self, before: PixelDwell | None) -> StarExposure:
-        """Return the exposure with its pixel dwell; the exposure itself without pixel-spatial errors.
+        """Return the exposure with its pixel dwell; unchanged if the sensor has no pixel-spatial errors.
 
         Args:
             before: pixel dwell of the sensor's previous exposure; None if there is none.

@@ -10,7 +10,7 @@ _FOCAL_LENGTH_TOLERANCE = 0.01
 """Relative error of the focal length above which stars near the edge of the image are lost."""
 
 _ACCEPTED_SIGMAS = 2.0
-"""Error of the focal length, in stated standard deviations, that is accepted without a warning."""
+"""Error of the focal length, in its configured standard deviations, that is accepted without a warning."""
 
 _OTHER_BAND = 0.4
 """Offset in magnitudes that indicates another band: V and Hp differ by at most 0.15 on average, B and R from Hp by 0.5

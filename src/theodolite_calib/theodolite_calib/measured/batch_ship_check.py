@@ -21,7 +21,7 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
 
 _STATED_STEP_SIGMAS = 5.0
-"""Size of the source's possible step, in multiples of the change of its stated standard deviation."""
+"""Possible step of a source's attitude, in multiples of the square root of the change of its stated variance."""
 
 _SINGLE_CHECKS = 8
 """Number of attitudes that are checked one by one after an irregular one."""
@@ -41,8 +41,9 @@ class BatchShipCheck:
 
     def _clear_batch(self) -> None:
         self._batch: list[ShipSample] = []
-        # Received attitudes of the batch, each with the step reported by the source; the check before the batch.
+        # Received attitudes of the batch, each with the possible step that the source reported.
         self._checked: list[tuple[ShipSample, float]] = []
+        # Copy of the check from before the batch.
         self._check_before_batch: InsCheck | None = None
         # Result for the attitudes that were checked as a block, and the index of the first of these attitudes.
         self._checked_block: CheckedBlock | None = None
@@ -126,7 +127,7 @@ class BatchShipCheck:
 
 
 def stated_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
-    """Return the source's possible step from the change of its stated covariance, rad."""
+    """Return by how much a source's attitude may step when its stated covariance changes, rad."""
     if covariance_n is None or before_n is None:
         return 0.0
     return _STATED_STEP_SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
