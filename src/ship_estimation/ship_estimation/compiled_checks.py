@@ -22,20 +22,22 @@ _CHANGE_SHARE = cython.declare(cython.double, 0.25)
 _SHORTEST_PERIOD_S = cython.declare(cython.double, 4.0)
 """Shortest period of a hull's motion, s.
 
-The integration error of the mean of two rates is then at most (2 pi h / period)² / 12 of the rotation.
+The integration error of the mean of two rates, h seconds apart, is then at most (2 pi h / period)² / 12 of the
+rotation.
 """
 _TYPICAL = cython.declare(cython.double, 3.10)
-"""Value that noise of three axes exceeds once in 6e10 times, in units of the eighth root of the mean eighth power of
-the noise, 945 sigma⁸."""
+"""Length that the noise of three axes exceeds once in 6e10 times. Its unit is the eighth root of the mean eighth power
+of the length, and this mean is 945 sigma⁸."""
 _MEMORY = cython.declare(cython.longlong, 1500)
 """Number of steps over which the mean eighth power is taken."""
 _SAMPLES_FOR_ONE = cython.declare(cython.longlong, 64)
 _SAMPLES_FOR_MEANS = cython.declare(cython.longlong, 250)
-"""Numbers of steps in the statistics from which single samples, and from which means, are checked against the line."""
+"""Least numbers of steps in the statistics: for checks of single samples against the line, and for checks of means."""
 _NO_BOUND_RAD = cython.declare(cython.double, 10.0)
 """Bound without statistics, rad, larger than any step."""
 SET_EVERY, FORGET = 8, 0.78
-"""Number of updates of the statistics between two updates of the bounds, and decay factor of the apparent step then."""
+"""Number of updates of the statistics between two updates of the bounds, and decay factor of the apparent step at each
+update of the bounds."""
 
 
 @cython.cfunc
@@ -220,8 +222,8 @@ def set_bounds(
         learns: number of steps in these means.
         coarse_rad: part of the bound due to rounding.
         apparent_step_rad: part of the bound due to integration errors.
-        first_rad: bound of a single sample before the statistics are known; infinite if single samples are not checked
-            then.
+        first_rad: bound of a single sample while the statistics are unknown; infinite if single samples are not checked
+            during this time.
         bounds: output, bounds of the steps, rad, shape (k,).
         scaled: output, ratio of weights to bounds, shape (k, length).
 

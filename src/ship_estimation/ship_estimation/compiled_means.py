@@ -121,7 +121,7 @@ def updated_means(
         limit: limit of chi².
         max_innovation: bound of the length of an innovation.
         consistent_ratio: share of the limit below which a source is consistent.
-        never_ns: stamp of a consistent source.
+        never_ns: value of ``inconsistent_since_ns`` for a consistent source.
         is_excluded: true if the main filter excludes the source.
         whitened_noise: if the main filter excludes the source, the part of the measurement noise in the whitened
             covariance, shape (3, 3).

@@ -39,8 +39,8 @@ _MEDIAN_RATIO, _START_RATIO = 2.0, 4.0
 second value applies at the start, when the usual difference is unknown and the rates may be noisy."""
 _LARGER, _OTHER, _MORE_STEPS = 1.5, 1.25, 3
 """Ratios of standard deviations from which a new estimate replaces the present estimate: a larger one over the short
-time, a larger or smaller one over the long time. The third value is the least ratio of the numbers of steps for the
-long time."""
+time, a larger or smaller one over the long time. Unless the data last ``_SETTLED_NS``, the estimate over the long time
+also needs a number of steps: the third value times the number of steps of the present estimate."""
 _OVER_SHORT, _OVER_LONG, _WOULD_SHOW = 1.5, 1.2, 1.4
 """Ratios of measured to stated noise below which an excess ends, over the short time and over the long time. The ratio
 during the excess must be at least twice the first value for the short time, or the third value for the long time."""

@@ -4,8 +4,9 @@ An innovation is the residual of a measurement against its prediction. If the mo
 mean and the predicted covariance, and are independent in time. An :class:`InnovationHistory` keeps the innovations of
 each source over the last minute of data. These innovations give the diagnosis of the source:
 
-- If most parts (stars, beacons, whole attitudes) are larger or smaller than predicted, the sigma of the source is
-  optimistic or conservative. The reported factor applies to the source's own sigma, not to the prediction.
+- If the innovations of most parts (stars, beacons, whole attitudes) are larger or smaller than predicted, the sigma of
+  the source is optimistic or conservative. The reported factor applies to the source's own sigma, not to the
+  prediction.
 - If most parts are as stated, but there are too many outliers, the outliers are misidentifications.
 - If the mean is not zero, there is a bias. A constant bias indicates an error of installation or alignment.
 - If successive innovations are correlated, an error has a longer correlation time than in the model.

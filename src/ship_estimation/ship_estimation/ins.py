@@ -165,7 +165,7 @@ InsChange = InsJump | ExtraNoise
 
 
 def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> float:
-    """Return the clock step in which the ship rotates by a jump, s; NaN if no clock step explains the jump.
+    """Return the clock step, s, during which the ship rotates by the jump; NaN if no clock step explains the jump.
 
     Args:
         jump_n: rotation vector of the jump, rad, shape (3,).

@@ -2,8 +2,8 @@
 
 Samples are checked in the order of their stamps. Each attitude is compared with its prediction from earlier samples.
 The prediction uses the rates if they are confirmed, otherwise continued motion, otherwise the fastest rotation of a
-hull. Rates that are not measured are removed from the samples, and the stamp after which earlier rates were wrong is
-returned for the correction of the track.
+hull. Rates that are not measured, such as zeros or noise, are removed from the samples. The stamp after which earlier
+rates were wrong is returned for the correction of the track.
 """
 
 import math
@@ -279,6 +279,8 @@ class InsCheck:
     ) -> tuple[int, CheckedInsSample | None]:
         """Accept leading samples on the line of earlier samples, up to a sample that updates the statistics.
 
+        The line is the line of :mod:`ship_estimation.ins_step_detector`.
+
         Args:
             samples: samples to check.
             block: the same samples as arrays.
@@ -539,7 +541,7 @@ def _gate_rejection(match: PredictionMatch) -> Rejection:
 
 
 def _step_rejection(jumps: tuple[InsJump, ...]) -> Rejection | None:
-    """Return the rejection that reports a step or drift found by means; None without jumps.
+    """Return the rejection that reports a step or drift found in several samples; None without jumps.
 
     The samples since the step were accepted; the step is reported with the sample at which it was detected.
     """

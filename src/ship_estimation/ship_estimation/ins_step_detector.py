@@ -166,7 +166,7 @@ class InsStepDetector:
         Args:
             sample: sample with a rate, later than all accepted samples.
             integrated: attitude by integrated rates at the stamp of the sample.
-            first_rad: bound of the distance of a good sample from the line before the statistics are known.
+            first_rad: bound of the distance of a good sample from the line, used until the statistics are known.
             coarseness_rad: resolution of the attitude; zero if every value is new.
         """
         self._pending, time_ns = None, sample.time_ns

@@ -28,11 +28,12 @@ _SCATTERS = 8.0
 of 3."""
 
 _STEPS = 5.0
-"""Least distance of the two groups, in smallest steps of repeated values. Rounding makes groups a digit apart."""
+"""Least distance of the two groups, in smallest steps within a group, if values are repeated. Rounding alone makes
+groups that are one digit apart."""
 
 _MOVES = 2.0
-"""Least distance of the two groups, in changes of the value between two samples. Wrong stamps cause up to one
-change."""
+"""Least distance of the two groups, in largest changes of the value between two samples. Wrong stamps move a value by
+up to one such change."""
 
 _CLEAN = 2
 """Number of successive windows with one stream after which the source has one stream again."""

@@ -53,7 +53,7 @@ class MotionCheck:
     def has_turned(
         self, motion_references: Mapping[str, MotionReference], sigma_rad: float, resolution_rad: float
     ) -> bool:
-        """True if a reference has rotated too far for the repeated value.
+        """True if a reference has rotated so far that the value of a healthy source would have changed.
 
         Args:
             motion_references: current reference attitudes, by name.

@@ -224,7 +224,7 @@ def protection_levels(
         subfilter_covariances: covariance of each subfilter, shape (h, m, m).
 
     Example:
-        Without one source each component differs by 4″, and its sigma grows from 1.8″ to 3″:
+        The subfilter differs from the main filter by 4″ in each component; its sigma is 3″ instead of 1.8″:
 
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
         >>> every = np.eye(3)
@@ -318,8 +318,8 @@ class IntegrityReport(NamedTuple):
         threshold: threshold of the solution separations, K_fa, sigmas.
         excluded: the excluded sources, and the stamp since which each is excluded.
         dominant: the hypothesis with the largest level; empty for the fault-free case.
-        largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components, rad. If
-            the directions of the components rotate, the levels change in proportion to this sigma.
+        largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components, rad. A
+            rotation of the directions in which components are measured changes the levels in proportion to this sigma.
     """
 
     time_ns: int

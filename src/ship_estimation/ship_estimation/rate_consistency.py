@@ -39,11 +39,11 @@ class _PieceStart:
 class RateConsistencyCheck:
     """Check of the rates of an INS in successive pieces of motion.
 
-    A piece lasts until the rotation is clear, at least a quarter of a second and at most two seconds. A piece without
-    rotation is ignored. The rates of a piece are right if they equal the rotation of the attitude to within 30 %.
-    Before the first right piece a single wrong piece makes the rates unusable; later two successive wrong pieces do.
-    Twenty successive right pieces make the rates usable again. Twenty pieces with a ratio of 57.3 or 1/57.3 show a
-    wrong unit, and four pieces with another ratio end that status.
+    A piece lasts until the rotation clearly exceeds the noise, at least a quarter of a second and at most two seconds.
+    A piece without rotation is ignored. The rates of a piece are right if they equal the rotation of the attitude to
+    within 30 %. Before the first right piece a single wrong piece makes the rates unusable; later two successive wrong
+    pieces do. Twenty successive right pieces make the rates usable again. Twenty pieces in which the rotations by rates
+    and by attitude have a ratio of 57.3 or 1/57.3 show a wrong unit. Four pieces with another ratio end that status.
 
     Attributes:
         status: status of the rates.
@@ -132,8 +132,8 @@ class RateConsistencyCheck:
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
         right = difference <= self._TOLERANCE * turn
         were_usable = self.is_usable
-        # Unconfirmed rates may be found wrong after one interval; any other result takes the shortest length of a
-        # piece.
+        # Unconfirmed rates may be found wrong after one sample interval. Every other result needs a piece of at least
+        # the shortest length.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
             size_known = vector_length(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
             self._evaluate(time_ns, right, attitude, rate, size_known)

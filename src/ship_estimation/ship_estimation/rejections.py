@@ -3,8 +3,9 @@
 A measurement is checked in this order:
 
 1. the inbox of a live node that cannot keep up (``ship_node/live/backlog``): BEHIND;
-2. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
-   and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off: OFF;
+2. the reader of the message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): all
+   reasons for a wrong field; and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off:
+   OFF;
 3. :class:`ship_estimation.time_ordered_estimator.LagWindow`: LATE;
 4. the checks of a single stream (:mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
    references, ``theodolite_calib/measured/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample

@@ -179,7 +179,7 @@ class RtsSmoother(Generic[Given]):
         self._requested_ns.append(time_ns)
 
     def add_state(self, state: TracedState[Given]) -> None:
-        """Add the state after a measurement or a jump, which follows the last added state; most states make a link."""
+        """Add the next state, after a measurement or a jump; most states make a link."""
         came, before, now = state.last_update, self._last_update, GaussianEstimate(state.mean, state.covariance)
         self._last_update = came
         if state.time_ns is None:

@@ -30,7 +30,7 @@ class SmootherStep(NamedTuple):
 
     Attributes:
         gain: smoother gain, shape (..., r, n).
-        offset: earlier quantities for later states of zero, shape (..., r).
+        offset: mean of the earlier quantities if all later states are zero, shape (..., r).
         covariance: covariance of the remaining error for exactly known later states, shape (..., r, r).
     """
 

@@ -104,9 +104,9 @@ hundred repetitions. A flood of late data would need thousands, and delay the ou
 MOST_REPEATS_AT_ONCE = 50
 """Maximum number of measurements applied again for one input, which limits the delay of the next output."""
 MOST_OVERTAKEN_PER_S = 200
-"""Maximum number, in a second, of pairs of a late measurement and a later measurement of the same source in the log.
-The number suffices for star exposures at 14 Hz in any order within two seconds, and for attitudes at 100 Hz late by up
-to 0.1 s."""
+"""Maximum number of pairs in a second. A pair is a late measurement and a measurement of the same source in the log
+with a later stamp. The number suffices for star exposures at 14 Hz in any order within two seconds, and for attitudes
+at 100 Hz late by up to 0.1 s."""
 
 
 class _RateLimit:
@@ -334,7 +334,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         model: the functions of the estimator.
         state: state before any measurement.
         lag_s: maximum lag of a measurement, s; a measurement within this lag is applied at its own stamp.
-        reach_ns: time before the stamp of a measurement in which data may affect it, ns.
+        reach_ns: maximum time between the stamp of a measurement and the stamps of the data that may affect it, ns.
 
     Attributes:
         state: state after the last applied measurement.

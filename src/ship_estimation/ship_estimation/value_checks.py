@@ -227,7 +227,7 @@ def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coa
         coarseness_rad: as in :class:`PredictionStep`.
 
     Example:
-        One second after a rotation of one second, with accelerations up to 2°/s²:
+        The earlier values are one second apart; one second later the value is predicted, for accelerations up to 2°/s²:
 
         >>> step = step_by_motion(1.0, 1.0, math.radians(2.0), coarseness_rad=0.0)
         >>> print(f"{math.degrees(step.uncertain_rad):.1f} deg, noise gain {step.noise_gain:.0f}")
@@ -261,8 +261,8 @@ class PredictionMatch(NamedTuple):
     def is_consistent_with(self, step: "PredictionMatch") -> bool:
         """True if the value is consistent with the last accepted value although values between were rejected.
 
-        The bound grows with time. For a value that is consistent with the rejected value before it, the bound is at
-        most the bound of the last step alone.
+        The bound of this prediction grows with the time since the accepted value. If the value is consistent with the
+        rejected value before it, the bound is therefore at most the bound of this last step.
 
         Args:
             step: the same value compared with its prediction from the value before it, accepted or not.
@@ -279,8 +279,9 @@ class PredictionBound:
 
     Attributes:
         sigma_rad: noise of a value about its worst axis.
-        typical_rad: root mean square of the one-sample differences so far; zero before enough differences are known.
-        noise_rad: bound of a one-sample difference due to noise; infinite before enough differences are known.
+        typical_rad: root mean square difference of a value from its prediction by the value before; zero before enough
+            differences are known.
+        noise_rad: bound of such a difference due to noise; infinite before enough differences are known.
 
     >>> next_sample = PredictionStep(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
     >>> match = PredictionBound(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
@@ -299,7 +300,7 @@ class PredictionBound:
         self._count = 0
 
     def match(self, difference: FloatArray, step: PredictionStep, led: bool = True) -> PredictionMatch:
-        """Return the match of a difference with the bound of a step; arguments as in :class:`PredictionMatch`."""
+        """Return the match of a difference with the bound of a step; ``led`` is False if the value is not predicted."""
         gain = math.sqrt(step.noise_gain)
         noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * self.typical_rad)
         more = self.typical_rad * math.sqrt(step.samples - 1)

@@ -313,7 +313,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _propagate_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """Propagate the newest sample by its measured rate and the change of the rate since the sample before.
 
-        The difference of two rates is the acceleration half a step earlier, so its error acts over that half step too.
+        The difference of two rates gives the acceleration half a step before the newest sample. The error of the
+        propagation therefore contains the change of the acceleration in this half step too.
         """
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
@@ -493,7 +494,7 @@ def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: floa
     """Return the covariance of two errors: of a parabola, and of a clock offset estimated with interpolated attitudes.
 
     Both errors are computed from the third derivative of the motion. Its root mean square over all samples is used,
-    because a single value may be zero at its phase of the wave.
+    because in a wave the third derivative is zero at some phases.
 
     Without measured rates the interpolation error is proportional to the third derivative, which in a swell is
     proportional to the rate. The effect of a clock offset is proportional to the rate too. A filter that estimates the

@@ -275,8 +275,8 @@ def pointings(
 ):
     """Return the main frame at N encoder readings, corrected by one estimate of the errors, with covariance by source.
 
-    The errors a and e are Gauss–Markov processes with steady covariances. Since the estimate, a may also have been
-    reduced to a remaining share, with an added covariance.
+    The errors a and e are Gauss–Markov processes with steady covariances. If the stated covariance of the ship's
+    attitude has changed since the estimate, a share of a remains and a covariance is added.
 
     Args:
         since_ns: time from the estimate to each reading, ns, shape (N,); negative times count as 0.

@@ -18,7 +18,7 @@ if not cython.compiled:
 from cython.cimports.libc.math import NAN, atan2, cos, hypot, sin, tan
 
 _TINY = cython.declare(cython.double, 1e-300)
-"""Minimum of the horizontal component of a direction by which is divided; at the zenith refraction is zero."""
+"""Minimum of a divisor, the horizontal component of a direction; it is zero at the zenith, where refraction is zero."""
 
 
 @cython.cfunc
@@ -178,8 +178,8 @@ def seen_through_air(
         sigma = hypot(hypot(angles[1] * pressure_sigma, angles[2] * temperature_sigma), sigma)
         _raise_direction(star, angles[0], cython.address(direction[k, 0]))
         star[0], star[1], star[2] = direction[k, 0], direction[k, 1], direction[k, 2]
-        # The displacement is upwards, perpendicular to the direction. At the zenith, where it has no azimuth, its
-        # horizontal components are small instead of NaN.
+        # The displacement is upwards, perpendicular to the direction. At the zenith the direction has no azimuth; the
+        # horizontal components of the displacement are then small instead of NaN.
         level = hypot(star[0], star[2])
         upward = -star[1] / max(level, _TINY) * sigma
         shared[k, 0, 0], shared[k, 1, 0], shared[k, 2, 0] = star[0] * upward, level * sigma, star[2] * upward

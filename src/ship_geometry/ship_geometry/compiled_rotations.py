@@ -192,6 +192,8 @@ def differences(
 ):
     """Return the rotation vectors of R Oᵀ T, for N rotations R and O, in the left frame of R, rad, shape (N, 3).
 
+    The left frame of a rotation is the frame into which the rotation transforms vectors.
+
     Args:
         rotations: R, shape (N, 3, 3).
         others: O, with another left frame than R, shape (N, 3, 3).
@@ -460,8 +462,9 @@ def interpolate_attitude(
     """Interpolate between two attitudes with measured rates by :func:`cubic`, with estimates of the cubic's error.
 
     At a fraction t of the interval the error of a cubic with the right values and slopes is the fourth derivative / 24
-    times t² (1 - t)². The difference at another sample gives this factor. A second estimate, which needs no other
-    sample, uses the third derivative of the cubic, as if it grew from zero within the interval.
+    times t² (1 - t)². The difference between the cubic and another sample gives the fourth derivative. A second
+    estimate, which needs no other sample, uses the third derivative of the cubic, as if this derivative grew from zero
+    within the interval.
 
     Args:
         first: the first attitude, shape (3, 3).
@@ -472,7 +475,7 @@ def interpolate_attitude(
         interval_s: time between the two attitudes.
         at: requested time as a fraction of the interval.
         other_at: time of the other sample in units of the interval, negative; 0 if there is no other sample.
-        bound_share: factor of the second estimate if there is another sample.
+        bound_share: twice the factor of the second estimate if there is another sample; otherwise the factor is 1.
         any_direction: share of an error that may have any direction.
         largest: maximum of the sum of the errors' squares, rad².
 

@@ -5,8 +5,8 @@ other neighbouring samples. With measured rates, the difference at one other sam
 (:func:`ship_geometry.compiled_rotations.interpolate_attitude`). Without measured rates, the cubic is compared with the
 polynomial through all neighbouring samples (:func:`polynomial_errors`).
 
-The noise of the samples contributes only a fraction of itself to the estimates, because it is not divided by the time
-between samples. At high sample rates the estimate is therefore a small part of the noise. Derivation and numbers:
+Only a fraction of the noise of the samples enters the estimates, because no difference is divided by the time between
+samples. At high sample rates the estimates are therefore small compared with the noise. Derivation and numbers:
 docs/explanation/interpolation.md.
 """
 

@@ -3,9 +3,9 @@
 The argument of each function is the elevation without air, which is computed from catalogue, time and place; so no
 prior attitude is needed ([P15] §3). There are three models; below its lowest elevation a model gives NaN.
 
-- ``erfa`` is A tan z + B tan³ z of the observed zenith distance, with A and B of ERFA's ``refco``; one step of
+- ``erfa`` is A tan z + B tan³ z, with the observed zenith distance z and with A and B of ERFA's ``refco``; one step of
   Newton's method solves for the observed zenith distance.
-- ``almanac`` is [P15] (8)-(12) of the true zenith distance.
+- ``almanac`` is the formula (8)-(12) of [P15] for the true zenith distance.
 - ``ray_trace`` is the result of :mod:`ship_geometry.ray_trace`, expanded in the true zenith distance once for each
   weather, with tan⁵ z and higher terms.
 """

@@ -212,7 +212,7 @@ class Displacement:
         return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
 
     def has_not_moved_as(self, other: "Displacement") -> bool:
-        """True if the displacement of another source would have been a step of this source, which did not occur."""
+        """True if this source has not moved with another source; the same displacement would show here as a step."""
         if self._newest is None or self.is_displaced:
             return False
         covariance = self._residual_covariance + other._residual_covariance

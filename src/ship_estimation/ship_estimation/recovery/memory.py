@@ -15,7 +15,8 @@ LEAST_AGE_NS = 10 * SECOND_NS
 BEFORE_STEP_NS = 2 * SECOND_NS
 """Minimum time from the state from which a step is measured to the first sign of trouble, ns.
 
-The time is shorter, because a step is detected at once and the INS drifts little in this time."""
+The time is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
+seconds."""
 
 MIN_CONSISTENT_NS = ENDS_AFTER_NS
 """Minimum time of consistency before a state is used, ns; an earlier state may contain a fault."""

@@ -8,7 +8,7 @@ The second estimator is adopted on three conditions:
    consistent.
 2. It is consistent with the stored state within :data:`MEMORY_SIGMAS`, which excludes a common rotation of all sources.
 3. If the INS may have drifted so far that the stored state cannot show a common displacement of all sources, the
-   sources have moved back (:mod:`ship_estimation.recovery.displacement`).
+   sources must have moved back (:mod:`ship_estimation.recovery.displacement`).
 
 An estimator that was not consistent for half a minute has no stored state. Then only condition 1 applies, as after a
 restart of the node.
@@ -179,7 +179,7 @@ class EstimatorRecovery:
         return self._displacements.displaced
 
     def record_decision(self, live: RecoverableCore, decision: MeasurementDecision[Any]) -> None:
-        """Add the residual of a measurement from the state before the first sign of trouble."""
+        """Add the residual of a measurement against the state that was stored before the first sign of trouble."""
         if self._before_step is None or decision.revised:
             return
         for source, residual in live.memory_residuals(decision, self._before_step).items():
