@@ -355,7 +355,7 @@ class FaultDetector:
         )
 
     def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after the INS reported its own jump, without contradictions of sources with the INS.
+        """Return the state after the INS reported its own jump; earlier contradictions with the INS are discarded.
 
         If a fault is unresolved, all filters restart from the main filter, because their differences are due to that
         fault.

@@ -68,7 +68,7 @@ class ExposureLength:
         return Rejection(Reason.GAP, f"no INS samples over the whole exposure of {self.exposure_s:g} s")
 
     def unmeasured_turn_variance(self, acceleration: float) -> float:
-        """Return the variance of mean attitude minus middle attitude without an INS, each axis, rad².
+        """Return the variance of the difference between mean and middle attitude without an INS, each axis, rad².
 
         Args:
             acceleration: standard deviation of the sensor's angular acceleration, each axis, rad/s².
