@@ -15,7 +15,11 @@ _HEADING_TOLERANCE_RAD: float = np.deg2rad(5.0)
 """Maximum remaining difference for a heading mistake to explain a disagreement, rad."""
 
 _MIN_HEADING_ERROR_RAD = np.deg2rad(10.0)
-"""Minimum heading difference for a hint, rad; near 45° and 225° any mistake would explain a smaller difference."""
+"""Minimum heading difference for a hint, rad.
+
+Near the headings 45° and 225°, heading and yaw (90° - heading) are almost equal, so yaw would explain any small
+difference.
+"""
 
 _SAME_TILT_RAD = np.deg2rad(15.0)
 """Maximum tilt difference for a heading mistake, rad, because a heading mistake does not change the tilt."""

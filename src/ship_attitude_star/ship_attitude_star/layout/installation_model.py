@@ -34,7 +34,7 @@ class InstallationConvention(enum.Enum):
     PHYSICAL = "physical"
     """Deck from sensor: the installation angles are the direction of the boresight in the ship."""
     PAPER = "paper"
-    """Sensor from deck: the same angles as used in the factors and figures of [Z14], in contradiction to its (4)."""
+    """Sensor from deck, as in the factors and figures of [Z14], in contradiction to equation (4) of [Z14]."""
 
 
 @dataclass(frozen=True)

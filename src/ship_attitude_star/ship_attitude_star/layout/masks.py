@@ -63,7 +63,7 @@ class Obstructions:
         return ~reached
 
     def horizon_margin(self, number: int, angles: FloatArray) -> FloatArray:
-        """Return the elevation of a field's lowest point above the clearance while the ship moves, shape (n,), rad.
+        """Return the lowest elevation of a field while the ship moves, minus the clearance, shape (n,), rad.
 
         Args:
             number: number of the sensor.

@@ -74,7 +74,7 @@ class AttitudeMeasurement:
 
 @dataclass(frozen=True)
 class SolvedAttitude(AttitudeMeasurement):
-    """Attitude of a sensor that used position, UT1 and air data of the ship, before the errors of these are separated.
+    """Attitude that a sensor computed with position, UT1 and air data; their errors are not separated yet.
 
     The errors shared with other sensors are part of ``common_n``, or of ``noise_v`` if the message has no separate
     noise covariance.

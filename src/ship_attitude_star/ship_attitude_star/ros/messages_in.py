@@ -124,8 +124,8 @@ def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_co
     if sharing == SHARED_BY_SKY:
         return SolvedAttitude(**vars(attitude) | {"has_noise_covariance": has_noise_covariance})
     if sharing == SHARED_BY_MESSAGES and attitude.common_n.any():
-        # For maximum correlation of errors with different covariances, one vector is multiplied by the symmetric root
-        # of each covariance.
+        # All messages share one vector of unit covariance. It is multiplied by the symmetric root of each message's
+        # covariance, so that the errors of the messages have the maximum correlation.
         values, vectors = np.linalg.eigh(attitude.common_n)
         root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         return replace(attitude, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)

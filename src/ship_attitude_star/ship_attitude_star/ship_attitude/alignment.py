@@ -58,7 +58,7 @@ class AlignmentPrior:
     covariance: FloatArray
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations, rad or s, shape (3,) or (1,), by name and serial number of a star sensor."""
+        """Return standard deviations, rad or s, shape (3,) or (1,), by block name, with the sensor's serial number."""
         sigmas, first = {}, 0
         for name in self.names:
             serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")

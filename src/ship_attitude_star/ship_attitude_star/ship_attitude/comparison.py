@@ -95,7 +95,8 @@ def predict_attitude(
     """Predict the attitude of a device from an (interpolated) INS attitude.
 
     The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation J_left(v)
-    dv in the frame to the left of the factor. The product so far rotates it into the device frame.
+    dv in the frame to the left of the factor. The inverse of the product, up to and including this factor, rotates
+    J_left(v) dv into the device frame.
     """
     chain = model.rotation_chains[device.name]
     result = compiled_rotations.composed_attitude(
@@ -249,9 +250,9 @@ def _attitude_residual(
 def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
     """Return a residual of about 180° in the sense that leads to the smaller INS error.
 
-    At 180° noise decides the sense of the logarithm. An INS whose heading jumped by 180° and back would end with an
-    error of 360°, where a rotation vector has no derivative. For an error of about zero both senses are equal, and the
-    negative sense is chosen.
+    At 180° noise decides the sense of the logarithm. With the wrong sense, an INS whose heading jumped by 180° and back
+    would end with an error of 360°, where a rotation vector has no derivative. If the predicted error is about zero,
+    both senses lead to equally large errors, and the negative sense is chosen.
 
     Args:
         residual: rotation vector of the device, rad, shape (3,).

@@ -370,7 +370,8 @@ class ShipAttitudeCore:
         directly.
         """
         state = self.state
-        # The state contains the measurement already, so no correlation with other measurements is considered.
+        # The state contains the measurement already, so the noise is not increased for INS errors that this measurement
+        # shares with others.
         result = self.filter.linearisation.linearise(
             measurement, state.mean, state.covariance, {}, self._track, self._sky_model
         )
@@ -472,7 +473,7 @@ class ShipAttitudeCore:
         return {} if residual is None else {measurement.source: residual}
 
     def largest_difference_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
-        """Return the largest difference of a constant state from the stored state, in standard deviations of both."""
+        """Return the largest difference of a constant state from the stored state, in standard deviations."""
         return largest_difference_sigmas(self.filter, state, memory, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:

@@ -48,8 +48,8 @@ class CorrectedIns:
             every sample, so that nothing is propagated.
         newest_star_ns: stamp of the last accepted star measurement; None without such a measurement.
         error_n: estimated correlated error, rad, shape (3,).
-        exceeds_model: nonzero for the components that do not decay, because they exceed the error model, shape (3,),
-            uint8.
+        exceeds_model: nonzero for the components of ``error_n`` that do not decay, because they exceed the error model,
+            shape (3,), uint8.
         covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4),
             or (n_sources, 6, 6) with the deflection of the vertical.
         model_constants: correlation time, steady-state variance and white variance of the INS error, shape (3,) each,

@@ -85,7 +85,7 @@ class ShipFilter:
         return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the initial state at its first time, where the INS error process starts from the vertical."""
+        """Return the initial state at its first time; the vertical at this time initialises the INS error process."""
         if self.vertical is None:
             return with_changes(state, time_ns=time_ns)
         assert self.model.ins_process is not None
@@ -382,7 +382,10 @@ class ShipFilter:
     def _reject(
         self, state: FilterState, measurement: Measurement, not_evaluable: NotEvaluable
     ) -> tuple[FilterState, AttitudeDecision]:
-        """Reject a measurement that cannot be evaluated; a contradiction of the state counts as a rejection."""
+        """Reject a measurement that cannot be evaluated.
+
+        The rejection is counted for its source only if the measurement contradicts the predicted state.
+        """
         rejection, text = not_evaluable.rejection, not_evaluable.rejection.text
         if not_evaluable.is_contradiction:
             state, inflation_text = self._inflate_after_rejections(
@@ -442,8 +445,8 @@ class ShipFilter:
     def _with_common_error(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """Return the state with the covariance of a sensor's correlated error as stated in its message.
 
-        The first message sets the covariance of the state. Later messages set the steady-state covariance only, which
-        the state approaches with its time constant.
+        The first message sets the covariance of the states of the common error. Later messages set only the
+        steady-state covariance, which these states approach with their time constant.
         """
         stack, source, common_n = state.stack, measurement.source, measurement.common_n
         is_zero = not any(common_n.ravel().tolist())

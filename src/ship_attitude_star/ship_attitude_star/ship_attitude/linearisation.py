@@ -65,9 +65,9 @@ class LinearisedMeasurement(NamedTuple):
         measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
         compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
             mean, measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state with this
-            residual gives the estimate. Each state has a sum of normalised squares of its deviations from prediction
-            and measurement; the NIS is the smallest of these sums. It is chi² distributed with as many degrees of
-            freedom as residuals.
+            residual gives the estimate. The NIS is a sum of two normalised squares, minimised over all states: the
+            deviation of the state from the prediction, and the remaining residual. The NIS is chi² distributed with
+            as many degrees of freedom as residuals.
         ins: matched attitude of the INS.
         matched_ins_ns: stamp of the matched INS attitude.
         ins_time_ns: latest INS stamp that the comparison depends on.
@@ -283,9 +283,9 @@ class Linearisation:
             if motion is None:
                 return NotEvaluable(measurement.length.coverage_rejection, ins_time_ns)
             # A star is compared with the mean attitude over the exposure, so rate and errors of that mean are used. The
-            # rate between two INS samples would contain their noise divided by their interval. Stars are accurate
-            # across their streak. The filter would take this noise for a motion across the streak, which would show the
-            # clock offset, and the sigma of the offset would become too small.
+            # rate between two INS samples would contain their noise divided by their interval. The filter would take
+            # this noise for a motion across the streaks, where stars are accurate. The clock offset would then seem
+            # well observed, and its sigma would become too small.
             ins = replace(
                 ins,
                 rate_d=motion.rate,
@@ -383,8 +383,8 @@ def _nonlinear_offset_covariance(
     difference, less the rotation at a constant rate, is the cubic part. Each part is taken as :data:`_FAR_SIGMAS`
     standard deviations of a normal error, which is conservative for most offsets.
 
-    If the track does not extend so far, nearer attitudes are used, down to an eighth of the offset. The result is None
-    if nearer attitudes are missing too.
+    If the track does not contain both attitudes, nearer attitudes are used, down to an eighth of this time. The result
+    is None if nearer attitudes are missing too.
     """
     for nearer in (1, 2, 4, 8):
         off_ns = around_ns // nearer

@@ -36,7 +36,7 @@ _RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
 """Rate of turn, °/s, and size of the steps in which a turn is predicted, °. The INS error varies during the turn."""
 
 _RECOMMENDED_RATIO = 0.9
-"""Maximum ratio of the standard deviations after a turn and on course for a recommendation."""
+"""A turn is recommended if the standard deviation after the turn, divided by that on course, is at most this ratio."""
 
 
 class RecentSource(NamedTuple):
@@ -183,7 +183,10 @@ class _ManoeuvrePrediction:
         return _sigmas(self._filter, total.propagate(self._state.covariance))
 
     def _on_heading(self, turned_deg: float, length_s: float) -> _CovarianceTransition:
-        """Return the transition over a time on a heading, from a step of the shortest period by repeated doubling."""
+        """Return the transition over a time on a heading.
+
+        One step, at most as long as the shortest measurement period, is doubled until it covers the time.
+        """
         model, recent_sources = self._filter.model, self._recent_sources
         shortest_s = min(source.period_s for source in recent_sources.values())
         doublings = max(math.ceil(math.log2(length_s / shortest_s)), 0)

@@ -148,7 +148,8 @@ class ShipStateModel(StateModel):
         rotation_chains: chain of rotations of each device, by name.
         sky_slice: slice of the states of errors that all stars share, in the order of SHARED_TERMS; empty if no sensor
             depends on the sky model.
-        shared_slices: slices of the states that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
+        shared_slices: slices of the states of errors that several attitude measurements share, by
+            :attr:`AttitudeMeasurement.shared_by`.
         ins_attitude_block: standard deviation and correlation time of the INS attitude error.
         ins_process: error process of the INS; None if each axis is a first-order Gauss-Markov process.
         process_indices: indices of the states of that process, or of ``ins.attitude`` without a process.

@@ -1,4 +1,4 @@
-"""Observability of the filter states, by standard deviations compared with the prior and unobservable combinations.
+"""Observability of the filter states: standard deviations relative to the prior, and unobservable combinations.
 
 At constant heading only sums of INS error and installation errors are observable. An unobserved state keeps its prior
 standard deviation. An unobserved combination keeps its prior standard deviation even if other combinations of its

@@ -80,7 +80,8 @@ def estimate_from_star(
     rotation_nd = to_horizon @ (device.rotation_dv0 @ exp_rotation(installation)).T
     rows, jacobian = model.state_indices(f"{device.name}.installation"), to_horizon @ left_jacobian(installation).T
     if f"{device.name}.flexure" in model.slices:
-        # The flexure is unknown now and soon independent of its estimate, so only its covariance is used.
+        # Without INS samples the flexure is not estimated, and its last estimate is soon outdated. Only the covariance
+        # of the flexure is used.
         rows = np.r_[rows, model.state_indices(f"{device.name}.flexure")]
         jacobian = np.hstack([jacobian, rotation_nd])
     to_gravity = horizon == GRAVITY and filter_.vertical is not None

@@ -76,7 +76,7 @@ class SubfilterSet:
         updatable_states: for each source, True for the states that each filter updates with measurements of the source,
             if no source is excluded, shape (h, n).
         k: sigma multipliers K of the protection levels.
-        common_k_md: K_md of the hypothesis of an error that all star sensors share.
+        common_k_md: multiplier K_md (missed detection) for the hypothesis of an error that all star sensors share.
         common_threshold: threshold of the sum of the star corrections, in standard deviations; above this threshold all
             stars contradict the INS.
         innovation_mean_limit: chi² limit of a windowed mean of whitened innovations.

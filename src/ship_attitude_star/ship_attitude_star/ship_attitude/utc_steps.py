@@ -28,7 +28,7 @@ _MAX_LOG_RATIO_OF_ONE, _MAX_LOG_RATIO = 5.0, 10.0
 """Maximum log-likelihood ratio of one measurement, and of all measurements."""
 
 _MAX_CHI2, _RESIDUAL_RATIO = 16.0, 0.02
-"""Maximum sum of squares of a consistent rotation, and ratio of the sky rotation that may remain in addition."""
+"""Maximum sum of squares of a consistent rotation, and additional allowed deviation as a ratio to the sky rotation."""
 
 
 def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> FilterState:
@@ -63,8 +63,8 @@ def with_utc_evaluated(
 
     Returns:
         The state before the measurement, without the step, if UTC is right or the propagated attitude is not accurate
-        enough any more. The state before the measurement, and a rejection, while undecided and if UTC differs.
-        ``after`` and ``decision`` if the measurement is consistent with neither hypothesis.
+        enough any more. The state before the measurement, and a rejection, while undecided and if UTC is wrong.
+        ``after`` and ``decision`` if the measurement was not compared, or is consistent with neither hypothesis.
     """
     innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc_step
     assert utc is not None

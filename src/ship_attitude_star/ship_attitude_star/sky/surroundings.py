@@ -133,8 +133,8 @@ class Surroundings:
         self._results: dict[int, tuple[ShipPosition, Air]] = {}
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
-        # The error of humidity is neglected: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and
-        # as by 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
+        # The error of humidity is neglected. Dry and saturated air differ in refraction as much as a difference in
+        # temperature of 0.5 K at 10 °C, and of 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
         pressure_limits = JumpLimits(MAX_PRESSURE_STEP_HPA, MAX_PRESSURE_RATE_HPA_PER_H / 3600.0, max_age_s, "hPa")

@@ -12,8 +12,8 @@ of the measured direction with respect to θ. The coefficients f of the field-sp
 the information of each field.
 
 The focal length is determined well: a field of ten stars over 13°, each with a sigma of 3″, determines it to 0.005 %.
-The principal point is determined badly, because its shift is a rotation of the camera, except for 1 % at the edge of
-such a field.
+The principal point is determined badly, because its shift acts nearly like a rotation of the camera; at the edge of
+such a field the two displacements differ by 1 %.
 """
 
 from dataclasses import dataclass, replace

@@ -80,7 +80,7 @@ def star_residuals(
         sky_model: the sky model.
         sky_slice: slice of the states of the shared errors.
         mean: mean of the state, shape (n,).
-        initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prior is.
+        initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prior is that near.
         camera_indices: state indices of the correlated errors of the sensor's camera; None without such states.
 
     Returns:
@@ -154,7 +154,7 @@ def _select_consistent(
         stars: stars with their directions from the sky model.
         at_estimate: the same stars, with directions corrected by the estimates of shared errors and camera errors.
         prior: the predicted attitude.
-        initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prediction is.
+        initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prediction is that near.
 
     Returns:
         True for each selected star, shape (k,); all False if the stars are consistent neither with the prediction nor

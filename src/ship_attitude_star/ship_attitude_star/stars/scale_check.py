@@ -24,7 +24,7 @@ MAX_SIGMAS = 4.0
 """Threshold of the difference between fitted and configured focal length, standard deviations."""
 
 _ENOUGH_STARS = 6
-"""Number of stars consistent with one attitude from which on the focal length is not checked.
+"""Minimum number of stars consistent with one attitude for which the focal length is not checked.
 
 With a wrong focal length fewer stars would be consistent.
 """

@@ -1,7 +1,7 @@
 """Selection of correctly identified stars, by the attitude with which most of them are consistent.
 
 A trial is a possible attitude. It is computed from a pair of stars whose measured angle fits the sky. If an attitude is
-known beforehand (the prior), it is computed from the prior, corrected by a single star. All stars with
+known beforehand (the prior), each trial is the prior corrected by a single star. All stars with
 Mahalanobis² < 16 are members of the trial. The worst member is dropped while the probability of the members is below
 1e-3. A trial is accepted if the probability of its members is above 1e-6 and it has more members than any rival.
 Without a prior at least three stars are needed to verify one another, because two stars with swapped identities are
@@ -119,7 +119,7 @@ def select_stars(
         stars: all measured stars that have a sky direction.
         prior: attitude used to select among sets and to accept a single star. The attitude of the selected stars does
             not depend on it.
-        initial_nb: attitude within a degree of the truth, shape (3, 3); None if the prior is.
+        initial_nb: attitude within a degree of the truth, shape (3, 3); None if the prior is that near.
     """
     if prior is None:
         return _select_without_prior(stars)
