@@ -8,8 +8,8 @@ with the stated covariance of the ship's attitude. H and R are Jacobian and nois
 
 where n is the number of exposures over which white errors are averaged (``escort.exposures``).
 
-Previous updates of the filter are not used. They make the errors of a beacon that has been observed for long partly
-known. With their covariance every move would seem a gain, and the advice would never settle.
+Previous updates of the filter are not used. With previous updates the errors of a beacon observed for long would be
+partly known. Every move would then seem a gain, and the advice would never settle.
 """
 
 from collections.abc import Mapping
