@@ -266,7 +266,7 @@ def attitude_sources(
 ) -> dict[str, AttitudeSource]:
     """Return relative topic → the source that collects its attitudes.
 
-    A star sensor is one source: of its horizon attitudes if ``ship_attitude`` uses them, else of its solutions.
+    A star sensor gives its horizon attitudes if ``ship_attitude`` uses them, else its solutions.
 
     Args:
         truths: known truths by topic.

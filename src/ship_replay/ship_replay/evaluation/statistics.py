@@ -89,8 +89,9 @@ def independent_count(normalised: FloatArray) -> float:
     the integrated autocorrelation time, and r_k the autocorrelation of the squares. For Gaussian errors r_k is the
     square of the autocorrelation of the errors (Isserlis 1918). This autocorrelation is estimated far better than r_k
     itself, because the mean of the errors is known to be zero. With r_k estimated from the squares, τ is too short if
-    errors last for minutes, and one correct sigma in fifty is rejected. The sum ends at the first lag of five times the
-    τ up to this lag (automatic windowing, Sokal 1997, "Monte Carlo methods in statistical mechanics", section 3).
+    errors last for minutes, and one correct sigma in fifty is rejected. The sum ends at the first lag that is at least
+    five times the τ summed up to this lag (automatic windowing, Sokal 1997, "Monte Carlo methods in statistical
+    mechanics", section 3).
 
     Args:
         normalised: errors over their sigmas, equally spaced in time, shape (n, k).

@@ -15,7 +15,7 @@ _WIDTH_WITHOUT_TERMINAL = 130
 
 
 def table_console() -> Console:
-    """Return the console for tables: as wide as the terminal, or without a terminal wide enough for all columns."""
+    """Return the console for tables: as wide as the terminal; wide enough for all columns if there is no terminal."""
     console = Console()
     return console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL)
 

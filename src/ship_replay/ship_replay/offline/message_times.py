@@ -178,7 +178,7 @@ def exceeded_limits(config: Any, times: dict[str, MessageTimes], source: str) ->
         lengths_s, counts = (own.arrivals if limit.by_arrival else own.stamps).seconds()
         allowed_s = float(flatten(config)[limit.parameter])
         times_s = lengths_s * counts
-        # All gaps may be shorter than the resolution.
+        # All gaps may be shorter than the resolution, so that their sum is zero.
         share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
         if share > _MIN_REPORTED_SHARE:
             yield ExceededLimit(

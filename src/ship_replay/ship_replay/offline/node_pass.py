@@ -162,7 +162,7 @@ class NodePass:
         self._publish(index, self._adapter.tick(now_ns))
 
     def _commit_arrived(self) -> None:
-        """Commit the messages of the block that arrived so far, before another input is processed."""
+        """Commit the messages of the block that have arrived, before another input is processed."""
         if self._batch is not None:
             assert self._block_adapter is not None
             self._publish_parts(self._block_adapter.commit_batch(self._batch, self._arrived))

@@ -94,7 +94,8 @@ class ReplayRun:
         chain: chain of adapters.
         writer: sink that receives the outputs.
         summary: result, which is filled during the replay.
-        truth_topics: truth topics of the bag; errors of an orientation are filled in if its truth topic is one of them.
+        truth_topics: truth topics of the bag; errors are computed only for an orientation whose truth topic is
+            included.
 
     Attributes:
         last_time_ns: arrival time of the last message; None before the first message.

@@ -214,7 +214,7 @@ def smooth(
                 estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1]
             )
         if axis is not None:
-            # The attitudes are both an input and an output.
+            # The attitudes are used twice, as an input of the theodolite and as an output.
             attitudes = list(attitudes)
             again = _SmoothingAxisAdapter(chain.configs[axis.node_name], factory, READ_ONLY)
             session = AdapterChain([again])

@@ -59,11 +59,11 @@ class TruthErrors:
         return not may_wait or self._truth.at(ns_from_stamp(message.header.stamp)) is not None
 
     def add_error(self, message: Any, log_time_ns: int) -> None:
-        """Add a published error message, without errors."""
+        """Add a published error message, whose errors are still empty."""
         self._pending.append((log_time_ns, message))
 
     def pop_ready(self, now_ns: int | None) -> list[tuple[int, Any]]:
-        """Return (log time, message) of the error messages ready at ``now_ns``; None if no more truth will come."""
+        """Return (log time, message) of the error messages ready at ``now_ns`` (None: no more truth will come)."""
         ready: list[tuple[int, Any]] = []
         while self.is_ready(now_ns):
             log_time_ns, message = self._pending.popleft()

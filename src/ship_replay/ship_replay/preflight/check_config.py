@@ -231,7 +231,7 @@ def _build_config(file: ParameterFile, kind: type[Any], findings: Findings) -> t
             return build(kind, values), replaced
         except ParameterError as problem:  # noqa: PERF203 - each pass replaces another value
             if problem.parameters and problem.parameters[0] in replaced:
-                return None, replaced  # caused by the removed value
+                return None, replaced  # the problem is caused by the removal of the value
             findings.errors.append(str(file.error(problem)))
             replaced.update(problem.parameters[:1])
             if not _replace_value(values, problem, descriptions):
@@ -258,7 +258,7 @@ def _mountings(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield the sky parameters of two nodes that both need the sky, with both values.
 
-    Both nodes must have the same sky, because errors shared by solutions and other sensors are separated with it.
+    Both nodes must have the same sky. Otherwise errors shared by solutions and other sensors cannot be separated.
     """
     if _needs_sky(one) and _needs_sky(other):
         for name in (

@@ -110,9 +110,10 @@ def _value(config: Any, name: str) -> float:
 
 
 def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
-    """Report configured INS noise that is smaller than the measured noise; return True if there is any.
+    """Report configured INS noise that is smaller than the measured noise; return True if any is found.
 
-    A measured noise below the configured noise is not a contradiction, because it excludes correlated errors.
+    A measured noise below the configured noise is not a contradiction, because the measured noise contains no
+    correlated errors.
     """
     times, rotations, rates = [], [], []
     for record in check.bag.records({check.topic_names[_INS_TOPIC]}):

@@ -134,7 +134,7 @@ def _cost_s(node: str, topic: str) -> float:
 
 
 def _rate_hz(topic: str, rates_hz: Mapping[str, float]) -> float:
-    """Return the rate of a topic; for an unknown one of another node, the rate of its source topic."""
+    """Return the rate of a topic; for the output of another node, the rate of the input from which it is computed."""
     if topic in rates_hz:
         return rates_hz[topic]
     made_of = "ins/imu" if topic == "ship/attitude" else topic.replace("/solution", "/observations")

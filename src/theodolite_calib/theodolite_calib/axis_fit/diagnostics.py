@@ -5,9 +5,9 @@ scaled to unit length. A singular value far below the largest (its condition ind
 combination of errors that hardly moves the pointing of these sightings. An error is involved in a combination if a
 large part of the error's variance comes from it.
 
-**Other readings of the table.** Other readings are compared by the likelihood of the numbers in the table. Residuals on
-the sky would not do, because offsets already multiplied by cos E are smaller and have smaller residuals. With the scale
-s of n sightings,
+**Other readings of the table.** The offsets in the table may have another sign or unit than assumed. Such readings are
+compared by the likelihood of the numbers in the table. Residuals on the sky are not comparable, because offsets already
+multiplied by cos E are smaller and have smaller residuals. With the scale s of n sightings,
 
     log L = -2 n log s + sum log |d(sky) / d(offset)|
 

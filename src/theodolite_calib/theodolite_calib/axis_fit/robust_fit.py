@@ -242,8 +242,8 @@ def _covariance(
 ) -> FloatArray:
     """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
-    The stiffness is the second derivative of the loss. For residuals beyond k s it is zero along the residual, and the
-    sighting's weight across the residual. The mean, half the weight, is used.
+    The stiffness is the second derivative of the loss. For residuals beyond k s it is zero along the residual, and
+    equals the sighting's weight across the residual. The mean of these two values, half the weight, is used.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - used_degrees
@@ -274,6 +274,6 @@ def _leave_one_out_residuals(
     # Each sighting reduces its own residual, which is larger in a fit without the sighting.
     own_pull = of_one @ np.swapaxes(of_one, -1, -2)
     kept = np.eye(2) - stiffness @ own_pull
-    # A residual that its sighting alone determines is zero except for rounding, which must not be enlarged.
+    # The residual of a sighting that alone determines an error is only rounding, which must not be enlarged.
     stretched = own_pull @ np.linalg.inv(kept + _ROUNDING * np.eye(2))
     return residuals + (stretched @ (weights[:, None] * residuals)[..., None])[..., 0]

@@ -26,7 +26,8 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, ske
 
 Angle = float | FloatArray
 
-# The error of the initial elevation is the flexure. Each step squares the error; after three, 0.1 rad has become 1e-17.
+# The initial elevation has the flexure as its error. A Newton step reduces an error e to at most flexure · e² / 2, so
+# that after three steps an error of 0.1 rad has become 1e-17 rad.
 _FLEXURE_STEPS = 3
 
 
@@ -151,7 +152,8 @@ class AxisGeometry:
         rotation_nm: horizon from main frame, shape (3, 3).
         by_error: derivatives of the main frame's rotation vector in n with respect to the errors, shape (3, 14); the
             columns are :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
-        by_encoder: derivatives with respect to the encoder angles (azimuth, elevation), shape (3, 2).
+        by_encoder: derivatives of this rotation vector with respect to the encoder angles (azimuth, elevation), shape
+            (3, 2).
     """
 
     rotation_nd: FloatArray
@@ -194,7 +196,7 @@ def encoder_angles(
 
     Returns:
         Azimuth in [0, 2 pi) and elevation (rad), shape (...) each; NaN for directions that the axes cannot reach.
-            Except for the errors, the elevation is in [-pi/2, pi/2], or in [pi/2, 3 pi/2] if plunged.
+            Without axis errors the elevation is in [-pi/2, pi/2], or in [pi/2, 3 pi/2] if plunged.
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
     # Direction in the frame of the tilted vertical axis: x, y (up), z.

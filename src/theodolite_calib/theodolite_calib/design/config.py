@@ -37,8 +37,10 @@ W18: dict[str, Any] = {
         "b": {"right_deg": -2.0, "up_deg": -3.0, "distance_m": 2000.0},
     },
 }
-"""Simulation of [W18]: 100 mm ± 0.1 mm, a tenth of 6.5 µm, 2.7 cm per axis, 2″ of refraction at each beacon at 2 km,
-and no other information. This study is computed if no file is given."""
+"""Simulation of [W18]: focal length 100 mm ± 0.1 mm, image error a tenth of a pixel of 6.5 µm, baseline error 2.7 cm
+per axis, refraction error 2″ at each beacon at 2 km, and no other information.
+
+This study is computed if no file is given."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,7 +71,8 @@ class DesignStudy:
         unaided_arcsec: error on the sky from encoders and ship without beacons.
         advice: best positions within the limits, and the accuracy there.
         advised_arcsec: error with the advised positions, as ``given_arcsec``; NaN if no position is within the limits.
-        budget: both errors by source; the errors are the root sums of squares over the sources.
+        budget: errors with the given and with the advised beacons by source; their root sums of squares are
+            ``given_arcsec`` and ``advised_arcsec``.
         sweeps: sweeps over the quantities of the design.
         places_deg: angles of the given and the advised beacons to the right of the axis and above it, shape (2, N, 2).
         distances_m: distances of these beacons from the theodolite, shape (2, N).

@@ -8,8 +8,8 @@ with the stated covariance of the ship's attitude. H and R are Jacobian and nois
 
 where n is the number of exposures over which white errors are averaged (``escort.exposures``).
 
-Previous updates of the filter are not used. Errors of beacons that have been observed for long are partly known, so
-that from the present covariance every move would be a gain, and the advice would never settle.
+Previous updates of the filter are not used. With previous updates the errors of a beacon observed for long would be
+partly known. Every move would then seem a gain, and the advice would never settle.
 """
 
 from collections.abc import Mapping
@@ -39,8 +39,8 @@ class BeaconAccuracy:
         ship: ship's attitude.
         encoder: encoders.
         mean: estimated errors, shape (n,); zero if not given.
-        baseline_noise_n: covariance of the white error of each baseline, m², shape (3, 3), by the drone's name; the
-            configured noise for missing drones.
+        baseline_noise_n: covariance of the white error of each baseline, m², shape (3, 3), by the drone's name; drones
+            that are missing here have the configured noise.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
@@ -66,7 +66,7 @@ class BeaconAccuracy:
         self._parts, self._covariance = start.covariance_by_source, start.covariance
         self._parallelism = filter_.model.slices["parallelism"]
         self.centre_n: FloatArray = ship.rotation_nd @ config.lever.vector_m
-        # The pose of telescope and main axis does not depend on the position of a beacon.
+        # The pose of telescope and main axis does not depend on the position of the beacon, so any position is used.
         anywhere_n = self.centre_n + np.array([[_ANYWHERE_M, 0.0, 0.0]])
         prediction = self._predict(tuple(config.beacons)[:1], anywhere_n)
         self.rotation_nt = prediction.rotation_nt

@@ -93,7 +93,7 @@ class _Search:
         names: names of the drones.
 
     Attributes:
-        best: least standard deviation of the pointing so far, rad; infinite at the start.
+        best: least standard deviation of the pointing at any evaluated positions, rad; infinite at the start.
         best_box: box coordinates of the best positions, shape (N, 3); None at the start.
     """
 

@@ -129,7 +129,7 @@ def isolate_step_fault(
 
     Args:
         source: source that the subfilters isolate: encoders or ship's attitude.
-        explaining_sources: sources whose fault explains the contradiction: without it the other sources are consistent.
+        explaining_sources: sources whose fault explains the contradiction: if one is left out, the rest is consistent.
         streams: largest steps of the two streams since the last accepted sighting.
         offset_rad: offset of the beacons on the sky, rad.
     """
@@ -155,7 +155,7 @@ def isolate_drift_fault(
 
     Args:
         source: source that the subfilters isolate, or None.
-        explaining_sources: sources whose fault explains the drift: without it the other sources are consistent.
+        explaining_sources: sources whose fault explains the drift: if one is left out, the rest is consistent.
         is_common: True if all beacons drift together.
         has_ship_drifted: True if the ship's attitude has departed from the integral of its rates; None if unknown.
     """
@@ -268,8 +268,8 @@ class FaultDetector:
         explaining = {sources[row - 1] for row in isolation.explaining_subfilters}
         if isolation.subfilter is not None:
             return True, sources[isolation.subfilter - 1], explaining
-        # Encoders and ship's attitude have similar effects on the beacons, so both subfilters may explain one fault. A
-        # source is faulty if it is isolated without the other source as a candidate.
+        # Encoders and ship's attitude have similar effects on the beacons, so both subfilters may explain one fault.
+        # One of the two is faulty if it is isolated when the other is not a candidate.
         for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
             alone = isolate([candidate for candidate in candidates if candidate != other])
             if alone.subfilter is not None and sources[alone.subfilter - 1] == name:

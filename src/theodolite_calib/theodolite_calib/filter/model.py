@@ -291,7 +291,7 @@ def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> Shi
     has_no_step = np.all(is_similar, axis=1)
     retained = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
     remaining_n = stated_n - previous_n * (retained[:, :, None] * retained[:, None, :])
-    # The rest of a matrix need not be positive semidefinite; negative variances are set to zero.
+    # The remaining covariance need not be positive semidefinite; its negative eigenvalues are set to zero.
     values, vectors = np.linalg.eigh(0.5 * (remaining_n + remaining_n.swapaxes(1, 2)))
     new_n = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
     return ShipErrorStep(

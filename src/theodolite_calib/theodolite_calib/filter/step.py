@@ -280,10 +280,10 @@ class SightingStep:
         return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
 
     def _prefer_stream_fault(self, source: str | None, explaining_sources: Set[str], time_ns: int) -> str | None:
-        """Return the source to exclude, which may be another source than ``source`` if its stream showed a fault.
+        """Return the source to exclude: ``source``, or the other source of encoders and ship if its stream had a fault.
 
-        If only the stream of the other source showed a fault recently, the other source is returned if its exclusion
-        explains the innovations; otherwise no source is isolated.
+        If recently only the stream of the other source had a fault, there are two cases. The other source is returned
+        if its exclusion explains the innovations. Otherwise no source is isolated.
         """
         stream_faults = self._stream_faults(time_ns)
         if source not in AXIS_SOURCES or source in stream_faults or len(stream_faults) != 1:

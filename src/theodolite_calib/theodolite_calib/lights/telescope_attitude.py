@@ -7,8 +7,8 @@ part of the covariance of the points' residuals,
     S = σ² I  +  F Σ_w Fᵀ  +  σ_f² p_f p_fᵀ          detection, joint errors of the directions, focal length
 
 A prior attitude is one more measurement, of three components. Gauss–Newton in the attitude alone minimises rᵀ S⁻¹ r.
-Optimum and covariance (Hᵀ S⁻¹ H)⁻¹ equal the results for all unknowns. The estimate is linear in each error, with the
-gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
+Optimum and covariance (Hᵀ S⁻¹ H)⁻¹ equal the results of a fit of all unknowns. The estimate is linear in each error,
+with the gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,8 @@ SOURCE_IMAGE = "image"
 SOURCE_FOCAL_LENGTH = "focal_length"
 
 _MAX_STEPS = 20
-# Each step is less than a thousandth of the previous step, so that the error after such a step (rad) is below rounding.
+# Step size, rad, below which the iteration ends. Each step is less than a thousandth of the previous step, so the error
+# that remains after such a step is below rounding.
 _CONVERGED = 1e-9
 
 
@@ -156,7 +157,7 @@ def solve_attitude(
 def _initial_attitude(
     image: Image, camera: Camera, lines: LinesOfSight, line_covariance: FloatArray, prior: AttitudePrior | None
 ) -> FloatArray:
-    """Return the initial attitude: Wahba's solution of the beacons, or the prior without such a solution."""
+    """Return the initial attitude: Wahba's solution of the beacons, or the prior if there is no solution."""
     diagonal = np.einsum("...ii->...i", line_covariance).reshape(*line_covariance.shape[:-2], -1, 3)
     # The trace is the sum for two components across the line of sight.
     line_variance = 0.5 * diagonal.sum(axis=-1)

@@ -74,8 +74,8 @@ class BatchShipCheck:
 
         Args:
             sample: the attitude.
-            accepted_track: accepted attitudes so far.
-            reported_step_rad: possible step to this attitude that the source reports, rad.
+            accepted_track: attitudes accepted before.
+            reported_step_rad: possible step from the previous attitude to this one, as reported by the source, rad.
         """
         place = len(self._checked)
         if place == len(self._batch) or sample is not self._batch[place]:

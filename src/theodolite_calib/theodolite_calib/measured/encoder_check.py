@@ -134,7 +134,7 @@ class EncoderCheck:
 
         Args:
             sample: the reading.
-            track: accepted readings so far, for the check of a reading that comes out of order.
+            track: readings accepted before, for the check of a reading that comes out of order.
             late: rejection if the reading comes too late, else None; the unit is checked in both cases.
         """
         rejection = self._units_rejection(sample, counts=late is None) or late

@@ -29,7 +29,7 @@ _LOWER_BOUND_SIGMAS = 3.0
 _NOISE_READINGS = 200
 """Number of readings over which the noise is averaged."""
 _WARM_UP_READINGS = 50
-"""Number of readings before the noise is known and steps are detected."""
+"""Number of readings after which the noise is known; no step is detected before."""
 _MAX_NOISE_RATIO = 3.0
 """Limit to which prediction errors are reduced in the noise estimate, in multiples of the noise."""
 _MIN_PERSISTENCE, _MAX_PERSISTENCE = 0.5, 1.25
@@ -108,7 +108,7 @@ class EncoderStepDetector:
             time_ns: stamp of the reading.
             angles: azimuth and elevation, rad, shape (2,).
             sigma_rad: stated noise of each angle.
-            coarseness_rad: resolution of the printed values; 0 if every value is new.
+            coarseness_rad: resolution of the readings; 0 if every reading is new.
             max_gap_ns: maximum interval between readings that are compared.
         """
         if self._previous:

@@ -292,8 +292,8 @@ class PointingEstimate:
         state: state of the filter from which the pointing was computed.
         text: reason if the status is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the axis geometry, shape (3, k).
-        rotation_dm: deck from main frame, shape (3, 3), so that tf2's interpolated deck gives ``rotation_nm``; NaN
-            without ship/attitude.
+        rotation_dm: deck from main frame, shape (3, 3). The deck is the attitude that tf2 interpolates, so that tf2
+            computes ``rotation_nm`` from both. NaN without ship/attitude.
     """
 
     time_ns: int

@@ -42,7 +42,7 @@ class Sighting:
     streaks: BeaconStreaks | None = None
 
     def deck_from_telescope(self, rotation_nt: FloatArray) -> FloatArray:
-        """Return deck from telescope, from horizon from telescope and the ship's attitude, shape (3, 3)."""
+        """Return deck from telescope, shape (3, 3), computed from ``rotation_nt`` and the ship's attitude."""
         rotation_dt: FloatArray = self.ship.rotation_nd.T @ rotation_nt
         return rotation_dt
 

@@ -42,8 +42,8 @@ _MIN_DRIFT_S = 3.0
 _DRIFT_SIGMAS = 8.0
 """Difference between two means above which the attitude has drifted, in standard deviations of an attitude."""
 _TRAPEZOID_ERROR_RATIO = 2.0 / 3.0
-"""Twice the error of the trapezoidal rule, per difference from the rule with steps of double length. Double steps have
-four times the error, so that the difference is three times the error."""
+"""Twice the error of the trapezoidal rule, divided by the difference between the results with double and single steps.
+Double steps have four times the error, so that the difference is three times the error."""
 _NO_DRIFT_SIGMAS = 5.0
 """Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
 _STATED_CHANGE_SIGMAS = 5.0
@@ -93,7 +93,7 @@ def stream_consistency(
     gaps_ns: tuple[int, int],
     ship_sigma_rad: float,
 ) -> StreamConsistency:
-    """Return the consistency of the streams since a time, from samples since one second before that time.
+    """Return the consistency of the streams after a time; the samples begin one second before that time.
 
     Args:
         since_ns: time since which steps are searched.

@@ -35,7 +35,7 @@ _DRIFT_WINDOW_NS = 60 * SECOND_NS
 """Time range in which the ship's attitude is compared with its rates, ns."""
 
 _DROP_EVERY_NS = SECOND_NS // 10
-"""Period in which old samples are dropped, ns."""
+"""Interval at which old samples are dropped, ns."""
 
 
 @dataclass(frozen=True)

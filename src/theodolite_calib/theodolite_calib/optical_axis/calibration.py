@@ -48,7 +48,7 @@ class Calibration:
         values: values, rad or m, shape (n,).
         covariance: covariance of the values, shape (n, n).
         units: "rad" or "m" for each value.
-        unobservable: combinations of names that the sightings so far cannot separate.
+        unobservable: combinations of names that the accepted sightings cannot separate.
         sighting_count: number of accepted sightings.
         residual_rms: RMS of the residuals of beacons and stars on the sky, rad; NaN before the first sighting.
     """

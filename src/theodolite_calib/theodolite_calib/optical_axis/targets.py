@@ -195,8 +195,8 @@ class TargetOutput:
     def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
         """Return the path on the detector of a target with constant direction in n, m, shape (m, 2).
 
-        If the target's direction rotates steadily, the mean of the path differs only by products of this rotation and
-        the mount's rotation.
+        If the target's direction rotates at a constant rate instead, the mean of the path changes only by terms of
+        second order, the products of this rotation and the mount's rotation.
 
         Args:
             sample: image of the target.

@@ -1,9 +1,10 @@
 """Axis states at times between two sightings, and their covariance with the states at the next sighting.
 
 Between two sightings the states are predicted as in :class:`CalibrationFilter`. The messages state a covariance of the
-ship's error at each time. If it differs much from the covariance stated at the sighting before, part of the old error
-is removed and a new error is added (:func:`ship_error_steps`). The cross-covariance of the new errors at a time and at
-the next sighting is the largest covariance within both of their covariances, reduced by the decay in between.
+ship's error at each time. If this covariance differs much from the covariance stated at the previous sighting, part of
+the old error is removed and a new error is added (:func:`ship_error_steps`). A new error may thus arise at the
+requested time, and another one at the next sighting. Their cross-covariance is the largest covariance contained in both
+of their covariances, reduced by the decay between the two times.
 """
 
 from collections.abc import Callable, Sequence

@@ -177,7 +177,7 @@ class _SmoothedOutput:
         sample, ship, separation_covariance_n = inputs
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.covariance_by_source)
         mean[self._state_indices], parts[self._source, self._state_indices[:, None], self._state_indices] = estimate
-        # The smoothed ship's error already has the covariance stated at that time, so it needs no further step.
+        # The smoothed ship's error already has the covariance stated at that time, so no step is applied.
         state = replace(
             self._blank,
             time_ns=real_time.time_ns,

@@ -75,7 +75,7 @@ class TracedFilter(CalibrationFilter):
 
 
 def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
-    """Record the update by a sighting; if sources are excluded it does not count as an update of the prediction."""
+    """Record the update by a sighting; it does not count for the prediction if an axis source is excluded."""
     assert isinstance(predicted, TracedState)
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)

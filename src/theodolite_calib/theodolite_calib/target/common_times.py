@@ -1,7 +1,7 @@
 """Directions to one target from several theodolites, interpolated to common times; used by command and node.
 
 A position is computed at each stamp of the leading theodolite. The leading theodolite is the first with a direction at
-that time, by name in the node and in the order of the file in the command. Directions of the other theodolites are
+that time: in the node the first by name, in the command the first in the file. Directions of the other theodolites are
 interpolated to that stamp, but never across a time at which a theodolite reports INVALID.
 """
 

@@ -175,7 +175,7 @@ class TriangulationCore:
         return target
 
     def _forget(self, target_id: str, outcome: TriangulationOutcome) -> None:
-        """Drop a target and answer its pending directions as INVALID; its later positions have later stamps."""
+        """Drop a target and answer its pending directions as INVALID; after a return its positions are later."""
         target = self._targets.pop(target_id)
         rejection = Rejection(Reason.OVERFLOW, f"more than {MAX_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
@@ -222,8 +222,8 @@ class TriangulationCore:
     def _is_waiting(self, target: _Target, time_ns: int, number: int, waiting_ns: int) -> bool:
         """True if a theodolite that reports on the target may still report on the time of a pending direction.
 
-        The next report is expected one interval after the last. If a theodolite has sent only one report, the interval
-        of the waiting theodolite is used.
+        The next report is expected one interval after the last report. If a theodolite has sent only one report, the
+        interval of the theodolite with the pending direction is used.
         """
         max_gap_ns, came_ns = round(self.config.max_gap_s * SECOND_NS), target.waiting[time_ns, number]
         for reports in target.reports:
