@@ -44,8 +44,9 @@ def final_errors(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return error on the sky and its sigma, arcsec, and NEES after sixty sightings, shape (SEEDS,) each."""
     runs = voyages(name)
     nees = [normalized_error_squared(run.error_n[-1], run.covariance_n[-1]) for run in runs]
-    on_sky, sigma = (np.array([getattr(run, what)[-1] for run in runs]) / ARCSEC for what in ("on_sky", "sigma_on_sky"))
-    return on_sky, sigma, np.array(nees)
+    error = np.array([run.error_on_sky[-1] for run in runs]) / ARCSEC
+    sigma = np.array([run.sigma_on_sky[-1] for run in runs]) / ARCSEC
+    return error, sigma, np.array(nees)
 
 
 @pytest.mark.parametrize("name", NAMES)
