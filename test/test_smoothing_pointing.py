@@ -72,7 +72,7 @@ def smoothed_pointings(core: SmoothingAxisCore, outcomes: Iterator[PointingOutco
     at_once, excluded = [], set()
     for outcome in outcomes:
         at_once += [one for one in outcome.estimates if one.status is not Status.INVALID]
-        excluded |= {source for decision in outcome.decisions for source in decision.excluded}
+        excluded |= {source for decision in outcome.decisions for source in decision.excluded_sources}
     smoothed = list(core.smooth_remaining())
     assert [one.time_ns for one in smoothed] == [one.time_ns for one in at_once]
     assert [(one.status, one.mode) for one in smoothed] == [(one.status, one.mode) for one in at_once]
