@@ -104,7 +104,7 @@ def test_stars_without_fixes_end_with_one(check, tmp_path):
 
     code, lines = check(rewrite_bag(tmp_path / "no_fix.mcap", bag, no_fix))
     assert code == 1
-    assert any(re.search(r"for no_fix \(100 % not used\): .*; provide position fixes on gnss", line) for line in lines)
+    assert any(re.search(r"rejected: no_fix \(100 % not used\): .*; provide position fixes on gnss", line) for line in lines)
 
 
 @pytest.mark.slow

@@ -64,4 +64,4 @@ def test_check_config_prints_the_load_and_warns_if_too_high(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "load: about " in printed
     assert "of one core for ship_attitude" in printed
-    assert "it may fall behind. Most of the load is ins/imu at " in printed
+    assert "it may fall behind, mostly by ins/imu at " in printed
