@@ -302,7 +302,7 @@ def _solution_status(
 ) -> DiagnosticStatus:
     name = f"solution {id_}"
     if last is None:
-        return DiagnosticStatus(name, Level.OK, f"none yet{how}")
+        return DiagnosticStatus(name, Level.OK, f"no solution yet{how}")
     solved, published_ns = last
     if waiting_ns - published_ns > SOLUTION_TIMEOUT_NS:
         age_s = (waiting_ns - published_ns) * 1e-9
