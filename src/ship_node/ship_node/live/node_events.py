@@ -215,7 +215,10 @@ class Inbox:
         return len(self._waiting)
 
     def add(self, arrival: Arrival) -> None:
-        """Add a received message, unless it is too large."""
+        """Add a received message, unless it is too large or its stamp is not after the cut time.
+
+        If the queue of its topic is full, the oldest message there is dropped.
+        """
         topic, size = arrival.topic, len(arrival.data)
         if size > MAX_MESSAGE_BYTES:
             self._cuts[topic, f"larger than {MAX_MESSAGE_BYTES} bytes"] += 1
@@ -279,7 +282,7 @@ class Inbox:
         self._cut_until_ns = None
 
     def take_cuts(self) -> Counter[tuple[str, str]]:
-        """Return (topic, reason) → number of messages dropped since the last call."""
+        """Return (topic, reason) → number of messages dropped since the last call for their size or a full queue."""
         if not self._cuts:
             return self._cuts
         cuts, self._cuts = self._cuts, Counter()
