@@ -76,7 +76,8 @@ class Feed:
             processed one by one.
         read_rows: reader, called with many messages and their receive times; it returns None for each message that
             ``read`` must read.
-        stream_quantity: quantity whose values show two publishers, even in a recording; None if the topic is not checked.
+        stream_quantity: quantity whose values show two publishers, live and in a recording; None if the topic is not
+            checked.
             The quantity is computed from the decision if ``has_decision``, otherwise from the value read.
     """
 
@@ -264,7 +265,7 @@ class ReportingAdapter(ABC):
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
     def check_single_publisher(self, feed: Feed, reading: ReadMessage[Any]) -> None:
-        """Add a value to the check for two publishers before the core gets it; topics with decisions are checked later."""
+        """Add a value to the check for two publishers, unless the topic is checked by its decisions."""
         if feed.stream_quantity is None or feed.has_decision or reading.is_empty:
             return
         topic = feed.input.topic
