@@ -322,7 +322,7 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
 
 
 def _free_path(path: Path) -> Path:
-    """Return the first free name for a file that is set aside; if 99 names are taken, the first of them."""
+    """Return the first free name for a file that is set aside; if all 99 are taken, the first, whose file is lost."""
     names = (path.with_name(f"{path.name}.unreadable{number}") for number in ("", *(f".{n}" for n in range(2, 100))))
     return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))
 

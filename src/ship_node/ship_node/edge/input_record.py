@@ -326,7 +326,7 @@ class InputRecords:
         self._failures.append(text)
 
     def take_failures(self) -> list[str]:
-        """Return the latest exceptions recorded since the last call."""
+        """Return the exceptions recorded since the last call, the newest twenty at most."""
         failures = list(self._failures)
         self._failures.clear()
         return failures

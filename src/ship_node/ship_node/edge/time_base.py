@@ -197,7 +197,9 @@ class TimeBase:
         return self._decide(topic, clock, waiting_ns)
 
     def count_without_step(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
-        """Return the number of leading messages whose clock has not moved.
+        """Return the number of leading messages that need no check for a step.
+
+        It is 0 before the first message of the input, after it has moved, and after a step of the computer's clock.
 
         Args:
             topic: topic of the messages.

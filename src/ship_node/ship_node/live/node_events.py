@@ -95,7 +95,7 @@ class NodeEvents:
         """Process the waiting events; wait for the first event no longer than ``timeout_s``.
 
         If the call had to wait for the first event, no other event was queued. The call then ends without a search for
-        another event, which would take at least 20 us.
+        another event, which would take at least 20 us. If an event has waited too long, the queue is dropped.
 
         Returns:
             False if events may be left.
