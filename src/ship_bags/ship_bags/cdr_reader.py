@@ -4,7 +4,7 @@ from ship_bags.cdr_template import CdrMessage, CdrTemplate, Definitions
 
 
 class CdrReader:
-    """Reads the messages of a topic by their layout, as long as they differ only in numbers.
+    """Reads the messages of a topic by templates, one for each message length.
 
     Args:
         type_name: the type.
@@ -21,7 +21,9 @@ class CdrReader:
         self._templates: dict[int, CdrTemplate] = {}
 
     def message(self, data: bytes) -> CdrMessage | None:
-        """Return the message; None if no template fits (other encapsulation, other texts, damaged).
+        """Return the message; None if no template fits (other encapsulation, damaged message).
+
+        Neither does one if the texts differ from those in the first message of the same length.
 
         No template is used for types with sequences, because their layout changes from message to message.
         """

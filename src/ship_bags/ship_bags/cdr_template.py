@@ -48,7 +48,7 @@ Variable = str | int
 class CdrMessage:
     """Message as its bytes, whose fields are decoded on access, as attributes.
 
-    Texts are str, arrays of numbers are read-only numpy arrays, other sequences and arrays are lists; a nested message
+    Texts are str, arrays and sequences of numbers are read-only numpy arrays, all others are lists; a nested message
     is decoded as a whole. All other attributes begin with an underscore, which no field does.
 
     Attributes:
@@ -228,7 +228,7 @@ class _LayoutBuilder:
         names, formats, offsets: names, formats and offsets of the numbers, for numpy.
         codes: codes of all parts, for struct.
         constants: offset and bytes of texts and lengths.
-        arguments: index among the arguments of struct, and bytes, of texts and lengths.
+        arguments: index among the arguments of struct, and bytes, of the header, texts and lengths.
     """
 
     def __init__(self, definitions: Definitions, variable: "_VariablePart") -> None:

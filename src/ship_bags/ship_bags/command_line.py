@@ -1,7 +1,7 @@
 """Common parts of all commands of the suite: arguments, exit codes, interruption.
 
 Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. If the reader of a command's output
-is gone, as with ``head``, the command ends silently. Progress is shown by :mod:`ship_bags.progress`.
+is gone, as with ``head``, the command ends silently with 141. Progress is shown by :mod:`ship_bags.progress`.
 """
 
 import argparse
@@ -127,6 +127,8 @@ def run_command(
 
 def start_worker_process(names: TopicNames | None = None) -> None:
     """Prepare a worker process of a command: Ctrl-C and progress are left to the command's own process.
+
+    Everything that the worker writes to stderr is discarded.
 
     Args:
         names: the command's topic names, for the bags that this process reads.

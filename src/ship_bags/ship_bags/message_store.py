@@ -46,7 +46,10 @@ _REFERENCE_SEPARATOR = "/msg/"
 
 @functools.cache
 def message_store() -> Typestore:
-    """Return the types of ROS 2 Jazzy and of ship_msgs."""
+    """Return the one store of the process: the types of ROS 2 Jazzy and of ship_msgs.
+
+    :func:`use_installed_definition` adds types to it.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(ship_message_folder().glob("*.msg")):
         type_name = f"{SHIP_MESSAGES}{_REFERENCE_SEPARATOR}{path.stem}"
@@ -174,7 +177,10 @@ def _part_differences(parts: Any, ours: Typestore) -> list[str]:
 
 
 def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
-    """Return one line per field that differs (name, type or order) between a bag's definition and the suite's."""
+    """Return one line per field whose name or type differs between a bag's definition and the suite's.
+
+    If there is no such field, the first field at another position gives one line.
+    """
     their_fields, our_fields = dict(theirs), dict(ours)
     lines = [f"{type_name}.{name} is missing in the bag" for name in our_fields if name not in their_fields]
     lines += [f"{type_name}.{name} is unknown to this suite" for name in their_fields if name not in our_fields]

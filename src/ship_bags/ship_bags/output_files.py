@@ -58,7 +58,7 @@ def check_file(path: Path, force: bool) -> None:
         force: True if the file may exist.
 
     Raises:
-        BadInput: the file exists, is not a regular file, or its folder is missing or not writable.
+        BadInput: the file exists without ``force``, is not a regular file, or its folder is missing or not writable.
     """
     if not path.parent.is_dir():
         raise BadInput(f"cannot be written: there is no folder {path.parent}", file=path)
@@ -75,7 +75,8 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
         force: True if files of these names may exist.
 
     Raises:
-        BadInput: a file exists or is not a regular file, or the folder cannot be created or written to.
+        BadInput: a file exists without ``force`` or is not a regular file, or the folder cannot be created or written
+            to.
     """
     there = folder
     while not there.exists() and not there.is_symlink() and there != there.parent:
@@ -95,6 +96,8 @@ def part_path(path: Path) -> Path:
 
 def open_new(path: Path) -> BinaryIO:
     """Open a new file for writing and lock it until it is closed.
+
+    A regular file of this name that no program has locked is removed: it is the leftover of a killed program.
 
     Raises:
         OSError: the file cannot be created, is not a regular file, or another program is writing it.
@@ -195,7 +198,7 @@ class DiskSync:
         self._running = self._thread.submit(os.fsync, self._number)
 
     def finish(self) -> None:
-        """Wait for the last sync, even if it fails; no request may follow."""
+        """Wait for the last sync, whose error is not raised; no request may follow."""
         self._thread.shutdown(wait=True)
 
 

@@ -24,7 +24,7 @@ BLACK_BOX_PARAMETER = "black_box"
 """Parameter of every node: path of its black box, empty for no black box."""
 
 BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
-"""Parameter of every estimator node: size at which its black box continues in a new file."""
+"""Parameter of every estimator node: size in MB at which its black box continues in a new file."""
 
 RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
 """Parameter of every node: True if messages lost on the way to the node are sent again."""

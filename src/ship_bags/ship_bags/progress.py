@@ -1,7 +1,7 @@
 """Progress of long work on stderr: percentage done and time left.
 
-On a terminal one line is rewritten, and erased at the end. Otherwise a line is written every ten seconds. Work of less
-than two seconds shows nothing. stdout is not used.
+On a terminal one line is rewritten, and erased at the end. There, work of less than two
+seconds shows nothing. Without a terminal a line is written every ten seconds. stdout is not used.
 """
 
 import sys
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 _FIRST_SHOWN_S = 2.0
-"""Time before which nothing is shown, s."""
+"""Time before which nothing is shown on a terminal, s."""
 
 _MIN_REWRITE_PERIOD_S = 0.25
 """Minimum time between two updates of the line on a terminal, s."""

@@ -64,7 +64,7 @@ class TopicNames:
         return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
 
     def unmatched_remaps(self, topics: Collection[str]) -> list[str]:
-        """Return the old names of remaps whose old and new names no bag so far contains."""
+        """Note the topics of a bag; return the old name of each remap that has matched no bag so far by either name."""
         there = {f"/{relative_topic(topic)}" for topic in topics}
         self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
         return [old for old, _ in self.remaps if old not in self._matched]
@@ -148,6 +148,8 @@ def remap_advice(
     wanted: str, type_name: str, topics: Mapping[str, str], known: Collection[str], namespace: str = ""
 ) -> str:
     """Return the options that map topics of the right type to a missing input, as ``type on /x: --remap /x:=wanted``.
+
+    The text has three topics at most; it is empty if the bag has none of this type.
 
     Args:
         wanted: the suite's name of the input.

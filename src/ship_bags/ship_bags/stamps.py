@@ -87,7 +87,7 @@ def ns_from_utc_text(text: str) -> int:
 
 
 def duration_text(ns: int) -> str:
-    """Return a duration as text in a suitable unit."""
+    """Return a duration as text in a suitable unit, without its sign."""
     seconds = abs(ns) * 1e-9
     if seconds < 120.0:
         return f"{seconds:.3f} s"

@@ -75,7 +75,7 @@ class MessageField(NamedTuple):
 def fields_of(
     type_name: str, store: Typestore, path: Path = (), inherited: Unit | None = None
 ) -> Iterator[MessageField]:
-    """Yield all fields of a message, down to numbers, texts, times and arrays of variable length."""
+    """Yield all fields of a message, down to numbers, texts, times and the arrays that are not expanded."""
     if len(path) > _MAX_DEPTH:
         raise BadInput(f"{type_name}: messages within messages are more than {_MAX_DEPTH} deep")
     constants, fields = store.fielddefs[type_name]

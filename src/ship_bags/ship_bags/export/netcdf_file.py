@@ -233,7 +233,7 @@ def _flags(column: Column) -> dict[str, Any]:
 
 
 def _fill_missing(column: Column, values: list[Any]) -> list[Any]:
-    """Return the values, with the NetCDF-3 substitute for None."""
+    """Return the values, with an empty text, NaN or 0 for None, which NetCDF-3 cannot represent."""
     if not any(value is None for value in values):
         return values
     nothing: Any = "" if column.kind == TEXT else math.nan if column.kind.startswith("float") else 0

@@ -228,12 +228,12 @@ def _array_table(
 
 
 def _free_name(wanted: str, columns: list[Column]) -> str:
-    """Return the name, with a number added if a column has this name."""
+    """Return the name, with a number added if a column or an axis of a NetCDF file has this name."""
     return _unique_name(wanted, {known.name for known in columns} | _RESERVED)
 
 
 def _unique_name(wanted: str, taken: set[str]) -> str:
-    """Return the name, with a number added if it is taken; names that differ only in capital letters count as equal."""
+    """Return the name, with a number added if the name, or the name in small letters, is taken."""
     names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
     return next(name for name in names if name not in taken and name.lower() not in taken)
 

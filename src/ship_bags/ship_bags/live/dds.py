@@ -47,7 +47,7 @@ def use_dds_profile() -> None:
 def require_security() -> None:
     """Refuse to start if the environment requests DDS security and this installation does not have it.
 
-    If the installation has security, the environment of the process gets the request in the spelling that ROS accepts.
+    If the process may start, its environment gets the request in the spelling that ROS accepts.
 
     Raises:
         BadInput: see :func:`security_environment`.

@@ -43,7 +43,10 @@ _OWN_TOPICS = ("/clock", "/rosout", "/parameter_events")
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """Options of a playback; see ``play --help``. `wait_for` maps topics as played to numbers of subscribers."""
+    """Options of a playback; see ``play --help``.
+
+    `loop_count` 0 plays without end. `wait_for` maps topics as played to numbers of subscribers.
+    """
 
     start_offset_s: float = 0.0
     loop_count: int = 1
@@ -98,7 +101,7 @@ class Player:
             self._create_publishers(bag)
 
     def run(self) -> PlaySummary:
-        """Play to the end, or until the clock is stopped."""
+        """Wait for the subscribers, then play all loops, or until the clock is stopped."""
         self._wait_for_subscribers()
         message_count, latest_s = 0, 0.0
         problems: list[str] = []

@@ -78,7 +78,7 @@ class PlaybackClock:
             self._steady_ns = time.monotonic_ns()
 
     def pause(self) -> None:
-        """Stop at the current bag time."""
+        """Hold the bag time where it is, until :meth:`resume` or a step."""
         with self._changed:
             if not self._is_paused:
                 self._bag_ns = self._bag_time_ns()
@@ -192,7 +192,10 @@ def serve_in_thread(node: Node, clock: PlaybackClock, publish_clock: Callable[[]
 
 @contextlib.contextmanager
 def keyboard_control(clock: PlaybackClock) -> Iterator[None]:
-    """Read keys of a terminal: space pauses and resumes, s steps, + and - double and halve the rate."""
+    """Read keys of a terminal: space pauses and resumes, s steps, + and - double and halve the rate.
+
+    Without a terminal, and in the background of a shell, no keys are read.
+    """
     if not sys.stdin.isatty() or not _is_foreground(sys.stdin.fileno()):
         yield
         return

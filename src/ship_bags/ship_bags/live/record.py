@@ -62,6 +62,10 @@ class Recorder:
         node: subscribing node; :meth:`run` spins it.
         bag: crash-safe writer; :meth:`run` closes it.
         options: content and end of the recording.
+
+    Attributes:
+        counts: topic → number of messages recorded.
+        lost: topic → number of messages lost on the way, or dropped because too many waited for the first /clock.
     """
 
     def __init__(self, node: Node, bag: BagWriter | FolderWriter, options: RecordOptions) -> None:

@@ -67,7 +67,7 @@ class BagContent:
 
     @property
     def message_count(self) -> int:
-        """Number of readable messages."""
+        """Number of readable messages, including the copies of latched messages in later files of a folder."""
         return sum(topic.message_count for topic in self.topics.values())
 
 

@@ -54,7 +54,7 @@ _PADDING_BYTES = 4
 
 @dataclass(slots=True)
 class BagRecord:
-    """Message of a bag; sequence number and publish time are as stored by its writer."""
+    """Message of a bag; sequence number and publish time are as stored in MCAP, else 0 and the log time."""
 
     topic: str
     type_name: str

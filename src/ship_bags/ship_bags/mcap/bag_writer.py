@@ -93,7 +93,7 @@ class BagWriter:
         define: returns the definition of a message type by its name, or raises any exception.
         library: name of the program, for the header of the file. The default must not change: the same scenario and
             seed give the same bytes in every version.
-        exclusive: True to refuse overwriting a file.
+        exclusive: True to refuse overwriting a file; without effect if ``atomic``.
 
     Raises:
         BadInput: the file cannot be created.

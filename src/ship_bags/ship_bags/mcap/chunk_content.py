@@ -51,7 +51,7 @@ def records_of_chunk(chunk: Chunk) -> list[McapRecord]:
 
 
 def _decompressed_content(chunk: Chunk) -> bytes:
-    """Return the decompressed content of a chunk. The sizes stated in its header are checked against its bytes.
+    """Return the decompressed content of a chunk; without a checksum its length must equal the stated length.
 
     Raises:
         DamagedChunk: the chunk cannot be decompressed, or exceeds a limit.

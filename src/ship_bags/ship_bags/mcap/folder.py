@@ -57,7 +57,7 @@ class TopicInformation:
 
 
 class SplitLimits(NamedTuple):
-    """Limits at which a new file begins; None for no limit. A file exceeds a limit by at most one flush period."""
+    """Limits at which a file with messages ends; None for no limit. The excess is one flush period at most."""
 
     size_bytes: int | None = None
     time_s: float | None = None
@@ -145,11 +145,11 @@ class FolderWriter:
         self._bag.add_metadata(name, entries)
 
     def add_attachment(self, name: str, content: str | bytes) -> None:
-        """Attach a file to the current file; a later file of the same name replaces it."""
+        """Add an attachment to the current file; a later attachment of the same name replaces it for readers."""
         self._bag.add_attachment(name, content)
 
     def flush(self) -> None:
-        """Write all messages so far to the disk, and begin a new file if a limit is reached."""
+        """Flush the current file as a :class:`BagWriter`, and begin a new file if a limit is reached."""
         self._bag.flush()
         if self._is_full():
             self._bag.close()

@@ -75,7 +75,7 @@ class RecordFile:
     size: int
 
     def record_at(self, offset: int) -> tuple[int, bytes] | None:
-        """Return opcode and body of the record at an offset; None if the record exceeds the file."""
+        """Return opcode and body of the record at an offset; None if none begins there or it exceeds the file."""
         self.stream.seek(offset)
         header = self.stream.read(HEADER.size)
         if len(header) < HEADER.size:

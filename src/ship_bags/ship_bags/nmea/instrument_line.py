@@ -53,6 +53,7 @@ class LineReport:
 
     Attributes:
         name: name of the instrument or its file, for texts.
+        lines: number of lines of a log that are not empty, or of texts of a live source.
         used: kind → number of lines used.
         unused: name of the sentence → number of irrelevant lines.
         rejected: reason → number of unusable lines.

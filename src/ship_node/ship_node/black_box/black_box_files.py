@@ -116,7 +116,10 @@ class BlackBoxFiles:
 
 
 def free_path(path: Path) -> Path:
-    """Return the path if it is free, else the path with the next number: ``box_2.mcap``, ``box_3.mcap``."""
+    """Return the path if no file has it, with or without a number; else the path with the next number.
+
+    The numbered paths are ``box_2.mcap``, ``box_3.mcap`` and so on.
+    """
     pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
     matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
     newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)

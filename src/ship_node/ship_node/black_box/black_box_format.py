@@ -88,8 +88,9 @@ class FileUsed:
 
     Attributes:
         path: path given by the adapter.
-        written: True if the file was written, False if it was read.
-        attachment: name of the attachment with the content; None if the operation failed.
+        written: True if the file was written or set aside, False if it was read.
+        attachment: name of the attachment with the content, or with the new path of a file set aside; None if the
+            operation failed.
         error: error number (errno) if the operation failed.
     """
 

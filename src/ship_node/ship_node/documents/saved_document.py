@@ -163,7 +163,7 @@ class SavedFormat(Generic[Content]):
     """Format of a saved document.
 
     Attributes:
-        format: first line of the file.
+        format: value of the key ``format``, which is in the first line of the file.
         version: version of the layout; a document of another version is not read.
         kind_name: name of the document in texts, as "alignment" or "calibration".
         document: converts a content to a document.
@@ -275,7 +275,7 @@ def stamp_ns(value: Any) -> int:
 
 
 def texts(values: Mapping[Any, Any]) -> dict[str, str]:
-    """Return texts by name.
+    """Return values by name, numbers converted to texts.
 
     Raises:
         ValueError: a value is a list or a group.
@@ -322,7 +322,7 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
 
 
 def _free_path(path: Path) -> Path:
-    """Return the first free name for a file that is set aside."""
+    """Return the first free name for a file that is set aside; if all 99 are taken, the first, whose file is lost."""
     names = (path.with_name(f"{path.name}.unreadable{number}") for number in ("", *(f".{n}" for n in range(2, 100))))
     return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))
 

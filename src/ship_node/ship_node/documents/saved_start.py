@@ -18,7 +18,7 @@ _FATAL_ERRORS = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is wrong
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # lack of resources, maybe temporary
 )
-"""Error numbers for which a node does not start."""
+"""Error numbers for which a node does not start; while it runs they only prevent automatic saving."""
 
 _CONTENT_ERRORS = (errno.EFBIG, errno.ELOOP)
 """Error numbers for which a file is set aside, as for a bad content. After any other error the file may be good."""
@@ -118,7 +118,10 @@ class SavedStart(Generic[Prior]):
         return 0 if self._last_autosave_ns is None else self._last_autosave_ns + round(period_s * 1e9)
 
     def is_autosave_time(self, waiting_ns: int, period_s: float) -> bool:
-        """Return True if the node should save automatically now: once a period, never with period 0."""
+        """Return True if the node should save automatically now: once a period, never with period 0.
+
+        The first call begins the first period and returns False. Each True begins the next period.
+        """
         if waiting_ns < self.next_autosave_ns(period_s):
             return False
         is_first, self._last_autosave_ns = self._last_autosave_ns is None, waiting_ns
@@ -141,7 +144,7 @@ class SavedStart(Generic[Prior]):
         """Read the file again and start from it; return a text about the result.
 
         Raises:
-            BadInput: no file is named, or the file cannot be read.
+            BadInput: no file is named, or the file cannot be read or used; it is not set aside then.
         """
         path = self._file()
         self._read = self._kind.read_bytes(path, self._files)
@@ -223,9 +226,10 @@ class SavedStart(Generic[Prior]):
 
 
 def less_certain_quantity(content: SavedContent, other: SavedContent) -> str:
-    """Return a text about the first quantity whose sigma is smaller in ``other``; empty if there is no such quantity.
+    """Return a text about the first quantity whose sigma is clearly smaller in ``other``; empty if there is none.
 
-    A quantity that ``content`` lacks counts as less certain.
+    A quantity that ``content`` lacks counts as less certain. If a sigma of ``content`` is not finite, the text is about
+    this.
     """
     own = content.sigmas()
     if not all(np.all(np.isfinite(sigma)) for sigma in own.values()):

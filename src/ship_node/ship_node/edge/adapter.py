@@ -14,7 +14,7 @@ from ship_node.edge.overload import Overload
 from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 
 TICK_PERIOD_NS = 100_000_000
-"""Period of :meth:`Adapter.tick` in the node's time, ns."""
+"""Period of :meth:`Adapter.tick` by the timeout clock, ns."""
 
 
 class ServiceResult(NamedTuple):
@@ -36,8 +36,8 @@ class Adapter(Protocol):
 
     The adapter reads and writes files only through ``files``, so that a black box can record the files read. The
     adapter updates ``health`` and publishes it in :meth:`tick`; the node runtime adds information of the middleware to
-    it. ``start_warnings`` has one line for each missing part of the configuration. ``notices`` are log lines that the
-    node runtime has not taken yet.
+    it. ``start_warnings`` has one line for each missing part of the configuration, and for a saved document that cannot
+    be read. ``notices`` are log lines that the node runtime has not taken yet.
     """
 
     node_name: ClassVar[str]

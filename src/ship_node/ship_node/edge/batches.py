@@ -85,8 +85,8 @@ class PendingBatch(NamedTuple):
 
     Attributes:
         topic: topic of the messages.
-        reading: the messages as read.
-        receive_ns: receive times, equal by both clocks.
+        reading: the messages as read; there may be more of them than the batch has.
+        receive_ns: receive times of the messages of the batch, equal by both clocks.
         evaluated: the core's evaluation.
     """
 

@@ -2,7 +2,7 @@
 
 Each check returns, for every message, True if :mod:`ship_node.edge.messages_in` accepts the message without remark. The
 values of these messages are bit for bit the values that the module returns. The other messages are read one by one and
-may still be used. NaN fails every comparison.
+may still be used. A message with NaN is not valid, because NaN fails every comparison.
 """
 
 from collections.abc import Callable, Iterator

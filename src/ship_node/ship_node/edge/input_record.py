@@ -17,7 +17,7 @@ from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
 
 WINDOW = 50
-"""Number of arrivals from which rate and latency are computed."""
+"""Number of times between arrivals for the rate, and of accepted messages for the latency."""
 
 MAX_AGE_S = 10.0
 """Maximum age of a stamp, s; an older stamp shows a wrong clock or a bag played without /clock."""
@@ -167,7 +167,10 @@ class InputRecord:
 
     @property
     def latency_s(self) -> float:
-        """Median time from stamp to arrival of the accepted messages, s; NaN if there was none yet."""
+        """Median time from the stamp of an accepted message to its arrival, s; NaN if there was none yet.
+
+        If the core decides later on a message, the time of the decision replaces the arrival.
+        """
         if not self._latencies_ns:
             return math.nan
         ordered, middle = sorted(self._latencies_ns), len(self._latencies_ns) // 2
@@ -257,7 +260,7 @@ class InputRecords:
         self.record_rejected(topic, rejection, receive_ns, stamp_ns)
 
     def record_decision(self, topic: str, decision: MeasurementDecision[Any], now_ns: int) -> None:
-        """Record the decision on a measurement of a topic.
+        """Record the decision on a measurement of a topic; a revised decision only adds a remark.
 
         Args:
             topic: the input topic.
@@ -323,7 +326,7 @@ class InputRecords:
         self._failures.append(text)
 
     def take_failures(self) -> list[str]:
-        """Return the latest exceptions recorded since the last call."""
+        """Return the exceptions recorded since the last call, the newest twenty at most."""
         failures = list(self._failures)
         self._failures.clear()
         return failures

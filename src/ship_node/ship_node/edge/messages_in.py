@@ -36,7 +36,7 @@ MAX_VARIANCE = (2.0 * math.pi) ** 2
 """Largest accepted variance of an angle, rad²: a sigma of one full turn."""
 
 MAX_RATE = 100.0
-"""Largest accepted angular rate of a ship, rad/s.
+"""Largest accepted component of a ship's angular rate, rad/s.
 
 A ship's rates in degrees per second are below this limit; they are detected by their ratio to the expected rates."""
 

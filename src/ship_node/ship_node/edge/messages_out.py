@@ -240,7 +240,7 @@ def integrity_message(
 
 
 def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) -> DiagnosticStatus:
-    """Return the status with the protection levels of the last output; ``report`` is None before the first output."""
+    """Return the status with the protection levels of the last output; ``report`` is None if no output is valid."""
     if report is None:
         return DiagnosticStatus("integrity", Level.OK, "no output yet")
     levels = {f"{name} (″)": f"{level / ARCSEC:.1f}" for name, level in zip(quantities, report.level, strict=True)}

@@ -12,7 +12,7 @@ class Overload:
         behind_s: time that the oldest message has waited, s; 0 if the node keeps up again.
         cores: number of processor cores that the node may use.
         load: mean number of runnable processes in the last minute.
-        cut: topic → number of messages dropped since the last change.
+        cut: topic → number of messages dropped since the last report to the adapter.
     """
 
     behind_s: float

@@ -161,7 +161,7 @@ class RecoveringAdapter(BatchAdapter):
     # -- once a second --------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`; once a second the second estimator is started, continued or adopted."""
+        """See :class:`ReportingAdapter`; once a second a second estimator may be started, adopted or ended."""
         published = super().tick(now_ns, waiting_ns)
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate

@@ -76,7 +76,8 @@ class Feed:
             processed one by one.
         read_rows: reader, called with many messages and their receive times; it returns None for each message that
             ``read`` must read.
-        stream_quantity: quantity by which two publishers are detected in a recording; None if the topic is not checked.
+        stream_quantity: quantity whose values show two publishers, live and in a recording; None if the topic is not
+            checked.
             The quantity is computed from the decision if ``has_decision``, otherwise from the value read.
     """
 
@@ -113,7 +114,7 @@ class ReportingAdapter(ABC):
         config: the current parameters.
         core: the estimator.
         latest: the last published estimate; None before the first.
-        pending_budget: the last estimate while its error budget is pending; None after an INVALID output.
+        pending_budget: the last estimate until its error budget is published; None after an INVALID output.
         conflicts: source → text, for sources in persistent conflict.
         innovation_report: innovation diagnoses of the sources.
         clock_jumps: number of times the clock went back.
@@ -264,7 +265,7 @@ class ReportingAdapter(ABC):
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
     def check_single_publisher(self, feed: Feed, reading: ReadMessage[Any]) -> None:
-        """Add a value to the check for two publishers, before the core gets the value."""
+        """Add a value to the check for two publishers, unless the topic is checked by its decisions."""
         if feed.stream_quantity is None or feed.has_decision or reading.is_empty:
             return
         topic = feed.input.topic
@@ -392,7 +393,10 @@ class ReportingAdapter(ABC):
     # -- results of the core --------------------------------------------------------------------------------
 
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Record an outcome of the core and return its messages: decisions, failures, estimates."""
+        """Record an outcome of the core and return its messages: decisions, failures, estimates.
+
+        The estimates of a node that is behind are not used.
+        """
         decisions = []
         for decision in outcome.decisions:
             feed = self._feeds_by_source[decision.measurement.source]

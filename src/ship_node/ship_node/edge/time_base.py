@@ -70,11 +70,11 @@ class _InputClock:
     """Clock of one input.
 
     Attributes:
-        level_ns: offset at the last message that had not moved, less ``own_offset_ns``.
+        level_ns: offset at the last message for which the clock had not moved, less ``own_offset_ns``.
         newest_ns: newest stamp.
         arrival_ns: timeout-clock time of the last message.
         period_ns: mean time between messages.
-        own_offset_ns: change of the offset that this input alone has had for long.
+        own_offset_ns: change of the offset of this input alone, which lasted a minute or preceded the input's absence.
         moved_ns: change of the offset from ``level_ns`` plus ``own_offset_ns``; 0 if the clock has not moved.
         moved_since_ns: timeout-clock time at which the clock moved.
         last_delay_ns: change of the offset at the last message that a delay explained.
@@ -197,7 +197,9 @@ class TimeBase:
         return self._decide(topic, clock, waiting_ns)
 
     def count_without_step(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
-        """Return the number of leading messages whose clock has not moved.
+        """Return the number of leading messages that need no check for a step.
+
+        It is 0 before the first message of the input, after it has moved, and after a step of the computer's clock.
 
         Args:
             topic: topic of the messages.
@@ -294,7 +296,7 @@ class TimeBase:
         return any(_is_awaited(other, waiting_ns) for other in others)
 
     def _decide(self, topic: str, clock: _InputClock, waiting_ns: int) -> int | None:
-        """Return the step if the last message of an input confirms it."""
+        """Update the possible step after a message of an input; return the step if it is now confirmed."""
         for other in self._clocks.values():
             if other.moved_ns and waiting_ns - other.arrival_ns > max(
                 _ABSENCE_TIMEOUT_NS, _PRESENCE_PERIODS * other.period_ns

@@ -66,7 +66,7 @@ class Backlog:
         self._last_short_ns: int | None = None
 
     def evaluate(self, waited_ns: int, running_ns: int) -> OverloadChange:
-        """Return the change of the overload state.
+        """Return the change of the overload state; BEHIND also if a node that is behind must drop messages again.
 
         Args:
             waited_ns: queue time of the oldest message; 0 if no message waits.

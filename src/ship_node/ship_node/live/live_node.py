@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
 MIN_JUMP_BACK = Duration(nanoseconds=-100_000_000)
-"""Smallest jump back of the clock that restarts the node; /clock may go back by less if two computers publish it."""
+"""Smallest jump back of the clock that restarts the adapter; /clock may go back by less if two computers publish it."""
 
 MAX_CATCH_UP_NS = 10_000_000_000
 """Longest jump forward for which missed ticks are made up, ns; after a longer jump the tick grid restarts."""
@@ -279,7 +279,10 @@ class LiveNode:
         self._calls.handle(topic, data, message, now_ns, waiting_ns)
 
     def _advance(self, now_ns: int, waiting_ns: int) -> None:
-        """Tick up to the current time; both times are 0 while the node waits for its first /clock."""
+        """Tick up to the current time, then report failures and dropped messages.
+
+        Both times are 0 while the node waits for its first /clock; then nothing is done.
+        """
         if now_ns == 0:
             return
         if self._last_ns and waiting_ns - self._last_ns > MAX_CATCH_UP_NS:

@@ -32,9 +32,9 @@ CLOCK_DEPTH = 1000
 class NodeClock:
     """Node time and timeout clock for an adapter (:class:`ship_node.edge.adapter.Adapter`).
 
-    With ``use_sim_time`` both times are equal as long as /clock arrives. After the timeout of /clock the node time is
-    frozen. The timeout clock then continues by a steady clock in whole ticks, so that timeouts of the inputs still
-    work.
+    With ``use_sim_time`` both times are equal until /clock times out. Then the node time is frozen, and the timeout
+    clock continues by a steady clock in whole ticks, so that timeouts of the inputs still work. When /clock arrives
+    again, the timeout clock stays ahead by this time until :meth:`reset`.
 
     Args:
         node: node without subscriptions, so that /clock can be queued together with the later inputs.

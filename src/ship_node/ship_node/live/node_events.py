@@ -95,7 +95,7 @@ class NodeEvents:
         """Process the waiting events; wait for the first event no longer than ``timeout_s``.
 
         If the call had to wait for the first event, no other event was queued. The call then ends without a search for
-        another event, which would take at least 20 us.
+        another event, which would take at least 20 us. If an event has waited too long, the queue is dropped.
 
         Returns:
             False if events may be left.
@@ -215,7 +215,10 @@ class Inbox:
         return len(self._waiting)
 
     def add(self, arrival: Arrival) -> None:
-        """Add a received message, unless it is too large."""
+        """Add a received message, unless it is too large or its stamp is not after the cut time.
+
+        If the queue of its topic is full, the oldest message there is dropped.
+        """
         topic, size = arrival.topic, len(arrival.data)
         if size > MAX_MESSAGE_BYTES:
             self._cuts[topic, f"larger than {MAX_MESSAGE_BYTES} bytes"] += 1
@@ -279,7 +282,7 @@ class Inbox:
         self._cut_until_ns = None
 
     def take_cuts(self) -> Counter[tuple[str, str]]:
-        """Return (topic, reason) → number of messages dropped since the last call."""
+        """Return (topic, reason) → number of messages dropped since the last call for their size or a full queue."""
         if not self._cuts:
             return self._cuts
         cuts, self._cuts = self._cuts, Counter()

@@ -74,7 +74,7 @@ class NodeParameters:
         black_box: path of the node's black box; empty if there is none.
         black_box_part_bytes: size at which a black box continues in a new file; 0 for never.
         has_reliable_inputs: True if messages lost on the way to the node are sent again.
-        topics: the suite's name of an input → the ship's name, for inputs whose two names differ.
+        topics: the suite's name of an input → the ship's name, as given by the parameters ``topics``.
 
     Args:
         node: node without declared parameters of the suite.
@@ -83,6 +83,7 @@ class NodeParameters:
 
     Raises:
         ParameterError: an override is unknown, of the wrong type, out of its range or missing.
+        InputError: the same for a parameter of the node runtime.
     """
 
     def __init__(self, node: ParameterNode, config_type: type, has_black_box: bool = True) -> None:
@@ -198,7 +199,7 @@ def _overrides(node: Node) -> dict[str, Any]:
 
 
 def _declare_common(node: Node, name: str, default: Any, description: str) -> Any:
-    """Declare a parameter that every node has; return its value."""
+    """Declare a read-only parameter of the node runtime; return its value."""
     descriptor = ParameterDescriptor(description=description, read_only=True)
     try:
         return node.declare_parameter(name, default, descriptor).value

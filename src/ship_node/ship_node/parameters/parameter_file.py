@@ -163,7 +163,8 @@ def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
 def _matches_node(pattern: str, node: str) -> bool:
     """Return True if rcl applies a section of that name to a node.
 
-    ``/*`` stands for one part of a name, ``/**`` for any number of parts.
+    ``/*`` stands for one part of a name, ``/**`` for any number of parts. For a node in any namespace, only the last
+    parts of both names are compared.
     """
     if node.startswith(ANY_NAMESPACE):
         return _base_name(pattern) in (_base_name(node), "*", "**")
