@@ -45,7 +45,10 @@ BEYOND_SIGMAS = 5.0
 _SLOW_INS_HZ = 20.0
 _AZIMUTHS_DEG = {"fore": 0.0, "starboard": 120.0, "port": 240.0}
 _KINDS_PERIOD = 10
-"""Number of voyages after which the kinds repeat: eight ships, one ship with the INS's full rate, one theodolite."""
+"""Number of voyages in one round: eight ships, one ship with the INS's full rate, one theodolite.
+
+Ships with two and with three sensors change places in the next round.
+"""
 
 
 @dataclass(frozen=True)
