@@ -2,8 +2,8 @@
 
 A fit uses logarithms of the quantities that a record determines best. For a Gauss-Markov process this quantity is
 2 sigma² / time, the noise variance per second: even a record much shorter than the time determines it. To determine
-sigma and time separately, many correlation times are needed. For the Schuler process these quantities are the noise of the
-sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
+sigma and time separately, many correlation times are needed. For the Schuler process these quantities are the noise of
+the sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
 damping are taken from the configuration.
 """
 

@@ -104,7 +104,7 @@ class Verification:
     Attributes:
         input_counts: input topic or kind of event → number of messages or events that the adapter received.
         equal_counts: output topic → number of messages whose numbers and names are equal to the last bit.
-        other_texts: output topic, service or file → number of messages, answers or contents in which only a text differs.
+        other_texts: output topic, service or file → number of messages, answers or contents that differ in texts only.
         difference: first difference in a number or name; None if all are equal.
         text_difference: first difference in a text; None if all are equal.
         notes: further lines for the user.

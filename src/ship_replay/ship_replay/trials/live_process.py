@@ -148,7 +148,7 @@ class GraphObserver:
         timeout_s: float = 15.0,
         unless: Callable[[], bool] = lambda: False,
     ) -> bool:
-        """Wait until topics have the given minimum numbers of publishers and subscribers; return False on timeout.
+        """Wait until topics have the given minimum numbers of publishers and subscribers; return False if the wait ends first.
 
         Args:
             publishers: topic → minimum number of publishers.
