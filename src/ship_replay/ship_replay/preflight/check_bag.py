@@ -19,7 +19,7 @@ _GROUPS = {"star": "star_sensors", "reference": "references"}
 
 
 def check_bag(check: BagCheck) -> None:
-    """Check a configuration against the topics of a bag: presence, type, definition, frame_id."""
+    """Check a configuration against the topics of a bag: presence, type, definition, frame_id, unconfigured sensors."""
     published = {topic.topic for node in check.nodes for topic in node.adapter.outputs}
     _check_presence(check, check.topic_names.keys() | published)
     for node in check.nodes:
