@@ -133,7 +133,7 @@ def replay_black_box(
         bag: the black box.
         adapters: adapters of the nodes known here.
         config_path: configuration to use instead of the black box's own.
-        out_path: bag for the outputs; without it the replay ends at the first difference.
+        out_path: bag for the outputs; without it the replay ends at the first difference in a number or name.
         progress: function that wraps the iteration over the black box in a progress bar.
 
     Raises:
@@ -184,7 +184,10 @@ class _BlackBoxReplay:
         self._closed = False
 
     def run(self, progress: ProgressWrapper) -> None:
-        """Process the entries up to the end, to a missing entry or, without an output bag, to the first difference."""
+        """Process the entries up to the end or a missing entry; without an output bag, up to the first difference.
+
+        Differences in texts do not count.
+        """
         for number, record in enumerate(progress(self._bag.records_in_file_order(), self._bag), 1):
             if record.sequence != number:
                 self._result.incomplete_reason = f"entries are missing before {utc_text(record.log_time_ns)}"

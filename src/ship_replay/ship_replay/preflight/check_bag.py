@@ -71,7 +71,7 @@ def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
 
 
 def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) -> Iterator[str]:
-    """Yield errors for messages that would be rejected because of their frame_id."""
+    """Yield an error for each topic whose first message would be rejected because of its frame_id."""
     expected = {topic: _frame_id(node.config, topic) for topic in readable}
     pending = {readable[topic]: topic for topic, frame in expected.items() if frame}
     for record in check.bag.records(pending) if pending else ():

@@ -62,7 +62,7 @@ class _NullSink:
 
 
 def check_trial(check: BagCheck) -> None:
-    """Replay the beginning of a bag through the nodes; report inputs that are hardly used and wrong sigmas.
+    """Replay the beginning of a bag through the nodes; report hardly used inputs and, if no error was found, wrong sigmas.
 
     The nodes cannot be used afterwards.
     """
