@@ -64,7 +64,7 @@ class StarComparisons:
 
     Attributes:
         accepted: comparisons by source and stamp.
-        rejected: measurements that the node did not use.
+        rejected: source and stamp of each measurement that the node did not use.
     """
 
     accepted: dict[tuple[str, int], StarInnovation] = field(default_factory=dict)

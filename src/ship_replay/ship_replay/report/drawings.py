@@ -307,7 +307,7 @@ def _draw_budget(
 
 
 def _spans(words: Sequence[tuple[int, Safety]]) -> Mapping[Safety, list[tuple[int, int]]]:
-    """Return state → (first second, length in s) of each run of seconds with this state."""
+    """Return safety state → (first second, length in s) of each uninterrupted series of seconds with this state."""
     return {word: _runs([second for second, state in words if state is word]) for word in Safety}
 
 

@@ -199,7 +199,7 @@ def _run_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
 
 
 def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
-    """Return the stamps of INS samples at which an attitude is requested: the first of each second with known truth."""
+    """Return the stamps (of INS samples or encoder readings) of the outputs to evaluate: the first of each second."""
     first: dict[int, int] = {}
     for time_ns in sorted(rows):
         first.setdefault((time_ns - run.start_ns) // SECOND_NS, time_ns)
