@@ -82,7 +82,7 @@ class AxisSightings:
         return [stamps[i] for i in np.linspace(0, len(stamps) - 1, MAX_SIGHTINGS).round().astype(int)]
 
     def write(self, path: Path) -> None:
-        """Write the table as CSV, in order of time."""
+        """Write the selected rows as CSV, in order of time, without correlated errors of negligible effect."""
         stamps = self.selected_stamps
         correlated_errors = [key for key in self._correlated_errors() if self._has_effect(key, stamps)]
         names = [correlated_column(side, *key) for key in correlated_errors for side in (0, 1)]
@@ -97,7 +97,7 @@ class AxisSightings:
         )
 
     def add_decision(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
-        """Add an exposure if the core used all its lights, with the names in the message."""
+        """Add an exposure if the core used all its lights under the names in the message; else count it as unused."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return  # stars, or a target

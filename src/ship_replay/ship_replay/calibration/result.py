@@ -237,7 +237,7 @@ def _installation_covariances(core: ShipAttitudeCore, sensors: tuple[str, ...]) 
     """Return the joint covariance of the installations by source, in the installed axes, rad², (n_sources, 3 N, 3 N).
 
     The state vectors refer to the configured axes. In installed axes that differ by a degree, a rotation of the deck
-    has other components.
+    has other components than in the configured axes.
     """
     blocks = [core.filter.model.slices[f"star.{id_}.installation"] for id_ in sensors]
     to_axes = np.zeros((3 * len(sensors), core.filter.model.size))

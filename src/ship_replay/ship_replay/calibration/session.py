@@ -70,7 +70,7 @@ class Session:
         times_s: times of the history since the first entry, s, shape (n,).
         history: name of an installation angle → values and sigmas at ``times_s``, rad, shape (n, 2).
         duration_s: length of the bag.
-        problems: problems of the bag, one line each.
+        problems: problems of the bag, nodes that do not take part, and unreadable messages, one line each.
     """
 
     name: str

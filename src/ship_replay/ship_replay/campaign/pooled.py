@@ -95,7 +95,7 @@ def pools(results: Sequence[ItemResult], name: Callable[[Item], str]) -> list[Po
 
 
 def worst_items(results: Sequence[ItemResult]) -> list[WorstItem]:
-    """Return the items with the largest ratios of RMS to predicted sigma, the worst first."""
+    """Return up to ten items with the largest ratios of RMS to predicted sigma, the worst first."""
     worst = []
     for item, result in results:
         ratios = [

@@ -90,7 +90,7 @@ class _Worker:
         write_end.close()
 
     def result(self) -> Result | None:
-        """Return the result; None if the process died before sending it."""
+        """Wait for the result, remove the folder, and return the result; None if the process died before sending it."""
         try:
             result_or_none: Result | None = json.loads(self.connection.recv_bytes())
         except EOFError:

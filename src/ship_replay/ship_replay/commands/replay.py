@@ -145,7 +145,7 @@ def _print_summary(summary: ReplaySummary) -> None:
 
 
 def _print_verification(verification: Verification, is_requested: bool) -> int:
-    """Print the result of a comparison and return the exit code: a difference counts only with --verify."""
+    """Print the result of a comparison and return the exit code, which depends on the result only with --verify."""
     print(f"used:  {_counts(verification.input_counts)}")
     print(f"equal: {_counts(verification.equal_counts)}")
     for note in verification.notes:

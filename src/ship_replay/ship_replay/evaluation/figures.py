@@ -89,6 +89,9 @@ def innovation_figure(
 
     Each residual, also of a single star or light, is one dot, and the band shows the predicted ±3σ of this residual. A
     source without accepted measurements has no row; the title names the source.
+
+    Raises:
+        BadInput: no source has an accepted measurement.
     """
     rows = [(source, part, component) for source, part in innovations.items() for component in part.components()]
     if not rows:

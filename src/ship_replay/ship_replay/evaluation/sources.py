@@ -31,7 +31,7 @@ _TRUTH_GAP_NS = 1_000_000_000
 
 
 class Truth:
-    """True attitudes at their stamps and, interpolated, between them."""
+    """True attitudes of the deck, or of the main optical axis, at their stamps and, interpolated, between them."""
 
     def __init__(self, orientation: Orientation) -> None:
         self.orientation = orientation
@@ -52,16 +52,19 @@ class Truth:
         return len(self._rotations)
 
     def rotation_at_stamp(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck, shape (3, 3), at a stamp of the truth; None at another stamp."""
+        """Return the rotation horizon from deck or main frame, shape (3, 3), at a stamp of the truth; else None."""
         return self._rotations.get(stamp_ns)
 
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck, shape (3, 3), interpolated between stamps if the truth has rates."""
+        """Return the rotation horizon from deck or main frame, shape (3, 3).
+
+        Between stamps it is interpolated, but only if the truth has rates; otherwise it is None there.
+        """
         exact = self.rotation_at_stamp(stamp_ns)
         return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
 
     def interpolated_rotation(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck, shape (3, 3), interpolated; None outside the truth."""
+        """Return the rotation horizon from deck or main frame, shape (3, 3), interpolated; None outside the truth."""
         found = self._track.at(stamp_ns)
         return None if found is None else found.rotation_nd
 
@@ -161,7 +164,7 @@ class InsAttitude(AttitudeSource):
         self.track = AttitudeTrack(round(config.max_gap_s * NS_PER_S))
 
     def add_message(self, message: Any) -> None:
-        """Add a sensor_msgs/Imu."""
+        """Add a sensor_msgs/Imu; a message without orientation is ignored."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         q = message.orientation
         quaternion = np.array([q.x, q.y, q.z, q.w])
@@ -297,7 +300,10 @@ def attitude_sources(
 
 
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
-    """Return the covariance of the rotation vector (North, Up, East), rad²; computed from the angles if not given."""
+    """Return the covariance of the rotation vector (North, Up, East), rad².
+
+    If the message does not give it, it is computed from the covariance of the angles.
+    """
     rotation_covariance = message.rotation_covariance.reshape(3, 3)
     if rotation_covariance.any():
         return horizon_covariance(rotation_covariance)

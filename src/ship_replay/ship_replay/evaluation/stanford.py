@@ -33,7 +33,7 @@ class Region(enum.IntEnum):
     NOMINAL = 0
     """Error within the level, level within the alert limit."""
     MISLEADING = 1
-    """Error above the level."""
+    """Error above the level but within the alert limit, level within the limit."""
     HAZARDOUS = 2
     """Error above the level and the alert limit, level within the limit."""
     UNAVAILABLE = 3

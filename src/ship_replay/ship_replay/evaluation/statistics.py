@@ -34,7 +34,7 @@ class AttitudeErrors:
     """Errors of one source of an orientation.
 
     Attributes:
-        label: ``fused``, ``ins``, ``star.<id>``, ``pointing`` or ``pointing.<mode>``.
+        label: name of the source, for example ``fused``, ``ins``, ``star.<id>``, ``pointing`` or ``pointing.<mode>``.
         channels: names of the three errors.
         time_ns: stamps, shape (n,).
         error_arcsec: estimate - truth of the channels, shape (n, 3).
@@ -77,7 +77,7 @@ class AttitudeErrors:
         return values
 
     def independent_count(self) -> float:
-        """Return the equivalent number of independent errors, see :func:`independent_count`."""
+        """Return the equivalent number of independent errors among those with NEES, see :func:`independent_count`."""
         known = np.isfinite(self.nees)
         return independent_count((self.error_arcsec / self.sigma_arcsec)[known])
 
@@ -127,8 +127,8 @@ def attitude_errors(
         label: name of the source.
         orientation: the orientation.
         time_ns: stamps, shape (n,).
-        estimate_nd: estimated rotation horizon from deck, shape (n, 3, 3).
-        truth_nd: true rotation horizon from deck, shape (n, 3, 3).
+        estimate_nd: estimated rotation horizon from deck or main frame, shape (n, 3, 3).
+        truth_nd: true rotation horizon from deck or main frame, shape (n, 3, 3).
         covariance_n: covariance of the rotation vector (North, Up, East), rad², shape (n, 3, 3); NaN or zero if
             unknown.
     """
@@ -257,7 +257,10 @@ def reason_name(message: Any) -> str:
 
 
 def windows_in_band(time_ns: np.ndarray, nis: FloatArray, degrees: np.ndarray) -> float | None:
-    """Return the share of one-minute windows whose mean NIS lies in its 99.9 % band; None if all have few samples."""
+    """Return the share of one-minute windows whose mean NIS lies in its 99.9 % band.
+
+    Windows with fewer than ten samples do not count; None if no window counts.
+    """
     window = (time_ns - time_ns[0]) // (WINDOW_S * NS_PER_S)
     inside = []
     for number in np.unique(window):

@@ -20,11 +20,13 @@ _UNKNOWN = np.full((3, 3), np.nan)
 
 @dataclass
 class TargetErrors:
-    """Errors of one target's directions and positions, one for each stamp of the truth with a valid direction.
+    """Errors of one target's directions and positions, one for each stamp of the truth with a usable direction.
+
+    A published direction is usable unless it is INVALID.
 
     Attributes:
         unavailable_ns: stamps of the truth at which the published direction was INVALID or missing.
-        time_ns: stamps of valid directions.
+        time_ns: stamps of usable directions.
         direction_error_arcsec: estimate minus truth across the true direction, shape (2,) each.
         sigma_arcsec: predicted standard deviation, root mean square of the two components.
         nees: normalised error squared of the direction (2 degrees of freedom).

@@ -42,11 +42,12 @@ _WIDEST_STEP = 1.0
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model with its most likely parameters.
+    """A model with its fitted parameters.
 
     Attributes:
         model: model of the INS's error.
-        values: parameter values, shape (p,).
+        values: most likely parameter values, shape (p,); a correlation time has its mean instead, and the others are
+            shifted with it.
         covariance: covariance of the logarithms of the parameters, shape (p, p); the variance of a parameter at a bound
             is `_UNKNOWN_LOG_SIGMA` squared, unless it is a correlation time.
         log_likelihood: maximum log likelihood of the record.
@@ -75,7 +76,7 @@ class FittedModel:
 
 
 def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
-    """Return the model's most likely parameters for a record."""
+    """Return the model fitted to a record: its most likely parameters, with the means of the correlation times."""
     few = _Search(record.with_every_nth_epoch(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
     starts = np.log([parameter.start for parameter in model.parameters])
     quicker = starts + np.log(_SECOND_START_FACTOR) * _is_time(model)

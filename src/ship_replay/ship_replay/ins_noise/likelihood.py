@@ -21,7 +21,9 @@ from ship_replay.ins_noise.star_record import StarRecord, marginalise_white_nois
 
 
 class ProcessSteps(NamedTuple):
-    """Process of an INS's error along E epochs, for k parameter sets and n states; the first three are u in arcseconds.
+    """Process of an INS's error along E epochs, for k parameter sets and n states.
+
+    The first three states are u, the attitude error, in arcseconds.
 
     Attributes:
         start: covariance at the first epoch, shape (k, n, n).

@@ -36,8 +36,8 @@ class PredictionError(NamedTuple):
     """Error of predictions of tilt or heading.
 
     Attributes:
-        rms_arcsec: RMS error of each axis.
-        sigma_arcsec: predicted sigma of each axis, without the part that the stars at the end do not observe.
+        rms_arcsec: RMS error of one axis.
+        sigma_arcsec: predicted sigma of one axis, without the part that the stars at the end do not observe.
         nees: mean normalised error squared; two degrees of freedom for tilt, one for heading.
         nees_limit: upper limit of the 99.9 % band of ``nees``.
     """

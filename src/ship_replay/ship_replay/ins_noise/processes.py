@@ -1,9 +1,9 @@
 """The two models of an INS's error as processes with parameters, and the corresponding suite parameters.
 
 A fit uses logarithms of the quantities that a record determines best. For a Gauss-Markov process this quantity is
-2 sigma² / time, the change per second: even a record much shorter than the time determines it. To determine sigma and
-time separately, many correlation times are needed. For the Schuler process these quantities are the noise of the
-sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
+2 sigma² / time, the noise variance per second: even a record much shorter than the time determines it. To determine
+sigma and time separately, many correlation times are needed. For the Schuler process these quantities are the noise of
+the sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
 damping are taken from the configuration.
 """
 
@@ -84,7 +84,7 @@ class InsErrorModel(Protocol):
 
 
 class GaussMarkovModel:
-    """Gauss-Markov error of each axis: sigma² exp(-t / time); tilt about North and East has the same parameters.
+    """Gauss-Markov error of each axis with autocovariance sigma² exp(-t / time); both tilts have the same parameters.
 
     Args:
         ins: configuration with the start values of the search.

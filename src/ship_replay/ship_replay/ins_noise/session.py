@@ -64,7 +64,7 @@ class StarComparisons:
 
     Attributes:
         accepted: comparisons by source and stamp.
-        rejected: measurements that the node did not use.
+        rejected: source and stamp of each measurement that the node did not use.
     """
 
     accepted: dict[tuple[str, int], StarInnovation] = field(default_factory=dict)
@@ -187,7 +187,7 @@ def run_session(
 
 
 def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
-    """Return the configuration of a session: only star sensors and the INS, with larger INS sigmas.
+    """Return the configuration of a session: only star sensors and a Gauss-Markov INS with larger sigmas.
 
     A saved alignment is not loaded, because it may result from the same bag. The deflection of the vertical is always
     modelled, whether it is relevant or not.

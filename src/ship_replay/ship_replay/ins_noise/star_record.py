@@ -84,7 +84,7 @@ class StarRecord:
         return float(self.times_s[-1])
 
     def with_every_nth_epoch(self, step: int) -> "StarRecord":
-        """Return the record with every nth epoch; its log likelihood differs by a constant."""
+        """Return the record with every nth epoch; the constant of its log likelihood is still that of all epochs."""
         kept = slice(None, None, step)
         return replace(
             self,

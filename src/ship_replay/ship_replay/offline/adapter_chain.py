@@ -105,7 +105,7 @@ def _checked_nodes(
     source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str
 ) -> tuple[type[Adapter], ...]:
     for kind in adapter_classes:
-        # A file need not have a section for every node.
+        # This call only checks for sections that nearly fit. A file need not have a section for every node.
         section_warning(source, full_name(kind.node_name, namespace))
     return nodes_of(source, adapter_classes, namespace)
 
@@ -195,7 +195,9 @@ def suite_chain(
     namespace: str = "",
     linked: bool = True,
 ) -> tuple[AdapterChain, list[str]]:
-    """Return the chain of nodes of a suite configuration, without nodes whose devices are all missing in the bag.
+    """Return the chain of nodes of a suite configuration.
+
+    A node whose devices are all missing in the bag is left out, unless it is the first configured node.
 
     Args:
         bag: the bag.

@@ -89,7 +89,7 @@ def check_definitions(bag: Bag) -> None:
     """Check that the definitions of all compared messages are the same here.
 
     Raises:
-        BadInput: a definition differs; the text names the fields.
+        BadInput: a definition differs, and the text names the fields; or a topic cannot be read.
     """
     for topic, type_name in sorted(bag.topics.items()):
         if type_name not in UNCOMPARED_TYPES and type_name in bag.differences:

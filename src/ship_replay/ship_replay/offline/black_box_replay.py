@@ -133,7 +133,7 @@ def replay_black_box(
         bag: the black box.
         adapters: adapters of the nodes known here.
         config_path: configuration to use instead of the black box's own.
-        out_path: bag for the outputs; without it the replay ends at the first difference.
+        out_path: bag for the outputs; without it the replay ends at the first difference in a number or name.
         progress: function that wraps the iteration over the black box in a progress bar.
 
     Raises:
@@ -184,7 +184,10 @@ class _BlackBoxReplay:
         self._closed = False
 
     def run(self, progress: ProgressWrapper) -> None:
-        """Process all entries of the black box."""
+        """Process the entries up to the end or a missing entry; without an output bag, up to the first difference.
+
+        Differences in texts do not count.
+        """
         for number, record in enumerate(progress(self._bag.records_in_file_order(), self._bag), 1):
             if record.sequence != number:
                 self._result.incomplete_reason = f"entries are missing before {utc_text(record.log_time_ns)}"
@@ -259,7 +262,7 @@ class _BlackBoxReplay:
                 self._pending_outputs.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
-        """Return the result of a call; None if it raised an exception, which did not end the live node either."""
+        """Return the result of a call; None and a note if it raised an exception, which did not end the live node."""
         self._check_no_pending_outputs(time_ns)
         self._result.input_counts[what] += 1
         try:
@@ -319,7 +322,7 @@ class _BlackBoxReplay:
 
 
 def _parameter_error(adapter: Adapter, event: ParametersChanged) -> str | None:
-    """Return the adapter's error about live parameters; None if it accepts them."""
+    """Change live parameters; return the adapter's error about them, or None if it accepts them."""
     try:
         adapter.set_parameters(event.changes)
     except ParameterError as error:

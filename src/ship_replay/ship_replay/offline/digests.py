@@ -22,7 +22,7 @@ _NO_SOURCE = ".pyc", ".c", ".so", ".j2"
 
 
 def content_sha256(path: Path) -> str:
-    """Return the hash of a file; for a rosbag2 folder one line per bag, as sha256sum writes them."""
+    """Return the hash of a file; for a rosbag2 folder one line per MCAP file, as sha256sum writes them."""
     if path.is_dir():
         return "\n".join(f"{content_sha256(part)}  {part.name}" for part in sorted(path.glob("*.mcap")))
     digest = hashlib.sha256()

@@ -1,7 +1,7 @@
 """Gaps between the messages of a node's inputs, and delays between their stamps and log times.
 
 A recorder that stalls logs the waiting messages in a burst when it continues, so a replay by log time sees a gap and
-then a burst. In a replay by stamps every message arrives at its own time of validity.
+then a burst. In a replay by stamps every message arrives at its stamp, without such gaps.
 """
 
 from collections import Counter
@@ -164,7 +164,7 @@ def gap_limits(config: Any) -> Iterator[GapLimit]:
 
 
 def exceeded_limits(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[ExceededLimit]:
-    """Yield the limits of a node that the gaps between its inputs exceed.
+    """Yield the limits of a node that are exceeded by gaps which take more than 1 % of the time.
 
     Args:
         config: configuration of the node.
@@ -212,7 +212,7 @@ class LogDelays:
         self._latest: dict[str, tuple[int, int]] = {}
 
     def add(self, topic: str, record: BagRecord) -> None:
-        """Add a message."""
+        """Add a message; a message without a stamp is ignored."""
         stamp_ns = stamp_of_bytes(record.data)
         if not stamp_ns:
             return

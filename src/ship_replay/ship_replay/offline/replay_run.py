@@ -157,7 +157,10 @@ class ReplayRun:
             self._publish(self._chain.tick(now_ns), now_ns)
 
     def _tick_times_ns(self, time_ns: int) -> range:
-        """Return the tick times before a message, ns: the multiples of the period since the last message."""
+        """Return the tick times up to a message, ns, and remember the message's time.
+
+        These are the multiples of the period since the last message, for at most ten minutes.
+        """
         last_ns, self.last_time_ns = self.last_time_ns, time_ns
         if last_ns is None:
             return range(0)

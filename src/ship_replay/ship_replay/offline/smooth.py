@@ -64,7 +64,8 @@ class SmoothedOutput:
         type_name: type of the messages.
         angles: names of the three angles.
         count: number of messages written.
-        variances: variances of the angles, rad², in real time and smoothed, of outputs that are not DEGRADED.
+        variances: variances of the angles, rad², in real time and smoothed, of outputs that were VALID or COASTING in
+            real time.
     """
 
     topic: str
@@ -75,7 +76,7 @@ class SmoothedOutput:
 
     @property
     def median_sigmas_arcsec(self) -> FloatArray | None:
-        """Median sigmas of the angles in real time and smoothed, shape (2, 3); None if all are DEGRADED."""
+        """Median sigmas of the angles in real time and smoothed, shape (2, 3); None if all were DEGRADED or INVALID."""
         return np.sqrt(np.nanmedian(self.variances, axis=0)) / ARCSEC if self.variances else None
 
     def record(self, real_time: "_RealTimeOutput", message: Any, covariance: FloatArray) -> BagRecord:

@@ -121,7 +121,7 @@ class StatusHistory:
         ]
 
     def lines(self, topic: str) -> list[str]:
-        """Return the table of statuses: shares by time and by count, then the spans."""
+        """Return the table of statuses: shares by time and by count, then the longest spans in order of time."""
         spans, counts = self.spans, self.counts
         if not spans:
             return [f"status of {topic}: no output"]

@@ -51,7 +51,7 @@ class TruthErrors:
         return bool(self._pending)
 
     def is_ready(self, now_ns: int | None) -> bool:
-        """True if an error message is ready at `now_ns`."""
+        """True if the oldest error message is ready: its truth is known, or need not be waited for any longer."""
         if not self.has_pending:
             return False
         log_time_ns, message = self._pending[0]

@@ -104,7 +104,7 @@ class Verification:
     Attributes:
         input_counts: input topic or kind of event → number of messages or events that the adapter received.
         equal_counts: output topic → number of messages whose numbers and names are equal to the last bit.
-        other_texts: output topic → number of messages in which only a text differs.
+        other_texts: output topic, service or file → number of messages, answers or contents that differ in texts only.
         difference: first difference in a number or name; None if all are equal.
         text_difference: first difference in a text; None if all are equal.
         notes: further lines for the user.
@@ -154,7 +154,7 @@ def verify_bag(
     namespace: str = "",
     progress: ProgressWrapper = lambda records, bag: records,
 ) -> Verification:
-    """Compare the outputs of a replay with those recorded in a bag.
+    """Compare the outputs of a replay with those recorded in a bag, up to the first different number or name.
 
     A recording contains neither the order in which the node used its inputs nor its service calls, so outputs may
     differ although the estimator is the same. With a black box a difference always comes from the computation.

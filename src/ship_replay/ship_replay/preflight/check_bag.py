@@ -19,7 +19,7 @@ _GROUPS = {"star": "star_sensors", "reference": "references"}
 
 
 def check_bag(check: BagCheck) -> None:
-    """Check a configuration against the topics of a bag: presence, type, definition, frame_id."""
+    """Check a configuration against the topics of a bag: presence, type, definition, frame_id, unconfigured sensors."""
     published = {topic.topic for node in check.nodes for topic in node.adapter.outputs}
     _check_presence(check, check.topic_names.keys() | published)
     for node in check.nodes:
@@ -71,7 +71,7 @@ def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
 
 
 def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) -> Iterator[str]:
-    """Yield errors for messages that would be rejected because of their frame_id."""
+    """Yield an error for each topic whose first message would be rejected because of its frame_id."""
     expected = {topic: _frame_id(node.config, topic) for topic in readable}
     pending = {readable[topic]: topic for topic, frame in expected.items() if frame}
     for record in check.bag.records(pending) if pending else ():

@@ -118,7 +118,7 @@ def check_file(
         namespace: namespace of the nodes; sections are matched with the full names of the nodes, as in rcl.
 
     Returns:
-        Nodes that can be created from the file.
+        Estimators that can be created from the file, with invalid values replaced.
 
     Raises:
         BadInput: the file cannot be read, is not a parameter file or has no section for a node of the suite.
@@ -222,7 +222,10 @@ def _place_conflicts(path: Path, places: Sequence[tuple[str, ParameterFile, Mach
 
 
 def _build_config(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
-    """Return the configuration with invalid values replaced, or None, and the names of reported parameters."""
+    """Report each invalid value; return the configuration with these values replaced, and the replaced parameters.
+
+    The configuration is None if replacing the values does not make it valid.
+    """
     values = copy.deepcopy(file.values)
     descriptions = list(describe(kind))
     replaced: set[str] = set()

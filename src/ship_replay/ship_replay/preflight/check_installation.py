@@ -51,7 +51,7 @@ class _InstallationResidual:
         measured_dv: measured rotation deck from device, shape (3, 3).
         turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
         is_inlier: True for the compared times that are not outliers, shape (n,).
-        sigmas: largest component of the rotation vector in the device frame, divided by its sigma.
+        sigmas: largest ratio of a component of the rotation vector, in the device frame, to its sigma.
     """
 
     mounting: MeasuredMounting
@@ -134,7 +134,10 @@ def _configured_installation(device: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _common_rotation(far: Sequence[_InstallationResidual]) -> FloatArray | None:
-    """Return the rotation vector common to two or more devices, rad, shape (3,); None if the rotations differ."""
+    """Return the rotation vector common to all devices, rad, shape (3,).
+
+    The result is None if the rotations differ, or with fewer than two devices.
+    """
     if len(far) < 2:
         return None
     turns = np.array([residual.turn_d for residual in far])

@@ -64,7 +64,7 @@ class _NullSink:
 def check_trial(check: BagCheck) -> None:
     """Replay the beginning of a bag through the nodes; report inputs that are hardly used and wrong sigmas.
 
-    The nodes cannot be used afterwards.
+    Sigmas are checked only if no error was found before. The nodes cannot be used afterwards.
     """
     bag = check.bag
     chain = AdapterChain([node.adapter for node in check.nodes])

@@ -16,7 +16,10 @@ _TEXTS = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class ParameterDifference:
-    """A parameter that differs between A and B; the value of a run without this node or device is empty."""
+    """A parameter that differs between A and B; the value of a run without this device is empty.
+
+    For a node of one run only, the name is empty, and the values are "configured" and "not configured".
+    """
 
     node: str
     name: str

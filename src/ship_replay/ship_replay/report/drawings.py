@@ -40,7 +40,7 @@ STATE_STYLES = {
     Safety.CAUTION: ("#ffc53d", "//"),
     Safety.UNSAFE: ("#d8352b", "xx"),
 }
-"""Fill colour and hatch of each state, distinguishable in black and white."""
+"""Fill colour and hatch of each safety state, distinguishable in black and white."""
 
 ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
 """Tick values of a logarithmic axis."""
@@ -75,7 +75,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def source_colours(recording: RecordedHistory, evaluation: Evaluation) -> dict[str, str]:
-    """Return one colour for each source, the same in all figures of a report."""
+    """Return the colour of each source, the same in all figures of a report; colours repeat after eight sources."""
     named = [errors.label for errors in evaluation.errors]
     named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in recording.rejections)]
     first = [name for name in _FIRST_SOURCES if name in named]
@@ -89,11 +89,12 @@ def source_of(name: str) -> str:
 
 
 def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
-    """Return the figure of each angle's state, second by second, with the accuracy below; empty without any angle.
+    """Return the figure of each angle's safety state, by seconds, with the accuracy below; empty without any angle.
 
     Args:
         recording: the recording.
-        marked: POSIX seconds to which links lead. The line at a second is visible while it is the target of the page.
+        marked: POSIX seconds to which links lead. The line at a second is visible only after its link is
+            followed.
     """
     shown = [name for name in ANGLES if recording.safety_states.get(name)]
     if not shown:
@@ -185,7 +186,7 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
 
 
 def rejections_svg(recording: RecordedHistory, colours: Mapping[str, str]) -> str:
-    """Return the figure of the times at which measurements were not used: a row per source, a bar per second."""
+    """Return the figure of the seconds with unused measurements, a row for each source and place (node or filter)."""
     rows: dict[str, set[int]] = {}
     for refusal in recording.rejections:
         if not refusal.is_note:
@@ -249,7 +250,7 @@ def decimate_errors(errors: AttitudeErrors) -> AttitudeErrors:
 
 
 def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
-    """Return innovations decimated to the extremes of each component."""
+    """Return innovations decimated to extremes: of the largest absolute and of the least residual of each stamp."""
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part
@@ -306,7 +307,7 @@ def _draw_budget(
 
 
 def _spans(words: Sequence[tuple[int, Safety]]) -> Mapping[Safety, list[tuple[int, int]]]:
-    """Return state → (first second, length in s) of each run of seconds with this state."""
+    """Return safety state → (first second, length in s) of each uninterrupted series of seconds with this state."""
     return {word: _runs([second for second, state in words if state is word]) for word in Safety}
 
 

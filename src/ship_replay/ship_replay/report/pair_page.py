@@ -98,7 +98,7 @@ def _problems(pair: Pair) -> list[str]:
 def _shares_of_both(
     a: RecordedHistory, b: RecordedHistory
 ) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
-    """Return angle, share of each state in A and share of each state in B; None where the angle was not published."""
+    """Return angle, and shares of the safety states in A and in B; None where the angle was not published."""
     of_a, of_b = ({name: share for name, share, _ in shares(recording)} for recording in (a, b))
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
 

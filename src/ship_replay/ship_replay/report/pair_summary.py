@@ -138,7 +138,10 @@ def _missing_sentences(pair: Pair) -> list[str]:
 
 
 def _outage_sentences(pair: Pair) -> list[str]:
-    """Return a sentence for each source that was out in one run only, within the time that both runs cover."""
+    """Return sentences about outages within the time that both runs cover.
+
+    There is one for each source that was out in one run only, and one for the sources with the same outages in both.
+    """
     a, b = (outages(recording) for recording in pair.recordings)
     sentences, named = [], set()
     for source in dict.fromkeys(outage.source for outage in (*a, *b)):

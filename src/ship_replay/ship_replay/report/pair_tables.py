@@ -38,9 +38,9 @@ class ErrorRow:
     Attributes:
         label: name of the source.
         channel: name of the channel in its orientation.
-        rms: root mean squares of the errors.
-        size_95: 95th percentiles of the absolute errors.
-        samples: numbers of errors.
+        rms: root mean squares of the errors in A and in B.
+        size_95: 95th percentiles of the absolute errors in A and in B.
+        samples: numbers of errors in A and in B.
         at_equal_stamps: True if only errors at common stamps are included.
     """
 
@@ -63,7 +63,10 @@ class ErrorRow:
 
 
 def error_rows(pair: Pair) -> list[ErrorRow]:
-    """Return a row for each source and channel with errors against the truth; only of equal stamps if there are any."""
+    """Return a row for each source and channel with errors against the truth.
+
+    If a source has errors at stamps common to both runs, only these errors count.
+    """
     sides = [{series.label: series for series in report_data.evaluation.errors} for report_data in (pair.a, pair.b)]
     rows = []
     for label in dict.fromkeys([*sides[0], *sides[1]]):
@@ -159,7 +162,7 @@ class SigmaFitPair:
 
     @property
     def differs(self) -> bool:
-        """True if the results differ in more than their numbers."""
+        """True if the texts of the results differ in more than their numbers, or if only one run has the source."""
         words = {_DIGITS.sub("#", fit.words) if fit else "" for fit in (self.a, self.b)}
         return len(words) > 1
 
@@ -241,7 +244,10 @@ def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None
 
 
 def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]]:
-    """Return angle → source of error → mean variance, rad²; a source missing at a time counts as zero at this time."""
+    """Return angle → source of error → mean variance, rad².
+
+    A source that is missing or not finite at a time counts as zero at this time.
+    """
     sums: dict[str, dict[str, float]] = {}
     known_points = [point for point in points if point.by_angle]
     for point in known_points:

@@ -20,7 +20,7 @@ _DIGEST_BYTES = 8
 
 @dataclass(frozen=True)
 class OutputSeries:
-    """Outputs of one orientation in one bag, without INVALID messages.
+    """Outputs of one orientation in one bag, without messages that are INVALID or have an angle that is not finite.
 
     Attributes:
         time_ns: stamps in ascending order, shape (n,). If several messages have the same stamp, the last one counts.

@@ -77,7 +77,7 @@ class RecordedHistory:
 
     Attributes:
         path: path of the bag.
-        sha256: hash of the bag's file; for a folder one line per file, as sha256sum writes them.
+        sha256: hash of the bag's file; for a folder one line per MCAP file, as sha256sum writes them.
         start_ns: log time of the first message.
         end_ns: log time of the last message.
         limits: limits of the ship from which the states follow.
@@ -85,7 +85,8 @@ class RecordedHistory:
         attachments: attachments of the bag.
         metadata: metadata records of the bag.
         safety_states: angle → (second in UTC, worst state) for each second in which the angle was published.
-        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; no value while the output is INVALID.
+        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; no value while the
+            output is INVALID or old.
         status_s: topic of an output → status → total time with this status, s.
         events: events in the order in which they were reported.
         alerts: changes of alerts, in order of time.
@@ -121,7 +122,7 @@ class RecordedHistory:
 
     @property
     def start_utc_ns(self) -> int:
-        """UTC of the first published state; log time of the first message if no state was published."""
+        """UTC of the first safety state of an angle; without any, the log time of the first message; whole seconds."""
         first_s = min(
             (words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S
         )

@@ -1,4 +1,4 @@
-"""Tables of a report: outages, shares of the states, alignment, rejections."""
+"""Tables of a report: outages, shares of the safety states, alignment, rejections."""
 
 import math
 from collections import Counter
@@ -73,7 +73,7 @@ def outage_rows(recording: RecordedHistory) -> list[dict[str, str]]:
 
 
 def shares(recording: RecordedHistory) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
-    """Return angle, share of the time of each state and seconds of each state, for each published angle."""
+    """Return angle, share of the time and number of seconds of each safety state, for each published angle."""
     rows = []
     for name in ANGLES:
         seconds = recording.seconds(name)

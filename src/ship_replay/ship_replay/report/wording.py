@@ -17,7 +17,7 @@ def duration(seconds: float) -> str:
 
 
 def number(value: float) -> str:
-    """Return a value with three digits; a dash if it is not finite."""
+    """Return a value with three significant digits, or from 1000 on in whole numbers; a dash if it is not finite."""
     if not math.isfinite(value):
         return "–"
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}".replace("-", "−")

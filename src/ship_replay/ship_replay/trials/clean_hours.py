@@ -45,7 +45,10 @@ BEYOND_SIGMAS = 5.0
 _SLOW_INS_HZ = 20.0
 _AZIMUTHS_DEG = {"fore": 0.0, "starboard": 120.0, "port": 240.0}
 _KINDS_PERIOD = 10
-"""Number of voyages after which the kinds repeat: eight ships, one ship with the INS's full rate, one theodolite."""
+"""Number of voyages in one round: eight ships, one ship with the INS's full rate, one theodolite.
+
+Ships with two and with three sensors change places in the next round.
+"""
 
 
 @dataclass(frozen=True)
@@ -196,7 +199,7 @@ def _run_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
 
 
 def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
-    """Return the stamps of INS samples at which an attitude is requested: the first of each second with known truth."""
+    """Return the stamps (of INS samples or encoder readings) of the outputs to evaluate: the first of each second."""
     first: dict[int, int] = {}
     for time_ns in sorted(rows):
         first.setdefault((time_ns - run.start_ns) // SECOND_NS, time_ns)

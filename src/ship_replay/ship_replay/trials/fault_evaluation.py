@@ -9,6 +9,7 @@ without faults are ignored. A fault begins with the first message that it change
 is first. If an exclusion is first, all excluded sources must be faulty. If a rejection is first, later exclusions of
 other sources do not matter.
 2. Without such a source, the first source that is repeatedly rejected in comparison with other sources.
+3. Without repeated rejections, the source of the first indication.
 
 A rejection in comparison does not name a source while another source is excluded: correct lights or stars are also
 rejected if encoders or position are wrong.
@@ -166,7 +167,7 @@ def _first_not_valid(
 ) -> tuple[int | None, bool]:
     """Return the log time of the first output that is worse than VALID and worse than in the fault-free voyage.
 
-    The second value is True if this output is not the remaining effect of an earlier fault.
+    The second value is True if this output, or a later one, is not the remaining effect of an earlier fault.
     """
     fault_free_stamps_ns: dict[tuple[str, int], np.ndarray] = {}
     last_worse_ns: dict[str, int] = {}

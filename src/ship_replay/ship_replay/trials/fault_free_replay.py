@@ -66,7 +66,7 @@ class FaultFreeReplay:
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     def alert_limit_s(self, fault: Fault) -> float:
-        """Return the maximum time to detection of a large step: a second, or three measurements of the source."""
+        """Return the maximum time to detection of a large step: a second or three measurements, whichever is longer."""
         return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
 
     def undetectable_case(self, fault: Fault, first_ns: int) -> str:
@@ -88,19 +88,19 @@ class FaultFreeReplay:
         return not in_view.any() and size_arcsec < _DETECTABLE_SLIP_SIGMAS * self.encoder_sigma_arcsec
 
     def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for an encoder drift in azimuth, ascribed to lights and axis errors until the subfilters separate."""
+        """True for a fast encoder drift in azimuth, ascribed to lights and axis errors until subfilters separate."""
         is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
         return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_DRIFT_ARCSEC_PER_MIN
 
     def _is_ins_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for an INS drift with two star sensors.
+        """True for a fast INS drift with fewer than three star sensors.
 
         The drift is ascribed to the correlated error of the INS until the INS rates or the subfilters contradict this.
         """
         return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
 
     def _is_star_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for a drift of one of two star sensors.
+        """True for a fast drift of a star sensor if there are fewer than three.
 
         The drift is nearly consistent with the INS, and about one axis the sensor is the most accurate source.
         """

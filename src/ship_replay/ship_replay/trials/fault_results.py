@@ -80,7 +80,7 @@ def _threat_row(threat: str, faults: Sequence[Result]) -> Row:
 
 
 def pair_rows(results: Sequence[Result]) -> list[Row]:
-    """Return one row per pair of threats present at the same time."""
+    """Return one row per pair of threats present at the same time in a voyage with overlapping faults."""
     pairs: dict[tuple[str, str], list[Result]] = defaultdict(list)
     for result in results:
         faults = _evaluated_faults([result]) if result["mode"] == OVERLAPPING else []

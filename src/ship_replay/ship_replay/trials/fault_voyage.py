@@ -217,7 +217,7 @@ def _fault_as_dict(one: DrawnFault) -> dict[str, Any]:
 
 
 def _json_value(value: Any) -> Any:
-    """Return a value for JSON: None for NaN, 1e300 for infinity."""
+    """Return a value for JSON, rounded to four decimals: None for NaN, 1e300 for infinity of either sign."""
     if isinstance(value, float):
         return round(value, 4) if math.isfinite(value) else None if math.isnan(value) else 1e300
     return value

@@ -60,7 +60,7 @@ class KillTrial:
     readable_counts: tuple[int, int]
 
     def is_within_flush_period(self, flush_period_s: float) -> bool:
-        """True if at most a flush period is lost and both readers can read everything left."""
+        """True if at most a flush period at the end is lost and both readers can read everything left."""
         whole = set(self.readable_counts) == {self.recovered_count} and self.recovered_count > 0
         return whole and not self.has_gap and self.lost_s <= flush_period_s
 
@@ -148,7 +148,7 @@ class _Sender:
         self._message.orientation.w = 1.0
 
     def send(self, duration_s: float) -> None:
-        """Send samples at their rate."""
+        """Send samples at their rate, and receive attitudes meanwhile."""
         start_s = time.monotonic()
         due_s = start_s
         while (now_s := time.monotonic()) - start_s < duration_s:
@@ -172,7 +172,7 @@ def _shared_memory(pid: int) -> list[Path]:
 
 
 def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
-    """Send samples until one is on the disk, which shows that both ends are connected."""
+    """Send samples until one is on the disk, which shows that both ends are connected; then forget these samples."""
     deadline_s = time.monotonic() + _START_S
     while not _has_samples(path):
         if process.exit_code is not None or time.monotonic() > deadline_s:

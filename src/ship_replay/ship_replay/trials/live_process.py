@@ -148,7 +148,9 @@ class GraphObserver:
         timeout_s: float = 15.0,
         unless: Callable[[], bool] = lambda: False,
     ) -> bool:
-        """Wait until topics have the given minimum numbers of publishers and subscribers; return False on timeout.
+        """Wait until topics have the given minimum numbers of publishers and subscribers.
+
+        Return True if they have them, False on timeout or if ``unless`` ends the wait.
 
         Args:
             publishers: topic → minimum number of publishers.

@@ -37,6 +37,8 @@ class LiveFailure(Exception):
 class LiveRun:
     """Processes of one run; use it in a ``with`` statement.
 
+    The constructor starts node and recorder, and returns when they are connected; :meth:`play` starts the player.
+
     Args:
         bag_path: bag with inputs and the attached suite configuration; topics without namespace.
         adapter_class: adapter of the node to run.

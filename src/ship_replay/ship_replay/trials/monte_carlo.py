@@ -249,7 +249,7 @@ def _exposure_of(source: str, config: StarImaging, sightings: StarSightings, ind
 
 @dataclass(frozen=True)
 class PointingErrors:
-    """Errors of one session at the stamps of the truth with a valid pointing.
+    """Errors of one session at the stamps of the truth with a pointing that is not INVALID.
 
     Attributes:
         time_s: time after the start, shape (k,).
@@ -279,14 +279,14 @@ class PointingErrors:
 
     @property
     def sigma_on_sky(self) -> FloatArray:
-        """Predicted standard deviation of the error on the sky (root mean square over directions), rad, shape (k,)."""
+        """Predicted root mean square of the error on the sky, of both components together, rad, shape (k,)."""
         along = np.einsum("ki,kij,kj->k", self.axis_n, self.covariance_n, self.axis_n)
         sigma: FloatArray = np.sqrt(np.trace(self.covariance_n, axis1=-2, axis2=-1) - along)
         return sigma
 
 
 def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
-    """Simulate a session, filter it, and return the errors wherever a pointing is valid."""
+    """Simulate a session, filter it, and return the errors of pointings that are not INVALID."""
     run = simulate(scenario, seed)
     core = pointing_core_for(scenario)
     estimates, sightings, rejected_count = feed_pointing(core, run)

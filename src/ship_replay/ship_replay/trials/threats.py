@@ -1,7 +1,7 @@
 """Random faults of a voyage: threats, sizes, and times at which each fault begins and ends.
 
 A threat is a kind of fault on one sort of topic, with realistic sizes. The first table contains faults that look like
-data; the second table contains malformed input, which is possible on every topic.
+data; the second table contains malformed input, which is possible on every topic but those of the weather.
 """
 
 import re
@@ -161,7 +161,7 @@ class DrawnFault:
 def draw_faults(
     topics: Mapping[str, str], length_s: float, mode: str, return_after_s: float, rng: np.random.Generator
 ) -> list[DrawnFault]:
-    """Draw one to five faults of a voyage, in order of their beginnings.
+    """Draw up to five faults of a voyage, in order of their beginnings; none if the voyage is too short.
 
     Args:
         topics: topic → type of the inputs that the nodes of the voyage use.
@@ -198,7 +198,7 @@ def _draw_fault(topics: Mapping[str, str], start_s: float, end_s: float, rng: np
 
 
 def _draw_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
-    """Draw a numeric field of a message, and a value within the range of the field."""
+    """Draw a numeric field of a message and, for ``corrupt``, a value within the range of the field."""
     fields = numeric_fields(type_name)
     floats = [path for path, base in fields.items() if base.startswith("float")]
     path = str(rng.choice(list(fields) if kind == "corrupt" else floats))

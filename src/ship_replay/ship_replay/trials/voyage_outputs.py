@@ -77,7 +77,7 @@ class ValidOutput(NamedTuple):
         stamp_ns: stamp of the output.
         log_ns: log time of the output.
         sigmas: largest error of an angle, in sigmas.
-        level_ratio: largest ratio of an error to its protection level; NaN without level.
+        level_ratio: largest ratio of an error to its protection level; NaN unless all three levels are known.
     """
 
     topic: str
@@ -97,7 +97,7 @@ class VoyageOutputs:
         indications: each rejection, the beginning of each exclusion, and each report of an input without data or with
             new rejections for its own fault.
         failure_count: number of rejections because of a software failure.
-        output_count: number of outputs with any status.
+        output_count: number of attitudes and pointings with any status.
     """
 
     valid_outputs: list[ValidOutput] = field(default_factory=list)
