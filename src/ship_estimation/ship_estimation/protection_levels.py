@@ -386,7 +386,9 @@ def integrity_report(
 
 
 def alert_limit_text(report: IntegrityReport, quantities: Sequence[str]) -> str:
-    """Return the reason why the alert limits are not met; empty if the limits are met or not configured.
+    """Return the reason why the alert limits are not met; empty if they are met.
+
+    The limits must be configured, because the text for missing protection levels states that they are.
 
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])

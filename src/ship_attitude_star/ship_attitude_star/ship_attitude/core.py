@@ -348,7 +348,7 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Apply delayed measurements; after an INS timeout publish the attitude from stars alone, or INVALID once a second.
+        """Apply delayed measurements; publish from stars alone after an INS timeout, or INVALID once a second.
 
         Args:
             now_ns: current time.

@@ -98,7 +98,7 @@ class CorrectedIns:
         self.newest_star_ns = newest_star_ns(self._filter, state)
 
     def errors(self, times_ns: Sequence[int]) -> InsErrors:
-        """Return the INS errors at some times, if the filter needs the vertical."""
+        """Return the INS errors at some times, only for a filter that needs the vertical."""
         assert self.error_propagation is not None
         since_ns = self.state.time_ns
         # A sample older than the state is treated as a sample at the time of the state.
@@ -139,7 +139,7 @@ class CorrectedIns:
         return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
-        """Set attitudes DEGRADED whose protection level exceeds the alert limit."""
+        """Set attitudes DEGRADED whose protection level exceeds the alert limit or is missing."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
