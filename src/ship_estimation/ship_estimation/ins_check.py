@@ -449,7 +449,7 @@ class InsCheck:
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
     def _with_noise(self, checked: CheckedInsSample) -> CheckedInsSample:
-        """Return the result with new excess noise, which all checks use from now on."""
+        """Return the result with new excess noise, if any; all checks then use this noise with new statistics."""
         noise, self._new_noise = self._new_noise, None
         if noise is None:
             return checked

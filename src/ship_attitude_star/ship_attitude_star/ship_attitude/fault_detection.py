@@ -127,8 +127,8 @@ class FaultDetector:
     ) -> FilterState:
         """Return the state after the measurement update of all filters.
 
-        If no filter that uses the source accepts the measurement, ``state`` is returned without propagation; only
-        innovations and timers are updated.
+        If the measurement updates no filter, ``state`` is returned without propagation; only its innovations and timers
+        are updated.
 
         Args:
             state: state before the measurement.
@@ -683,7 +683,7 @@ class FaultDetector:
         return shift_v if np.linalg.norm(shift_v) <= _MAX_SHIFT_RAD else None
 
     def _inflate_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
-        """Inflate the covariance of a source's mounting, in place, for a mounting shift."""
+        """Inflate the covariance of a source's mounting, in place, if a mounting shift explains its last innovation."""
         shift_v = self._mounting_shift(state, source)
         if shift_v is not None:
             block = self._model.blocks[f"{source}.installation"]
