@@ -50,8 +50,8 @@ class CorrectedIns:
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components of ``error_n`` that do not decay, because they exceed the error model,
             shape (3,), uint8.
-        covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4),
-            or (n_sources, 6, 6) with the deflection of the vertical.
+        covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4).
+            With an INS error process its other states follow, for example the deflection of the vertical.
         model_constants: correlation time, steady-state variance and white variance of the INS error, shape (3,) each,
             and indices of the error sources INS drift, INS noise and interpolation.
         drift_index: index of the error source INS drift.

@@ -106,9 +106,9 @@ class UtcStep(NamedTuple):
     """A step of the time base after which UTC must be verified.
 
     Attributes:
-        step_s: sum of the steps since UTC was last compared with the attitude of the INS, s.
-        log_likelihood_ratio: log-likelihood of the star measurements since the step if the sky is rotated by the step,
-            minus the log-likelihood if the sky is not rotated.
+        step_s: sum of the steps since UTC was last verified, s.
+        log_likelihood_ratio: log-likelihood of the star measurements since the last step if the sky is rotated by
+            ``step_s``, minus the log-likelihood if the sky is not rotated.
     """
 
     step_s: float
