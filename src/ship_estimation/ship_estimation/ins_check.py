@@ -175,8 +175,9 @@ class InsCheck:
     ) -> CheckedInsSample:
         """Check a sample against earlier samples.
 
-        The checks follow the stream in order. A sample that arrives after later samples is checked for a frozen value
-        and for wrong units of the rates, and compared with the accepted sample before it in time.
+        The checks follow the stream in order. A sample that arrives after later samples is only compared with the
+        accepted sample before it in time. It is also rejected while the source is frozen at its value, or while the
+        rates have the wrong unit.
 
         Args:
             sample: sample to check.
