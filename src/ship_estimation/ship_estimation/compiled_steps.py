@@ -166,7 +166,7 @@ def _cholesky(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
 def _solve(
     factor: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.void:
-    """Replace a right-hand side of ``columns`` columns by the solution with a Cholesky factor."""
+    """Replace a right-hand side of ``columns`` columns by the solution, from the Cholesky factor of the matrix."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -281,7 +281,7 @@ def propagate(
         steady_variance: steady variance of a Gauss–Markov state, shape (n,).
         walk_variance: variance per second of a random walk, shape (n,).
         source_of: index of the error source of each state's noise, shape (n,).
-        first: index of the first of k states that do not decay if they exceed the threshold.
+        first: index of the first of k states whose means do not decay while they exceed the threshold.
         sigma: standard deviation of these states, shape (k,).
         threshold_sigmas: threshold of these states, sigmas.
     """
@@ -455,7 +455,7 @@ def _separation_sigmas(
 
 
 def filter_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
-    """Return the covariance of each filter, which is the sum of the parts for the main filter."""
+    """Return the covariance of each filter; that of the main filter is the sum of its parts by error source."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
     check("row_covariances", rows >= 1 and sources >= 1)

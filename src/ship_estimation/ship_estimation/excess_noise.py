@@ -62,7 +62,7 @@ class NoiseSums(NamedTuple):
     Attributes:
         first_ns: stamp of the first sample.
         last_ns: stamp of the last sample.
-        steps: number of steps.
+        steps: number of steps in the sum, which are short and follow a short step.
         variance_sum: sum over the steps of the noise variance of an attitude about each axis, rad².
     """
 
@@ -157,7 +157,7 @@ class ExcessNoise:
         self._usual_rad = self._fastest2 = 0.0
 
     def reconfigure(self, stated_rad: float) -> ExtraNoise | None:
-        """Set another stated noise; during an excess, return the excess over the new stated noise."""
+        """Set another stated noise; return the excess over it, zero if the excess ends, or None without a change."""
         changed, self._stated_rad = stated_rad != self._stated_rad, stated_rad
         found = self.found
         if found is None or not changed:
@@ -168,18 +168,18 @@ class ExcessNoise:
         return self._end_excess(found, newest_ns)
 
     def reset(self) -> None:
-        """Drop all measurements, because the rates have changed or are not measured."""
+        """Drop all samples, because the rates have changed or are not measured; :attr:`found` stays."""
         self._sums.clear()
         self._collected.clear()
         self._last_failure_ns = None
 
     @property
     def is_collecting(self) -> bool:
-        """True while samples are collected, after a failed step check or during an excess."""
+        """True while samples are collected: at the start, after a failed step check, and during an excess."""
         return self._last_failure_ns is not None or self.found is not None
 
     def start_collecting(self, time_ns: int, usual_rad: float) -> None:
-        """Start to collect samples, because a sample failed the step check or the means showed a step.
+        """Start to collect samples with the first sample, after a failed step check, or if the means showed a step.
 
         Args:
             time_ns: stamp of that sample.
@@ -197,7 +197,7 @@ class ExcessNoise:
         return max(self._stated_rad, self.found.sigma_rad(self._fastest2))
 
     def add(self, sums: NoiseSums) -> ExtraNoise | None:
-        """Add noise of samples that passed the step check; return a newly detected excess."""
+        """Add noise of samples that passed the step check; return a newly detected excess. Ignored during an excess."""
         if self.found is not None:
             return None
         while self._sums and self._sums[0].first_ns < sums.last_ns - _LONG_NS:

@@ -59,7 +59,7 @@ class ExcludedSource:
             inconsistent.
         offset: rotation vector from the attitude by the other sources to the measured attitude at the exclusion, rad,
             shape (3,), in the device frame. The offset must vanish before the reinstatement. None if the mounting is
-            estimated again.
+            estimated again, and for an INS.
         remaining_offset_ratio: share of ``offset`` that remains, mean over some measurements.
         growing_since_ns: stamp since which the offset is much larger than at the exclusion, in the same direction; None
             if the offset has not grown.
@@ -83,9 +83,9 @@ class FaultIsolation:
     """Result of fault detection and isolation.
 
     Attributes:
-        is_detected: True if a source is faulty.
-        subfilter: index of the subfilter that explains the fault; None if no subfilter or more than one explains the
-            fault.
+        is_detected: True if a fault is detected.
+        subfilter: index of the subfilter that isolates the fault; None if no subfilter explains the fault, or none of
+            several is clearly the best.
         explaining_subfilters: all subfilters that explain the fault, the best first.
     """
 

@@ -131,7 +131,7 @@ class InnovationHistory:
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
     def diagnoses(self) -> dict[str, InnovationDiagnosis]:
-        """Return the diagnosis of each source, in the order of the source names."""
+        """Drop innovations older than :data:`WINDOW_S`, and return the diagnosis of each source, ordered by name."""
         for source, innovations in self._pending.items():
             if source not in self._tables:
                 self._tables[source] = InnovationTable()

@@ -45,7 +45,7 @@ _WINDOW_WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])
 _ZERO_NOISE = np.zeros((3, 3))
 
 INITIAL_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
-"""Columns of :attr:`InnovationMeans.running` before any measurement, shape (w, 5)."""
+"""Windowed means of one filter and source before any measurement, as in :attr:`InnovationMeans.running`."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,8 @@ def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArra
     The largest component over all window lengths is divided by its sigma.
 
     Args:
-        running: columns of :attr:`InnovationMeans.running` before the innovation, shape (w, 5).
+        running: means of that filter and source before the innovation, as in :attr:`InnovationMeans.running`,
+            shape (w, 5).
         innovation: whitened innovation, shape (3,).
 
     Example:
@@ -180,7 +181,7 @@ def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArra
 def cleared_means(
     means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice
 ) -> InnovationMeans:
-    """Return the means after the values of some filters and sources are set to zero.
+    """Return the means after those of some filters and sources, and their rejections, are set to zero; stamps stay.
 
     Example:
         >>> means = replace(initial_means(2, 2), rejection_counts=np.array([[1, 2], [3, 4]]))

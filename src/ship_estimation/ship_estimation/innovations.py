@@ -268,12 +268,12 @@ class PartStatistics:
 
     @property
     def is_optimistic(self) -> bool:
-        """True if the parts that are not outliers are larger than predicted."""
+        """True if the stated sigma is too small: the parts that are not outliers are larger than predicted."""
         return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._has_many_outliers)
 
     @property
     def is_conservative(self) -> bool:
-        """True if the parts are smaller than predicted."""
+        """True if the stated sigma is too large: the parts are smaller than predicted."""
         return self._bulk_factor < 1.0 / TOLERATED_FACTOR and self._excess(self._inlier_count) < -_SIGMAS
 
     @property

@@ -39,9 +39,9 @@ class CheckedInsSample(NamedTuple):
 
     Attributes:
         sample: sample to use, without its rate if the rates are not measured.
-        rejection: rejection of the sample; None if it is accepted.
-        jumps: jump of the attitude that is accepted with this sample, given at each end of the interval in which the
-            jump may have happened; empty without a jump.
+        rejection: reason not to use the sample, which may be a step or drift found with it; None if it is accepted.
+        jumps: jump or drift of the attitude that is found with this sample. A jump is given at each end of the interval
+            in which it may have happened. Empty without a jump.
         rates_wrong_after_ns: stamp after which the rates of earlier samples were wrong; None without new information.
         noise: excess noise of the samples as estimated with this sample; None without new information.
     """
@@ -176,7 +176,8 @@ class InsCheck:
         """Check a sample against earlier samples.
 
         The checks follow the stream in order. A sample that arrives after later samples is only compared with the
-        accepted sample before it in time.
+        accepted sample before it in time. It is also rejected while the source is frozen at its value, or while the
+        rates have the wrong unit.
 
         Args:
             sample: sample to check.
@@ -405,7 +406,7 @@ class InsCheck:
         next_one: bool,
         jumped: bool,
     ) -> CheckedInsSample:
-        """Accept a sample that no line of earlier samples predicts, at the start or after a jump."""
+        """Accept a sample outside the usual case: without confirmed rates, after a rejected sample, or after a jump."""
         jumps: tuple[InsJump, ...] = ()
         rejection = None
         if self._unresolved_jump is not None:
@@ -449,7 +450,7 @@ class InsCheck:
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
     def _with_noise(self, checked: CheckedInsSample) -> CheckedInsSample:
-        """Return the result with new excess noise, which all checks use from now on."""
+        """Return the result with new excess noise, if any; all checks then use this noise with new statistics."""
         noise, self._new_noise = self._new_noise, None
         if noise is None:
             return checked
@@ -459,7 +460,7 @@ class InsCheck:
         return checked._replace(noise=noise)
 
     def _drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Update drift and noise from the samples on the line; return a drift beyond the usual as a jump."""
+        """Update drift and noise from the samples on the line; return an unusually large drift as a jump."""
         sums, self._step_detector.noise = self._step_detector.noise, None
         if sums is not None:
             self._new_noise = self._excess.add(sums) or self._new_noise
@@ -484,7 +485,10 @@ class InsCheck:
         return None if match.fits else _gate_rejection(match)
 
     def _check_rates(self, previous: NumberedSample, seen: NumberedSample) -> int | None:
-        """Check the rates if the attitude is plausible; return the stamp after which the rates are wrong, or None."""
+        """Check the rates if the attitude is plausible; return the stamp after which the rates are wrong, or None.
+
+        If the status of the rates changes, :attr:`by_rates` is set or removed accordingly.
+        """
         sample, integrated = seen.sample, seen.integrated
         if integrated is None or not are_in_one_run(previous.integrated, integrated) or self._stuck_check.is_repeated:
             return None

@@ -65,7 +65,7 @@ class LineStatistics(NamedTuple):
 
     Attributes:
         drift_n: drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
-        seconds: length of the line, s.
+        seconds: time over which the drift is measured, from the middle of the first samples to that of the last, s.
         turning: angular rate of the deck, mean over the line, rad/s.
         typical_rad: root mean square difference of a sample from its prediction by the previous sample.
     """
@@ -118,7 +118,7 @@ class InsStepDetector:
         self.restart()
 
     def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
-        """Set the noise of attitudes and rates."""
+        """Set the noise of attitudes and rates; a change restarts the line and its statistics."""
         if (white_rad, rate_sigma_rad_per_s) != (self._white_rad, self._rate_sigma):
             self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
             if self._period.ns:
@@ -162,6 +162,8 @@ class InsStepDetector:
         coarseness_rad: float,
     ) -> bool | None:
         """Return True if a sample is on the line of the accepted samples, None if unknown; False for NaN.
+
+        A sample also counts as on the line if the step was before it; then :meth:`accept` returns the step.
 
         Args:
             sample: sample with a rate, later than all accepted samples.
@@ -209,7 +211,7 @@ class InsStepDetector:
         return PredictionMatch(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
 
     def accept(self) -> DetectedStep | None:
-        """Accept the last checked sample; return the step that is detected with it, if any."""
+        """Accept the last checked sample; return the step detected with it, after which a new line starts, or None."""
         if self._pending is None:
             return None
         self._times[self._end] = self._last_ns = self._now_ns
@@ -364,7 +366,7 @@ class InsStepDetector:
         return sigmas
 
     def _shift(self) -> None:
-        """Make room for further samples, compute the line statistics, and shift a line that has become large."""
+        """Drop the older samples of the full buffer after computing its statistics; restart a large line from zero."""
         assert self._full is not None
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)

@@ -78,7 +78,7 @@ class InterleavedStreams:
         self._clean = 0
 
     def add(self, time_ns: int, value: FloatArray) -> bool:
-        """Add a value, shape (n,); return True if the number of streams (one or two) changed."""
+        """Add a value, shape (n,), ignored between two windows; return True if the number of streams changed."""
         self.newest_ns = time_ns
         if not self._times and self._due_ns - _EVERY_NS < time_ns < self._due_ns:
             return False
@@ -89,7 +89,7 @@ class InterleavedStreams:
         return self._evaluate_window()
 
     def count_before_change(self, times_ns: StampArray, values: FloatArray) -> int:
-        """Return the number of leading values that leave the number of streams unchanged.
+        """Return the number of leading values that leave the number of streams unchanged, without adding them.
 
         Args:
             times_ns: stamps in ascending order, shape (N,).

@@ -37,7 +37,7 @@ class StateBlock:
         sigma: standard deviation of each element before any measurement, shape (n,).
         time_s: correlation time of each element in seconds, shape (n,).
         walk: random walk per square root of a second, shape (n,); only where ``time_s`` is infinite.
-        source: error source of the process noise of the block.
+        source: error source of the prior covariance and of the process noise of the block.
     """
 
     name: str

@@ -56,7 +56,7 @@ def step_plan(length: int, counts: tuple[int, ...]) -> StepPlan:
 
 
 def doubling_counts(last: int) -> tuple[int, ...]:
-    """Return 1, 2, 4 and so on, and the last number.
+    """Return the powers of two below ``last``, and ``last``.
 
     Example:
         >>> doubling_counts(20)

@@ -70,7 +70,7 @@ class MeasurementDecision(Generic[MeasurementT]):
         gate: the value that ``nis`` must not exceed.
         text: explanation for people.
         rejected_parts: parts of the measurement (stars, beacons) that were not used, by name, with the reason.
-        revised: True if this decision replaces an earlier decision, because another measurement arrived late.
+        revised: True if this decision replaces an earlier decision, because data that affect it arrived afterwards.
         covariance: innovation covariance, rad², shape (m, m).
         noise: part of ``covariance`` from the measurement noise, rad², shape (m, m).
     """
@@ -99,7 +99,8 @@ class Outcome(Generic[DecisionT, Estimate]):
     """Result of one input.
 
     Attributes:
-        rejection: rejection of this input; None if the input was accepted or is pending.
+        rejection: rejection of this input, or of the conflicting input that it replaces; None if the input was accepted
+            or is pending.
         decisions: decisions made now, about this input or about measurements that waited for this input.
         estimates: estimates to publish. The stamps of valid estimates strictly increase
             (:meth:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator.add_output`).

@@ -27,7 +27,7 @@ def parameter(
         minimum: least value allowed (of each element of a tuple).
         maximum: greatest value allowed (of each element of a tuple).
         choices: allowed texts.
-        live: True if the parameter can change while the node runs (noise and gates; never geometry).
+        live: True if the parameter can change while the node runs (for example noise and gates; never geometry).
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)

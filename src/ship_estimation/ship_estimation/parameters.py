@@ -36,7 +36,10 @@ class ParameterError(InputError):
 
 @dataclasses.dataclass(frozen=True)
 class ParameterDescription:
-    """Description of one parameter; in its dotted name ``<id>`` stands for any key of a mapping."""
+    """Description of one parameter; in its dotted name ``<id>`` stands for any key of a mapping.
+
+    A default of None means that the parameter must be given.
+    """
 
     name: str
     kind: type

@@ -186,7 +186,7 @@ class ProtectionLevels(NamedTuple):
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
         level: protection level of each component, shape (3,).
-        dominant: index of the hypothesis with the largest level; -1 for the fault-free case.
+        dominant: index, among the tested hypotheses, of the one with the largest level; -1 for the fault-free case.
         largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components.
     """
 
@@ -212,7 +212,7 @@ def protection_levels(
 
     Args:
         k: sigma multipliers of h hypotheses.
-        tested_subfilters: indices of the tested subfilters, whose sources are not excluded already.
+        tested_subfilters: indices of the tested subfilters, 0 for the first; their sources are not excluded already.
         states: indices of the n states that determine the components, shape (n,).
         output_errors: three matrices. The first is the Jacobian of the components with respect to the error of the
             output, shape (3, 3). The second is the Jacobian of the components with respect to these states,
@@ -313,8 +313,8 @@ class IntegrityReport(NamedTuple):
         time_ns: stamp of the output.
         state: state of the levels against their alert limits.
         level: protection level of each component, rad, shape (3,); NaN without a level.
-        hypotheses: name of the source that each subfilter excludes.
-        statistic: largest solution separation of each subfilter, sigmas, shape (h,).
+        hypotheses: name of each hypothesis, the source or sources that its subfilter excludes, or all stars.
+        statistic: largest solution separation of each hypothesis, sigmas, shape (h,).
         threshold: threshold of the solution separations, K_fa, sigmas.
         excluded: the excluded sources, and the stamp since which each is excluded.
         dominant: the hypothesis with the largest level; empty for the fault-free case.
@@ -386,7 +386,9 @@ def integrity_report(
 
 
 def alert_limit_text(report: IntegrityReport, quantities: Sequence[str]) -> str:
-    """Return the reason why the alert limits are not met; empty if the limits are met or not configured.
+    """Return the reason why the alert limits are not met; empty if they are met.
+
+    The limits must be configured, because the text for missing protection levels states that they are.
 
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])

@@ -64,7 +64,7 @@ class RateDriftDetector:
         self._turning.clear()
 
     def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> RateDisagreement | None:
-        """Return the drift of the attitude in this piece and the pieces before; None if the drift is usual.
+        """Return the drift of the attitude in this piece and the pieces before; None if usual or not testable yet.
 
         Args:
             slope_n: drift in the piece minus the estimated drift, horizon frame, rad/s, shape (3,).

@@ -26,7 +26,7 @@ from typing import Protocol
 from ship_geometry.time_scales import SECOND_NS
 
 CONFLICT_HOLD_S = 10.0
-"""Time without a conflict of stamps after which results from a source are VALID again, s."""
+"""Time without a conflict of stamps after which results from a source may be VALID again, s."""
 _CONFLICT_HOLD_NS = round(CONFLICT_HOLD_S * SECOND_NS)
 
 _AT_ALL_STAMPS_NS = -(2**62)
@@ -145,7 +145,7 @@ class Content(Protocol):
 
 
 def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
-    """Return True if a new input replaces a known input with the same stamp, and the rejection of the other input.
+    """Return True if a new input replaces a known input with its stamp, and the rejection of the input not kept.
 
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
 

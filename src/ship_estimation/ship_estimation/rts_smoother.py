@@ -109,7 +109,7 @@ class StatePredictor(Protocol[Given]):
     def estimates_at(
         self, anchor: Anchor[Given], times_ns: Sequence[int], later: Anchor[Given] | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the r smoothed quantities at N times, none before the anchor, in ascending order.
+        """Return the r quantities to smooth, as predicted at N times, none before the anchor, in ascending order.
 
         Args:
             anchor: last estimate before the times.

@@ -1,9 +1,9 @@
-"""Main filter, which uses all sources, and subfilters, which exclude one source each; all are updated together.
+"""Main filter, which uses all sources, and subfilters, which exclude one or more each; all are updated together.
 
 The innovations of a measurement are computed for all filters at once. A subfilter that excludes the source of a
-measurement updates only the states that belong to that source alone (its installation). The other states and their
-covariance are, to the last digit, the same as in a filter without the source. The subfilter therefore monitors the
-source that it excludes, and the mounting of that source is known when the source is reinstated.
+measurement updates only the states that belong to that source alone, such as its installation. The other states and
+their covariance are, to the last digit, the same as in a filter without the source. The subfilter therefore monitors
+the source that it excludes, and the mounting of that source is known when the source is reinstated.
 
 The main filter keeps its covariance by error source; each subfilter keeps one matrix. All matrices are kept in one
 stack, first the n_sources parts of the main filter, then the covariances of the h - 1 subfilters. Main filter,

@@ -15,7 +15,8 @@ is independent of the kind of measurement. A measurement is processed as follows
 4. It is pending, with all measurements after it, while the model lacks data that may still arrive within ``lag_s``.
 5. The model accepts or rejects it. If the model raises an exception, the measurement is rejected as FAILED and the
    state is kept.
-6. After ``lag_s`` the measurement leaves the window. It is committed, and the decision is final.
+6. When it is older than ``lag_s`` plus ``reach_ns``, no data can affect it any more. It is committed, and the decision
+   is final.
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
 measurements out of order than :data:`MOST_OVERTAKEN_PER_S`.
@@ -100,13 +101,13 @@ MOST_REPEATS_PER_S = 400
 """Maximum number of measurements applied again in a second.
 
 Ordinary data need ten repetitions. Inputs of a ship that all arrive out of order by up to two seconds need two to three
-hundred repetitions. A flood of late data would need thousands, and delay the outputs."""
+hundred repetitions. A flood of data out of order would need thousands, and delay the outputs."""
 MOST_REPEATS_AT_ONCE = 50
 """Maximum number of measurements applied again for one input, which limits the delay of the next output."""
 MOST_OVERTAKEN_PER_S = 200
-"""Maximum number of pairs in a second. A pair is a late measurement and a measurement of the same source in the log
-with a later stamp. The number suffices for star exposures at 14 Hz in any order within two seconds, and for attitudes
-at 100 Hz late by up to 0.1 s."""
+"""Maximum number of pairs in a second. A pair is an arriving measurement and a measurement of the same source in the
+log with a later stamp. The number suffices for star exposures at 14 Hz in any order within two seconds, and for
+attitudes at 100 Hz late by up to 0.1 s."""
 
 
 class _RateLimit:
@@ -146,9 +147,9 @@ class _Entry(Generic[State, Item, AnyDecision]):
 
 
 class TimeOrderedLog(Generic[State, Item, AnyDecision]):
-    """Committed state, and the measurements of the window in time order, each with the state after the measurement.
+    """Committed state, and the measurements not committed yet in time order, each with the state after it.
 
-    A late measurement is inserted, and all measurements after it are applied again from the state before it. A
+    A measurement out of order is inserted, and all measurements after it are applied again from the state before it. A
     measurement for which the step raises an exception changes no state and delays no other measurement.
 
     Args:
@@ -157,7 +158,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     Attributes:
         state: state after the last measurement applied by :meth:`apply`.
         pending_count: number of measurements not applied yet.
-        oldest_ns: time of the first measurement of the window; None without measurements.
+        oldest_ns: time of the first measurement that is not committed; None without measurements.
     """
 
     def __init__(self, state: State) -> None:
@@ -193,7 +194,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
 
     def insert(self, key: Key, measurement: Item) -> None:
-        """Insert a measurement in time order; a measurement with the same key is replaced."""
+        """Insert a measurement in time order, or replace the one with its key; it and all later ones become pending."""
         index = bisect.bisect_left(self._keys, key)
         if index < len(self._keys) and self._keys[index] == key:
             self._entries[index].measurement = measurement
@@ -424,7 +425,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             self.stamp_conflicts.record(source, sample.time_ns, resolve_same_stamp(known, sample)[1])
 
     def add_jump(self, time_ns: int, source: str, jump: Jump, changed_after_ns: int | None = None) -> None:
-        """Inflate the covariance for a jump of a source.
+        """Insert an inflation of the covariance for a jump of a source, which :meth:`apply` performs.
 
         Args:
             time_ns: time of the jump; it may be earlier than applied measurements.
@@ -482,7 +483,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
                 outcome.decisions.append(replace(decision, revised=True))
 
     def _may_overtake(self, key: Key) -> bool:
-        """True if a measurement may still be inserted before later measurements of its source."""
+        """True if a measurement may be inserted before later ones of its source; the pairs then count for the limit."""
         overtaken = self._log.count_overtaken(key)
         if not overtaken:
             return True

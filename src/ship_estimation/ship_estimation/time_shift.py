@@ -14,8 +14,8 @@ Value = TypeVar("Value")
 def with_shifted_stamps(value: Value, step_ns: int) -> Value:
     """Return a copy of an immutable value in which every field named ``…_ns`` is shifted by a step.
 
-    Such fields hold stamps: an integer, None, an array or a mapping of integers. Fields of other names are searched
-    recursively.
+    Such fields hold stamps: an integer, None, an array or a mapping of integers; ``NEVER_NS`` in an array stays. Fields
+    of other names are searched recursively.
 
     Args:
         value: a frozen dataclass, a named tuple, a mapping, or anything without stamps.

@@ -43,7 +43,7 @@ _LEAST_NS = 500_000_000
 _UNKNOWN_RESOLUTION = np.deg2rad(0.1)
 """Resolution assumed before the value has changed, rad."""
 _STEPS = 64
-"""Number of changes of the value; the smallest of these changes is the resolution."""
+"""Number of the last changes of the value; the smallest of them is the resolution."""
 
 
 class StuckCheck:

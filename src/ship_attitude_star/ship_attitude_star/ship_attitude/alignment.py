@@ -1,7 +1,7 @@
 """Alignment, which consists of the estimated installation angles and clock offsets.
 
-:class:`Alignment` holds named values for the alignment topic, :class:`AlignmentPrior` the start values of the next
-voyage.
+:class:`Alignment` holds named values for the alignment topic, among them the INS errors and the optics of cameras.
+:class:`AlignmentPrior` holds the start values of the next voyage, without these two.
 """
 
 from dataclasses import dataclass

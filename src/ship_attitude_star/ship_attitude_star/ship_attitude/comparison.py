@@ -70,7 +70,7 @@ class ComparedMeasurement(NamedTuple):
             are consistent with it.
         predicted_nv: predicted attitude, horizon from device, shape (3, 3).
         attitude_noise_v: noise of a measured attitude, rotation vector in the device frame, rad², shape (3, 3); zero
-            for single stars.
+            for single stars and baselines.
         rejected_stars: rejected stars by name.
     """
 

@@ -140,7 +140,9 @@ class ShipAttitudeCore:
         self._start_without_samples(initial)
 
     def step_time_base(self, step_ns: int, state: FilterState) -> None:
-        """Continue after a step of the time base; INS error, mountings and ship position stay as they are.
+        """Drop measurements and INS samples and continue after a step of the time base.
+
+        INS error, mountings and ship position stay as they are. If all stars are excluded, they are reinstated.
 
         Args:
             step_ns: step of the time base, ns.
@@ -346,7 +348,7 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Publish the attitude from stars alone after an INS timeout, or INVALID once a second.
+        """Apply delayed measurements; publish from stars alone after an INS timeout, or INVALID once a second.
 
         Args:
             now_ns: current time.
@@ -405,7 +407,7 @@ class ShipAttitudeCore:
         return integrity_of(self.filter, self.config, estimate)
 
     def alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment to save for the next voyage; None without measurements and saved alignment."""
+        """Return the alignment to save for the next voyage; before any measurement the saved alignment or None."""
         if self.state.time_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -477,7 +479,7 @@ class ShipAttitudeCore:
         return largest_difference_sigmas(self.filter, state, memory, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return the sources without a recently accepted measurement."""
+        """Return those of ``sources`` that are devices of the filter without a recently accepted measurement."""
         since_ns, used_ns = self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.last_used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
@@ -514,7 +516,7 @@ class ShipAttitudeCore:
         return self.filter.apply_ins_change(state, change)
 
     def _record_decision(self, decision: AttitudeDecision) -> None:
-        """Store the last accepted measurement of each source and its period."""
+        """Store the last accepted measurement of each source, and the time since the accepted measurement before it."""
         measurement = decision.measurement
         if decision.accepted:
             before = self._recent_sources.get(measurement.source)
@@ -537,7 +539,7 @@ class ShipAttitudeCore:
         return closed_ns
 
     def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
-        """Evaluate the affected measurements after a time again; None means no change."""
+        """Let the next ``apply`` evaluate again from the first affected measurement after a time; None: no change."""
         if changed_after_ns is not None:
             self._estimator.rewind_to_first(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
@@ -562,7 +564,7 @@ class ShipAttitudeCore:
         return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
     def _degrade_if_contradicted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
-        """Return the estimate, DEGRADED if one of its sources recently sent conflicting data."""
+        """Return the estimate, with status DEGRADED or worse if a source in use recently sent conflicting data."""
         text = self._contradiction_text(estimate.time_ns)
         if not text:
             return estimate
@@ -598,11 +600,11 @@ class ShipAttitudeCore:
         self._estimator.add_output(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _is_ins_timed_out(self, waiting_ns: int) -> bool:
-        """True if the last accepted INS sample is older than ``ins.silence_s``."""
+        """True without an INS sample, or if the last accepted one arrived more than ``ins.silence_s`` ago."""
         return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._ins_timeout_ns
 
     def _can_publish_from_stars(self, source: str) -> bool:
-        """True for a star sensor that was not in conflict with the INS."""
+        """True for a star sensor with fewer than ``gate.conflict_after`` rejections in a row."""
         in_conflict = self.state.consecutive_rejections.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
 

@@ -50,8 +50,8 @@ class CorrectedIns:
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components of ``error_n`` that do not decay, because they exceed the error model,
             shape (3,), uint8.
-        covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4),
-            or (n_sources, 6, 6) with the deflection of the vertical.
+        covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4).
+            With an INS error process its other states follow, for example the deflection of the vertical.
         model_constants: correlation time, steady-state variance and white variance of the INS error, shape (3,) each,
             and indices of the error sources INS drift, INS noise and interpolation.
         drift_index: index of the error source INS drift.
@@ -98,7 +98,7 @@ class CorrectedIns:
         self.newest_star_ns = newest_star_ns(self._filter, state)
 
     def errors(self, times_ns: Sequence[int]) -> InsErrors:
-        """Return the INS errors at some times, if the filter needs the vertical."""
+        """Return the INS errors at some times, only for a filter that needs the vertical."""
         assert self.error_propagation is not None
         since_ns = self.state.time_ns
         # A sample older than the state is treated as a sample at the time of the state.
@@ -139,7 +139,7 @@ class CorrectedIns:
         return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
-        """Set attitudes DEGRADED whose protection level exceeds the alert limit."""
+        """Set attitudes DEGRADED whose protection level exceeds the alert limit or is missing."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)

@@ -127,7 +127,8 @@ class FaultDetector:
     ) -> FilterState:
         """Return the state after the measurement update of all filters.
 
-        If no filter uses the measurement, ``state`` is returned with updated innovation means, not propagated.
+        If the measurement updates no filter, ``state`` is returned without propagation; only its innovations and timers
+        are updated.
 
         Args:
             state: state before the measurement.
@@ -158,8 +159,8 @@ class FaultDetector:
         )
         last_innovations = with_entry(state.last_innovations, source, innovation)
         exclusion = state.excluded.get(source)
-        # A measurement that no filter uses leaves all filters bit-identical. An excluded source may still update its
-        # own mounting states.
+        # A measurement that no filter uses leaves all filters bit-identical. A source excluded for a mounting shift
+        # still updates its own mounting states.
         is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not is_update:
             return with_changes(state, innovation_means=innovation_means, last_innovations=last_innovations)
@@ -385,7 +386,10 @@ class FaultDetector:
         return self._reset_faults(with_changes(state, means=means, stack=stack))
 
     def _reset_faults(self, state: FilterState) -> FilterState:
-        """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
+        """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded.
+
+        An unresolved fault stays if the stars have excluded the INS. All innovation means are cleared.
+        """
         remaining = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
         innovation_means = cleared_means(state.innovation_means, slice(None), slice(None))
         unresolved_fault = state.unresolved_fault if is_ins_excluded_by_stars(state) else None
@@ -496,6 +500,8 @@ class FaultDetector:
     ) -> tuple[FilterState, str]:
         """Evaluate the reinstatement of an excluded source after one of its measurements.
 
+        If the INS has drifted away from all stars, the INS is excluded instead (:meth:`exclude_drifting_ins`).
+
         Returns:
             The state, in which the source may be reinstated, and a text about the source.
         """
@@ -555,8 +561,8 @@ class FaultDetector:
     def _is_ins_drift_sustained(self, state: FilterState, source: str, time_ns: int) -> bool:
         """True if the INS has drifted away, for ``_DRIFT_DURATION_NS``, from all stars that were excluded together.
 
-        The offset of a constant star error changes only by the random walk of the INS, which the covariance contains.
-        The offset of a clock error oscillates with the ship's motion.
+        Other errors do not let the offset grow so long. The offset of a constant star error changes only by the random
+        walk of the INS, which the covariance contains. The offset of a clock error oscillates with the ship's motion.
         """
         since_ns = state.excluded[source].since_ns
         stars = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
@@ -650,7 +656,9 @@ class FaultDetector:
     def _contradicting_stars(
         self, state: FilterState, faulty: tuple[str, ...], in_use: list[str], shared: bool
     ) -> tuple[str, ...]:
-        """Return all star sensors in use if each of them contradicts the main filter; otherwise an empty tuple.
+        """Return all star sensors in use if each contradicts the main filter or their corrections show a shared error.
+
+        Otherwise an empty tuple is returned.
 
         Args:
             state: state after the measurement.
@@ -675,7 +683,7 @@ class FaultDetector:
         return shift_v if np.linalg.norm(shift_v) <= _MAX_SHIFT_RAD else None
 
     def _inflate_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
-        """Inflate the covariance of a source's mounting, in place, for a mounting shift."""
+        """Inflate the covariance of a source's mounting, in place, if a mounting shift explains its last innovation."""
         shift_v = self._mounting_shift(state, source)
         if shift_v is not None:
             block = self._model.blocks[f"{source}.installation"]

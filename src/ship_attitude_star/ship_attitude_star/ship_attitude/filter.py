@@ -67,7 +67,7 @@ class ShipFilter:
         return self.fault_detector.initial_state(np.zeros(self.model.size), self.model.initial_covariance_by_source())
 
     def propagate(self, state: FilterState, time_ns: int) -> FilterState:
-        """Propagate a state to a later time."""
+        """Propagate a state to a later time; return it unchanged if the time is not later."""
         if state.time_ns is None:
             return self._initialise(state, time_ns)
         if time_ns <= state.time_ns:
@@ -120,7 +120,7 @@ class ShipFilter:
         add_error(stack, count, source_index, slice(None), covariance)
 
     def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
-        """Inflate the covariance for a jump of the INS or a change of its noise.
+        """Inflate the covariance for a jump of the INS or a change of its noise; exclude a drifting INS if possible.
 
         The clocks of the INS and of a device may differ, so a measurement with a stamp before the jump may match an INS
         attitude after the jump. Therefore the inflation takes effect before the jump (:meth:`change_effective_ns`). A
@@ -187,8 +187,8 @@ class ShipFilter:
     ) -> tuple[FilterState, AttitudeDecision] | None:
         """Propagate the state to a measurement, evaluate the measurement, and update the state after acceptance.
 
-        A measurement in a gap of the track is rejected. If no filter uses the measurement, the state is returned
-        without propagation, bit-identical.
+        A measurement in a gap of the track is rejected. If no filter uses the measurement, all filters stay
+        bit-identical and are not propagated; only counters and innovation means change.
 
         The optics of a camera may have changed due to temperature or shock. If the stars of an exposure are rejected,
         they are compared again with an inflated covariance of the optics. An exposure that implies a focal length far
@@ -405,7 +405,9 @@ class ShipFilter:
         )
 
     def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
-        """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
+        """Inflate the covariance after every ``gate.reopen_after`` consecutive rejections of a source.
+
+        The source is then reinstated, and all filters restart from the main filter.
 
         Returns:
             The state, and a text about the inflation, which is empty without an inflation.

@@ -10,7 +10,8 @@ measurement inflates the covariance in all filters, the fault counts as unresolv
 estimated. The fault therefore does not affect the other states. An INS with a clock step too large to estimate is
 treated in the same way.
 
-The INS is reinstated after ``integrity.return_after_s`` (:meth:`InsFaultHandling.reinstate_ins`).
+The INS is reinstated after ``integrity.return_after_s``, doubled by each further exclusion, or earlier after a clock
+step without contradiction (:meth:`InsFaultHandling.reinstate_ins`).
 """
 
 from collections.abc import Sequence
@@ -72,6 +73,8 @@ class InsFaultHandling:
     def all_filters_at(self, mean: FloatArray, covariance_by_source: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means and covariances of all filters started from one state.
 
+        In the subfilters without the INS the covariance of its error is inflated, because the error is unknown there.
+
         Args:
             mean: estimated errors, shape (n,).
             covariance_by_source: covariance by error source, shape (n_sources, n, n).
@@ -90,7 +93,10 @@ class InsFaultHandling:
         self._inflate(covariance_by_source, 1, covariance_n, None)
 
     def propagate(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
-        """Add the random walk of an excluded INS to the covariances, in place."""
+        """Add the random walk of an unknown INS error, in place.
+
+        It is added in the subfilters without the INS; if the INS is excluded, in all filters.
+        """
         walk = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _IDENTITY
         for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:
             self._inflate(stack, len(state.means), walk, subfilter)
@@ -146,7 +152,7 @@ class InsFaultHandling:
         return len(in_use) >= _MIN_SOURCES
 
     def exclude_for_clock_step(self, state: FilterState, time_ns: int) -> FilterState:
-        """Exclude the INS after a clock step that is too large to estimate."""
+        """Exclude the INS after a clock step that is too large to estimate, if enough other sources are in use."""
         if is_ins_excluded_by_stars(state) or not self.can_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
             return state
         times = state.exclusion_counts.get(INS, 0) + 1
@@ -179,7 +185,7 @@ class InsFaultHandling:
     def monitor(
         self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int
     ) -> FilterState:
-        """Monitor an INS that the stars have excluded, after a measurement.
+        """Restart the reinstatement timer of an INS that the stars have excluded if a measurement contradicts it.
 
         Args:
             state: state after the measurement.
@@ -196,7 +202,7 @@ class InsFaultHandling:
         )
 
     def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
-        """Reinstate an excluded INS after its reinstatement time.
+        """Reinstate an excluded INS after its reinstatement time, but not while another fault is unresolved.
 
         If the stars have excluded the INS, the INS must have been consistent for that time. An INS excluded for a drift
         is reinstated without a test, because no measurement shows the end of a drift. It is excluded again if it still

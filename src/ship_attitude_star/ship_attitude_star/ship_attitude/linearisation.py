@@ -68,8 +68,8 @@ class LinearisedMeasurement(NamedTuple):
             residual gives the estimate. The NIS is a sum of two normalised squares, minimised over all states: the
             deviation of the state from the prediction, and the remaining residual. The NIS is chi² distributed with
             as many degrees of freedom as residuals.
-        ins: matched attitude of the INS.
-        matched_ins_ns: stamp of the matched INS attitude.
+        ins: attitude of the INS, matched with the predicted clock offsets.
+        matched_ins_ns: stamp of the INS attitude that is matched with the clock offsets at x.
         ins_time_ns: latest INS stamp that the comparison depends on.
     """
 
@@ -110,7 +110,7 @@ class _LinearisationTask(NamedTuple):
         track: attitudes of the INS.
         sky_model: sky model.
         may_wait: True if INS samples may still arrive.
-        offset_sigma_s: standard deviation of the clock offset, s.
+        offset_sigma_s: standard deviation of the clock offset, at most as configured, s.
     """
 
     measurement: Measurement
@@ -213,7 +213,7 @@ class Linearisation:
         sky_model: SkyModel | None,
         may_wait: bool = False,
     ) -> LinearisedMeasurement | NotEvaluable | None:
-        """Linearise a measurement at the predicted state, or iteratively at the updated state.
+        """Linearise a measurement at the predicted state, or iteratively if this state is too uncertain.
 
         Args:
             measurement: measurement of any kind.

@@ -60,7 +60,7 @@ class RecommendedTurn(NamedTuple):
     """A recommended turn.
 
     Attributes:
-        turn_deg: change of heading, °.
+        turn_deg: change of heading to starboard, °.
         quantity: "heading" or "tilt".
         sigma_now: present standard deviation of the quantity, rad.
         sigma_on_course: predicted standard deviation after 15 min on this course, rad.

@@ -80,6 +80,8 @@ def memory_residual(
 def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
     """Return the largest difference of a constant state from the stored state, in standard deviations.
 
+    The result is infinite before the first measurement.
+
     The variance of the difference is the sum of both variances if the two states are independent. A later state of the
     same estimator contains the information of the stored state, whose variance is then used alone.
 
@@ -103,7 +105,7 @@ def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: F
 
 
 def is_consistent(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
-    """True if a state is based on stars, no source is inconsistent or excluded, and no jump is unconfirmed."""
+    """True if a state is based on stars, no source is inconsistent or excluded, and no fault or jump is unresolved."""
     is_unresolved = (
         state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc_step is not None
     )

@@ -106,9 +106,9 @@ class UtcStep(NamedTuple):
     """A step of the time base after which UTC must be verified.
 
     Attributes:
-        step_s: sum of the steps since UTC was last compared with the attitude of the INS, s.
-        log_likelihood_ratio: log-likelihood of the star measurements since the step if the sky is rotated by the step,
-            minus the log-likelihood if the sky is not rotated.
+        step_s: sum of the steps since UTC was last verified, s.
+        log_likelihood_ratio: log-likelihood of the star measurements since the last step if the sky is rotated by
+            ``step_s``, minus the log-likelihood if the sky is not rotated.
     """
 
     step_s: float
@@ -156,8 +156,8 @@ class FilterState:
         consecutive_rejections: number of consecutive rejections of each source.
         last_used_ns: stamp of each source's last accepted measurement, ns.
         pixel_dwells: pixel dwell of the stars in each camera; empty after the covariance was inflated.
-        unconfirmed_step: INS jump, possible INS jump or first star measurement that other stars have not confirmed;
-            None if all are confirmed.
+        unconfirmed_step: INS jump, possible INS jump, reinstatement of the INS or first star measurement that other
+            stars have not confirmed; None if all are confirmed.
         rejected_residuals: residual of each source's last rejected measurement.
         ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None before a
             jump.

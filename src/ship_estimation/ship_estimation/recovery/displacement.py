@@ -3,6 +3,8 @@
 Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. The residual
 changes slowly due to the drift of the INS, and in a step if a source or the INS moves. Only steps count as
 displacement, so an inconsistency does not end if only a drift of the INS compensates it.
+
+A source moves if its measured attitude changes by a step, whatever the cause.
 """
 
 from collections.abc import Sequence

@@ -35,7 +35,7 @@ class Displacements:
 
     @property
     def displaced(self) -> dict[str, float]:
-        """Sources that have moved and not moved back, with their displacement, rad; :data:`TOGETHER` for all sources.
+        """Sources that have moved and not moved back, with their largest displacement, rad; :data:`TOGETHER` for all.
 
         A source has moved by itself only if another source has not moved with it.
         """

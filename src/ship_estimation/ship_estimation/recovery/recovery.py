@@ -2,7 +2,7 @@
 
 In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the same class receives the same inputs. It
 starts from the stored state, or from the prior, and restarts whenever an inconsistency of the inputs begins or ends.
-The second estimator is adopted on three conditions:
+While the first estimator shows a sign of trouble, the second is adopted on three conditions:
 
 1. For ``confirm_s`` it has been VALID with every available source. It may exclude a source if two other sources are
    consistent.
@@ -111,7 +111,7 @@ class SecondEstimator:
 
     Attributes:
         valid_since_ns: time by the timeout clock since which the estimator has been VALID each second; None if it is
-            not VALID. A single rejected measurement may make it DEGRADED for less than a second.
+            not VALID. The status is read once a second, so a DEGRADED status between two readings does not count.
         failure: rejection for an exception of the software, after which another estimator starts; None without
             exception.
     """
@@ -227,7 +227,7 @@ class EstimatorRecovery:
         return is_sign and self._is_to_be_adopted(waiting_ns, live, available_sources)
 
     def record_adoption(self, waiting_ns: int) -> None:
-        """Record that the candidate has replaced the first estimator."""
+        """Record that the candidate has replaced the first estimator, which ends the trouble."""
         assert self._trouble.began_ns is not None
         self.adopted += 1
         self.recovery_time_s = (waiting_ns - self._trouble.began_ns) / SECOND_NS
@@ -275,7 +275,10 @@ class EstimatorRecovery:
         self.candidate = SecondEstimator(live.make_second(memory), is_from_memory=memory is not None)
 
     def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, available_sources: Set[str]) -> bool:
-        """True if the second estimator meets all conditions of the module's docstring."""
+        """True if the second estimator meets all conditions of the module's docstring.
+
+        If only condition 2 fails, another one starts, from the prior instead of the stored state or the reverse.
+        """
         candidate = self.candidate
         if candidate is None or candidate.valid_since_ns is None:
             return False
