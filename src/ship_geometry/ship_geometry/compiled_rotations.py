@@ -477,7 +477,7 @@ def interpolate_attitude(
         other_at: time of the other sample in units of the interval, negative; 0 if there is no other sample.
         bound_share: twice the factor of the second estimate if there is another sample; otherwise the factor is 1.
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the errors' squares, rad².
+        largest: maximum of the sum of the errors' squares, rad²; a larger covariance is scaled down to it.
 
     Returns:
         Rotation at the requested time.
@@ -568,7 +568,7 @@ def propagate_by_rates(
         steps_s: intervals between these samples, s, shape (N, k - 1).
         ahead_s: time by which each sample is propagated, s, shape (N,).
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the error's squares, rad².
+        largest: maximum of the sum of the error's squares, rad²; a larger covariance is scaled down to it.
 
     Returns:
         The propagated attitudes, their rates, and the covariance of the propagation error, rad².

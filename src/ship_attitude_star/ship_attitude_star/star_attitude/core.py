@@ -201,7 +201,10 @@ class StarCore:
         return self._ins.evaluate_batch(block, arrivals_ns, self._config.lag_s)
 
     def commit_batch(self, batch: MotionBatch, stop: int) -> None:
-        """Commit the samples of a batch before index ``stop``."""
+        """Commit the samples of a batch before index ``stop``, and solve the exposures that waited for these samples.
+
+        The solutions are stored in ``batch.pending_outcomes``.
+        """
         while batch.committed_count < stop:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
             end, outcome = batch.committed_count + 1 if self._pending else stop, StarOutcome()
@@ -258,7 +261,7 @@ class StarCore:
         contradictions.set_duplicate_publishers(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
-        """Solve exposures and groups that have waited for the maximum time.
+        """Solve exposures and groups that are complete or have waited for the maximum time.
 
         Args:
             now_ns: current time.
