@@ -20,7 +20,10 @@ from ship_geometry.sample_track import RECENT_COUNT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _SPACING_NS = 100_000_000
-"""Spacing of the samples from which the motion is estimated, ns; with closer samples their noise dominates."""
+"""Spacing of the samples from which the motion is estimated without measured rates, ns.
+
+With closer samples their noise dominates.
+"""
 
 MAX_RATES = 4
 """Maximum number of measured rates from which the angular acceleration and its change are computed."""
@@ -108,7 +111,7 @@ class ExtraNoise(NamedTuple):
 
     @property
     def time_ns(self) -> int:
-        """Time just before the first stamp of the samples with this noise."""
+        """The stamp after which attitudes have this noise: one nanosecond before ``from_ns``."""
         return self.from_ns - 1
 
     def covariances_d(self, rates_d: FloatArray) -> FloatArray:
@@ -165,8 +168,8 @@ class InterpolatedAttitude:
         sample: last sample at or before the time; None for a propagated attitude.
         next_sample: sample after the time; None if the attitude is not interpolated.
         errors_d: estimates of the interpolation error, rotation vectors in the deck frame, rad, shape (3,) each; empty
-            at a sample. :func:`ship_geometry.interpolation_error.joint_covariance` computes from them the
-            correlation of the errors at two times.
+            at a sample and after a propagation. :func:`ship_geometry.interpolation_error.joint_covariance` computes
+            from them the correlation of the errors at two times.
     """
 
     rotation_nd: FloatArray
@@ -179,12 +182,12 @@ class InterpolatedAttitude:
 
     @property
     def error_covariance_n(self) -> FloatArray:
-        """Covariance of the interpolation error about the horizon's axes, rad², shape (3, 3)."""
+        """``error_covariance_d`` transformed to the axes of the horizon, rad², shape (3, 3)."""
         covariance_n: FloatArray = self.rotation_nd @ self.error_covariance_d @ self.rotation_nd.T
         return covariance_n
 
     def chord_nd(self, time_ns: int) -> FloatArray:
-        """Return the attitude by a constant rotation between the two samples (slerp, as tf2), shape (3, 3).
+        """Return the attitude by rotation at a constant rate between the two samples (slerp, as tf2), shape (3, 3).
 
         Args:
             time_ns: time of this attitude.
@@ -251,7 +254,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._has_rate(index) or (index > 0 and self._are_joined(index - 1))
 
     def propagate_newest(self, ahead_s: float) -> InterpolatedAttitude:
-        """Return the newest attitude propagated by a short time, with its rate and angular acceleration.
+        """Return the newest attitude, propagated over a short time by its rate and angular acceleration.
 
         The short time is the clock offset of the source, of either sign. Interpolation would have to wait for the next
         sample if the offset is positive.
@@ -301,7 +304,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._times[start - 1] if start > 0 else self._times[0] - 1
 
     def rate(self, index: int) -> FloatArray:
-        """Return the angular velocity at sample ``index``, deck frame, rad/s, measured or from the neighbours."""
+        """Return the rate at sample ``index``, deck frame, rad/s: measured, else from neighbours; zero without them."""
         sample = self._samples[index]
         if sample.rate_d is not None:
             return sample.rate_d
@@ -336,7 +339,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return recent
 
     def _propagate_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """Propagate the newest sample without measured rates, by a parabola through the last three motion samples."""
+        """Propagate the newest sample without measured rates, by a parabola through the last three motion samples.
+
+        With two samples the rate is constant; with one sample the attitude is unchanged.
+        """
         sample = self._samples[index]
         recent = self._motion_samples(index)
         if len(recent) == 1:
@@ -437,7 +443,7 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
 
     Args:
         before: rates of the samples before the block, without a gap.
-        block: N samples without a gap.
+        block: N or more samples without a gap; the first N are propagated.
         ahead_s: time after each sample, s, negative for a time before the sample, shape (N,).
 
     Example:

@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled rotations for single attitudes and vectors, which are most calls of a live node.
+"""Compiled rotations, mostly for single attitudes and vectors, which are most calls of a live node.
 
 The module is Python with C types; Cython compiles it when the package is built. Numpy is efficient for arrays only. The
-functions are documented where they are called. :mod:`ship_geometry.rotations` has the same functions for arrays; the
-tests compare the results.
+functions are documented where they are called. :mod:`ship_geometry.rotations` has the exponential, its Jacobian and the
+logarithm for arrays; the tests compare the results.
 """
 
 import cython
@@ -477,7 +477,7 @@ def interpolate_attitude(
         other_at: time of the other sample in units of the interval, negative; 0 if there is no other sample.
         bound_share: twice the factor of the second estimate if there is another sample; otherwise the factor is 1.
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the errors' squares, rad².
+        largest: maximum of the sum of the errors' squares, rad²; a larger covariance is scaled down to it.
 
     Returns:
         Rotation at the requested time.
@@ -568,7 +568,7 @@ def propagate_by_rates(
         steps_s: intervals between these samples, s, shape (N, k - 1).
         ahead_s: time by which each sample is propagated, s, shape (N,).
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the error's squares, rad².
+        largest: maximum of the sum of the error's squares, rad²; a larger covariance is scaled down to it.
 
     Returns:
         The propagated attitudes, their rates, and the covariance of the propagation error, rad².
@@ -657,7 +657,7 @@ def corrected_attitudes(
         noise_gains: variance of each attitude, divided by the variance of the samples' white noise, shape (N,).
         own_errors: covariance of a further error of each sample about its axes, rad², shape (N, 3, 3).
         errors: estimates of the correlated error, rad, shape (e, 3).
-        exceeds_model: true for each component of the estimates that does not decay, shape (e, 3).
+        exceeds_model: true for each component that does not decay, such as a step beyond the model, shape (e, 3).
         time_s: correlation time of the correlated error, s, shape (3,).
         steady_variance: steady variance of the correlated error, rad², shape (3,).
         white_variance: variance of the samples' white noise, rad², shape (3,).

@@ -1,4 +1,4 @@
-"""Functions of ``scipy.linalg.lapack``, imported without the rest of scipy: ``lapack.dposv``.
+"""Some functions of ``scipy.linalg.lapack``, such as ``dposv``, imported without the rest of scipy.
 
 ``import scipy.linalg.lapack`` imports five hundred modules, which takes longer than all other imports of a node;
 ``import scipy`` imports forty. All functions of ``scipy.linalg.lapack`` are in one library of scipy, and only this

@@ -56,7 +56,7 @@ _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
 # are tan z, tan³ z, tan⁵ z …, a series that converges slowly for long paths through curved air. For curved air c is
 # 2 H/R with the scale height H. With about this c, seven terms equal the rays to 2e-4″ down to 5° in any weather.
 _TERMS, _CURVATURE = 7, 0.003
-_LOWEST_RAY = np.deg2rad(85.0)
+_LOWEST_RAY = np.deg2rad(85.0)  # observed zenith distance
 _SAMPLE_ANGLES = np.pi * (np.arange(_TERMS) + 0.5) / _TERMS
 
 for _of_model in _MODEL_SIGMAS.values():

@@ -52,7 +52,7 @@ class InsProcess(Protocol):
     needs_latitude: bool
 
     def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
-        """Return the initial states, shape (n,), and their covariance due to the deflection, shape (n, n)."""
+        """Return mean, shape (n,), and covariance, shape (n, n), of the initial states due to the deflection alone."""
 
     def propagation(
         self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical

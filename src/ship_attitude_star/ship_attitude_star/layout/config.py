@@ -18,7 +18,7 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 MIN_ELEVATION_DEG = 5.0
-"""Minimum elevation of a boresight above the horizon: no refraction model is valid at lower elevations."""
+"""Minimum elevation of a boresight above the deck; at lower elevations in the sky no refraction model is valid."""
 
 DEFAULT_SENSORS = {
     "fore": {"azimuth_deg": 0.0, "elevation_deg": 35.0},

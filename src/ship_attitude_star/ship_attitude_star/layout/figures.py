@@ -249,7 +249,7 @@ def _draw_curve(axes: Axes, curve: Curve, column: int) -> None:
 
 
 def _set_limits(axes: Axes, series: list[FloatArray]) -> None:
-    """Set limits that contain zero and omit errors that grow without bound near vertical pitch."""
+    """Set limits that contain zero and omit errors that grow without bound near a pitch of ±90°."""
     values = np.concatenate(series)
     values = values[np.isfinite(values)]
     size = np.abs(values)

@@ -60,7 +60,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class AdmissibleMap:
-    """Admissible mounting directions of one sensor, on the grid of the study's error map, with others as given.
+    """Admissible mounting directions of one sensor on the grid of its error map; the other sensors stay as given.
 
     Attributes:
         sensor: sensor that is moved.
@@ -100,7 +100,7 @@ class RequirementResult:
 
     Attributes:
         limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite for an angle without requirement.
-        ranking: evaluated layouts, admissible layouts first, then in order of requirement use.
+        ranking: evaluated layouts, admissible ones first and obstructed ones last, each in order of requirement use.
         maps: admissible directions of each sensor, in the order of the sensors.
         trade: layouts with all sensors at one elevation, in order of elevation.
         allocations: name of a layout → maximum error sizes, for the layout as given and the first in the ranking.
@@ -254,7 +254,7 @@ class _LayoutEvaluator:
         return layout
 
     def elevation_trades(self, layout: Layout) -> Iterator[ElevationTrade]:
-        """Yield all sensors at one elevation, for each elevation, at the azimuths with the least requirement use."""
+        """Yield, for each elevation of all sensors, the azimuths clear of masks with the least requirement use."""
         for elevation_deg in _elevations_deg(_TRADE_STEP_DEG):
             angles = layout.angles.copy()
             angles[:, 1] = np.deg2rad(elevation_deg)

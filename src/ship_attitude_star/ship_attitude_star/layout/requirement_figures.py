@@ -73,7 +73,7 @@ def _draw_admissible(axes: Axes, study: LayoutStudy, allowed: AdmissibleMap, num
 def elevation_figure(required: RequirementResult) -> Figure:
     """Return the figure of the requirement use over elevation, for all errors and for refraction alone.
 
-    Refraction causes large errors at low elevations, nearly parallel boresights at high elevations.
+    Errors are large at low elevations due to refraction, and at high elevations due to nearly parallel boresights.
     """
     elevations_deg = np.array([one.elevation_deg for one in required.trade])
     figure, axes = plt.subplots(figsize=(8.5, 4.6), layout="constrained")

@@ -57,7 +57,7 @@ def placements_text(layout: Layout) -> str:
 
 
 def nearest_miss_text(required: RequirementResult) -> str:
-    """Return a description of the best layout that is not admissible: its deficit or its obstructions."""
+    """Return a description of the first layout of a ranking without admissible layouts: deficit or obstructions."""
     nearest = required.ranking[0]
     if nearest.obstacles or np.isnan(nearest.requirement_use):
         return f"'{nearest.name}': {candidate_text(nearest, required)}"

@@ -109,7 +109,10 @@ def attitude_rows(
 def _messages(
     attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float, frames: FrameNames
 ) -> MessageFields:
-    """Yield topic, type and fields of each message, for attitudes with the same validity, rate and sources."""
+    """Yield topic, type and fields of each message, for attitudes of equal validity and sources.
+
+    The attitudes either all have a rate or all have none.
+    """
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
     rotations = quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T)

@@ -245,7 +245,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return reading
 
     def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBatch:
-        """Return the INS samples of a block, as :meth:`_read_ins` for one message."""
+        """Return the INS samples of a block; the covariance of the first message is stored for the diagnostics."""
         reading = ins_batch(messages, receive_ns, config)
         self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
         return reading
@@ -277,7 +277,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
-        """Return error budget and predicted errors of the latest attitude, once each, alignment and installation."""
+        """Return alignment and installation, and for a new attitude error budget, predicted errors and deflection."""
         factory, estimate, published = self.factory, self.pending_budget, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
@@ -333,7 +333,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             self._last_observability is None
             or abs(state.time_ns - self._last_observability[0]) >= _OBSERVABILITY_PERIOD_NS
         ):
-            # Without stars a turn has no effect.
+            # Without stars a turn does not improve the attitude.
             has_stars = latest.status is Status.VALID
             observability = self.core.observability()
             turn = manoeuvre_text(self.core.recommended_manoeuvre(latest.rotation_nd)) if has_stars else ""
@@ -347,7 +347,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [self._last_observability[1]]
 
     def _noise_status(self) -> DiagnosticStatus:
-        """Return a diagnostic of INS noise above the configured noise, and of larger sigmas stated in INS messages."""
+        """Return a diagnostic of sigmas in INS messages far above the configured ones; else of excess INS noise."""
         if self._stated_covariance is not None:
             covariance = np.reshape(self._stated_covariance, (3, 3))
             if contradicted := sigma_mismatch_text(covariance, self.config.ins):
@@ -360,7 +360,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; included in the covariances")
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """Return diagnostics of attitude, alignment, INS, integrity, conflicts, innovations and clocks."""
+        """Return all diagnostics of this node, from attitude and alignment to innovations and clocks."""
         remarks = self.saved_document_remarks()
         text = "; ".join(remarks) or "as configured or loaded"
         return [
@@ -408,7 +408,7 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading, horizo
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """Return a diagnostic of the vertical at the last attitude; an empty list if the filter does not need it."""
+    """Return a diagnostic of the vertical at the last attitude; empty if it is not needed, or without an attitude."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)

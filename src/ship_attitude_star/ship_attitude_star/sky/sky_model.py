@@ -77,7 +77,10 @@ class BrightStars:
     magnitudes: FloatArray
 
     def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
-        """Return the number of candidates per steradian within a magnitude tolerance; NaN fits all candidates."""
+        """Return the number of candidates per steradian within a magnitude tolerance; NaN fits all candidates.
+
+        One candidate is added, so that the density is never zero.
+        """
         faintest = np.where(np.isfinite(magnitude), magnitude + tolerance, np.inf)
         brightest = np.where(np.isfinite(magnitude), magnitude - tolerance, -np.inf)
         count = np.searchsorted(self.magnitudes, faintest, "right") - np.searchsorted(self.magnitudes, brightest)
@@ -98,7 +101,7 @@ class LocalSky:
         airless_sky: sky without refraction.
         model: refraction model.
         wavelength_um: effective wavelength of the sensors' light.
-        utc_sigma_s: standard deviation of the clocks of all stamps.
+        utc_sigma_s: standard deviation of the UTC error that all stamps share.
         bright: candidate stars for unidentified detections.
     """
 

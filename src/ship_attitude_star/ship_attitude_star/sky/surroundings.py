@@ -117,7 +117,7 @@ class _Quantity:
 
 
 _MAX_CACHED_RESULTS = 256
-"""Number of times with cached results; exposures that are applied again request up to 28 times per second, for 2 s."""
+"""Number of times with cached results; exposures that are applied again need up to 28 times in each of the last 2 s."""
 
 
 class Surroundings:

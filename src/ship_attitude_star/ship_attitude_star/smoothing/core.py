@@ -82,12 +82,12 @@ class SmoothingCore(ShipAttitudeCore):
         self.restart_smoothing()
 
     def _start_without_samples(self, state: FilterState) -> None:
-        """See :meth:`ShipAttitudeCore._start_without_samples`; pending smoothed attitudes are discarded."""
+        """See :meth:`ShipAttitudeCore._start_without_samples`; attitudes not yet smoothed are discarded."""
         super()._start_without_samples(state)
         self.restart_smoothing()
 
     def restart_smoothing(self) -> None:
-        """Restart smoothing at the oldest state of the estimator; pending smoothed attitudes are discarded."""
+        """Restart smoothing at the oldest state of the estimator; attitudes not yet smoothed are discarded."""
         self._committed.clear()
         self._pending.clear()
         oldest = self._estimator.oldest_state
@@ -116,7 +116,7 @@ class SmoothingCore(ShipAttitudeCore):
         return outcome
 
     def take_smoothed(self) -> list[AttitudeEstimate]:
-        """Return the smoothed attitudes that are ready, in the order of their stamps."""
+        """Return the smoothed attitudes that are ready, in the order of their stamps; none if the lag is None."""
         self._add_states(self._committed)
         self._committed.clear()
         if self._lag_ns is None:

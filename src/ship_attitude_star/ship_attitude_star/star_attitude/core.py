@@ -86,7 +86,7 @@ class JointWindow:
         self._last_ns: int | None = None
 
     def add(self, item: PlacedExposure, arrival_ns: int | None = None) -> bool:
-        """Add an exposure, in place of one of the same sensor and stamp; return False if its group is complete.
+        """Add an exposure, in place of one of the same sensor and stamp; return False if it is too late to be added.
 
         Args:
             item: the exposure.
@@ -104,7 +104,7 @@ class JointWindow:
     def complete_groups(
         self, is_turn_known: Callable[[int, int], bool], waiting_ns: int | None
     ) -> Iterator[list[PlacedExposure]]:
-        """Yield the groups that are complete or have waited long enough, in time order.
+        """Remove and yield the groups that are complete or have waited long enough, in time order.
 
         Args:
             is_turn_known: function that returns True if the rotation of the deck between two times (ns) is known.
@@ -201,7 +201,10 @@ class StarCore:
         return self._ins.evaluate_batch(block, arrivals_ns, self._config.lag_s)
 
     def commit_batch(self, batch: MotionBatch, stop: int) -> None:
-        """Commit the samples of a batch before index ``stop``."""
+        """Commit the samples of a batch before index ``stop``, and solve the exposures that waited for these samples.
+
+        The solutions are stored in ``batch.pending_outcomes``.
+        """
         while batch.committed_count < stop:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
             end, outcome = batch.committed_count + 1 if self._pending else stop, StarOutcome()
@@ -234,7 +237,7 @@ class StarCore:
     def add_exposure(
         self, exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...] = (), arrival_ns: int | None = None
     ) -> StarOutcome:
-        """Add an exposure; two different exposures with one stamp are both not solved.
+        """Add an exposure; of two different exposures of one sensor with one stamp, neither is solved.
 
         Args:
             exposure: stars of the exposure.
@@ -258,7 +261,7 @@ class StarCore:
         contradictions.set_duplicate_publishers(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
-        """Solve exposures and groups that have waited for the maximum time.
+        """Solve exposures and groups that are complete or have waited for the maximum time.
 
         Args:
             now_ns: current time.
@@ -275,7 +278,7 @@ class StarCore:
     # -- checks ---------------------------------------------------------------------------------------------
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
-        """Return True if an exposure is used, and the rejection or remark for it, or None."""
+        """Return True if an exposure gives a solution, which may be INVALID, and the rejection or remark, or None."""
         rejection = self._arrivals.late_rejection(exposure.time_ns)
         if rejection is not None:
             return False, rejection

@@ -52,7 +52,8 @@ class AttitudeSolution:
         sensor_id: id of the sensor, or JOINT.
         time_ns: time of validity, which is the stamp of the exposure, or of the first exposure for a joint solution.
         solution: attitude and status.
-        rejected_stars: stars that are not part of the solution.
+        rejected_stars: stars that are not part of the solution; of a joint solution, only those that the solutions of
+            the sensors did not reject.
         sources: names of the sensors whose stars are used, ``star.<id>``.
         text: remark for the user; mostly empty.
     """
@@ -75,7 +76,7 @@ class StarOutcome:
     """Outcome of one input of the core.
 
     Attributes:
-        rejection: rejection of the input; None if the input was used or is pending.
+        rejection: rejection of the input, or remark about it; None if the input was used or is pending.
         solved: solutions to publish, in order.
         not_joined: exposures (source, stamp) that arrived too late for the joint solution of their time.
     """
@@ -138,6 +139,8 @@ def solve_exposure(
     turn_variance: float = 0.0,
 ) -> tuple[PlacedExposure, AttitudeSolution]:
     """Solve the attitude of a sensor from one exposure.
+
+    The exposure is rejected as a whole if its stars contradict the focal length of the camera.
 
     Args:
         exposure: stars of the exposure.

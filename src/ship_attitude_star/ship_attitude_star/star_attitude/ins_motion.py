@@ -41,8 +41,8 @@ class ExposureAtMiddle:
     Attributes:
         exposure: stars with their directions at the middle.
         noise_variance: variance of a rotation of all directions due to INS noise, each axis, rad².
-        error_variance: variance of a rotation of all directions due to interpolation, or due to the unmeasured rotation
-            in an exposure without INS samples, each axis, rad².
+        error_variance: variance of a rotation of all directions, each axis, rad²: upper bound for the interpolation
+            error, or variance of the unmeasured rotation in an exposure without INS samples.
     """
 
     exposure: StarExposure
@@ -68,7 +68,7 @@ class MotionBatch:
     """A batch of checked INS samples.
 
     Attributes:
-        samples: samples of the batch, from the first sample of the block on.
+        samples: accepted samples of the batch, which are the first samples of the block.
         values: attitudes of all checked samples, shape (N, 3, 3).
         checked: results of the INS check, including a last sample that needs separate handling.
         committed_count: number of committed samples.
@@ -194,7 +194,7 @@ class InsMotion:
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def is_turn_known(self, to_ns: int, from_ns: int) -> bool:
-        """True if the rotation of the deck between two times is known, as it is for equal times."""
+        """True if the INS gives the rotation of the deck between two times without a jump, or if they are equal."""
         if to_ns == from_ns:
             return True
         is_known = self._attitude_at(to_ns) is not None and self._attitude_at(from_ns) is not None

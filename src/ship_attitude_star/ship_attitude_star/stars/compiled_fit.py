@@ -39,12 +39,12 @@ def linearise_stars(
     time_transfer_b: cython.const[cython.double][:, :, :],
     rotation_nb: cython.const[cython.double][:, :],
 ):
-    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars without streaks.
+    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars without streaks and camera errors.
 
     Args:
         measured_b: as in :class:`ship_attitude_star.stars.fit.MatchedStars`, shape (k, 3).
         reference_n: likewise, shape (k, 3).
-        sigma: standard deviation of each star, error of the catalogue included, rad per axis, shape (k,).
+        sigma: standard deviation of each star, errors of catalogue and pixel included, rad per axis, shape (k,).
         shared_n: as in ``MatchedStars``, shape (k, 3, n_shared).
         sensor: likewise, shape (k,).
         mounting_b: likewise, shape (n_sensors, 3, 3), or (0, 3, 3).
@@ -396,8 +396,8 @@ def residuals(
 
     Returns:
         Residuals: measured minus expected direction, up and right of each star, shape (2 m,).
-        Derivative of the residuals with respect to the states, shape (2 m, n).
-        Derivative of the residuals with respect to a rotation of the sensor, shape (2 m, 3).
+        Derivative of the expected directions, up and right, with respect to the states, shape (2 m, n).
+        Derivative of the expected directions with respect to a rotation of the sensor, shape (2 m, 3).
         Unit vectors up and right of each star, shape (m, 2, 3).
     """
     n: cython.Py_ssize_t = to_sensor.shape[1]

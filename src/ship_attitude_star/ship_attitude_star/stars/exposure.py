@@ -214,7 +214,7 @@ class StarExposure:
         )
 
     def content(self) -> bytes:
-        """Return all values as bytes, to recognise a repeated message and to sort different messages with one stamp."""
+        """Return the values of the message as bytes, to recognise a repetition and to sort messages with one stamp."""
         positions = self.positions
         arrays = (
             self.hip,
@@ -230,6 +230,8 @@ class StarExposure:
 
 def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExposure:
     """Return the stars with their directions at mid-exposure and the errors that their streaks add.
+
+    A star that leaves the field of view during the exposure keeps its direction, but has no weight.
 
     Args:
         exposure: exposure with a known length.
@@ -263,7 +265,7 @@ def _perpendicular_part(directions_s: FloatArray, covariance_s: FloatArray) -> F
 def visible_stars(
     exposure: StarExposure, sky_model: SkyModel, prior: StarPrior | None
 ) -> tuple[StarExposure, MatchedStars, list[tuple[str, Rejection]]] | Rejection:
-    """Return the stars of an exposure that have a direction in the sky model.
+    """Identify the stars of an exposure, and return those that have a direction in the sky model.
 
     Args:
         exposure: the stars as the sensor measured them.

@@ -66,6 +66,9 @@ def find_candidates(
 ) -> Candidates:
     """Return the catalogue stars within the gates of detections.
 
+    If the prior is so wide that each gate contains too many stars, all stars in the field are candidates of all
+    detections, and ``nearest`` is infinite.
+
     Args:
         directions_s: directions of the detections, unit vectors in the sensor frame, shape (k, 3).
         sigma: standard deviation of each direction, rad per axis, shape (k,).

@@ -39,9 +39,9 @@ class StarResiduals:
 
     Attributes:
         residual: measured minus predicted direction, up and right of each star, rad, shape (2 k,).
-        jacobian: derivative of the residual with respect to the n states, shape (2 k, n).
-        rotation_jacobian: derivative of the residual with respect to a rotation of the predicted attitude, rotation
-            vector in the sensor frame, shape (2 k, 3).
+        jacobian: derivative of the predicted measurement with respect to the n states, shape (2 k, n).
+        rotation_jacobian: derivative of the predicted direction with respect to a rotation of the predicted attitude,
+            rotation vector in the sensor frame, shape (2 k, 3).
         noise: noise covariance by error source, rad², shape (2 k, 2 k) each.
         components: name of each residual component.
         rejected: names of the stars that are not used, each with its rejection.

@@ -100,7 +100,8 @@ class StarSelection:
     """The selected stars.
 
     Attributes:
-        members: True for each selected star, shape (k,); all False if no set is larger than its rivals.
+        members: True for each selected star, shape (k,); all False if no set is consistent and larger than its rivals,
+            or if too many false sets are expected.
         attitude_fit: attitude from the selected stars; None if the selection did not compute it.
         false_matches: expected number of false sets if it exceeds MAX_FALSE_MATCHES; else None.
     """
@@ -182,7 +183,7 @@ def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
 
 
 def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
-    """True if a trial of another attitude has as many members.
+    """True if a trial of another attitude has at least as many members.
 
     A trial that has ``shared`` or more stars in common with the members has their attitude, so it is not a rival.
     """

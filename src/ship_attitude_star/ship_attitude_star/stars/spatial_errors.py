@@ -59,7 +59,7 @@ class PixelDwell:
 
     Attributes:
         directions_s: directions of the stars at the start of the dwell, shape (k, 3).
-        exposure_count: number of exposures since the start.
+        exposure_count: number of exposures after the first of the dwell.
         excess_ratio: relative increase of the pixel-spatial variance of the last exposure, compared with a single
             exposure.
     """

@@ -28,7 +28,10 @@ _MIN_MOVE_M = 100.0
 """Minimum distance that counts as motion, m; smaller distances at anchor would add up the noise of fixes."""
 
 _MAX_STEPS = 50_000
-"""Maximum number of steps evaluated after a gap, more than a day; after a longer gap the distance restarts at zero."""
+"""Maximum number of stored steps and of steps evaluated after a gap, more than a day.
+
+After a longer gap the distance restarts at zero.
+"""
 
 _MAX_MESSAGES = 10_000
 """Maximum number of stored deflection messages."""
