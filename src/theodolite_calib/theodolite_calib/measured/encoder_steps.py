@@ -46,7 +46,8 @@ class EncoderStep(NamedTuple):
         time_ns: time just before the first reading after the step.
         step: step of azimuth and elevation, rad, shape (2,).
         sigma_rad: standard deviation of each component.
-        lower_bound_rad: lower bound of the larger component, three standard deviations below the estimate, rad.
+        lower_bound_rad: lower bound of the larger component, three standard deviations below the smaller of the two
+            prediction errors, rad.
         interval_s: interval between the readings before and after the step.
     """
 
