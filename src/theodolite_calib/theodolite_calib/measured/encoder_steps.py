@@ -109,7 +109,7 @@ class EncoderStepDetector:
             time_ns: stamp of the reading.
             angles: azimuth and elevation, rad, shape (2,).
             sigma_rad: stated noise of each angle.
-            coarseness_rad: resolution of the readings; 0 if every reading is new.
+            coarseness_rad: resolution of the readings; 0 if no reading repeats the one before.
             max_gap_ns: maximum interval between readings that are compared.
         """
         if self._previous:
