@@ -58,7 +58,7 @@ class VoyageTruth:
 
     Attributes:
         ins_index: indices of the INS samples at whose stamps the true attitude is given, shape (m,). They are the first
-            sample in each tenth of a second, and the last sample.
+            sample in each tenth of a second, and the last sample of the voyage.
         rotation_nd: true attitude at those stamps, shape (m, 3, 3).
         rate_d: true angular velocity at those stamps, rad/s, shape (m, 3).
         ins: errors of the INS.
@@ -67,7 +67,7 @@ class VoyageTruth:
         references: mounting and time offset of each other attitude system.
         track: the ship's position.
         deflection: deflection of the vertical at those stamps, rad, shape (m, 2).
-        sky: the sky over the ship; None if no sensor observes it.
+        sky: the sky over the ship; None if no sensor or camera observes it.
     """
 
     ins_index: np.ndarray
@@ -192,7 +192,7 @@ class _Voyage:
         self.track = ShipTrack(scenario.position, start_time_ns(scenario.start_utc))
         self._draws = Draws(seed)
         self._carrier = make_carrier(scenario.carrier, seed)
-        # Refuse a motion that is too short before the first sample.
+        # Evaluated here, so that a motion that is too short is refused before any sample is computed.
         self._carrier.attitude(np.array([0.0, scenario.duration_s]))
         self._deflection = Deflection(scenario, self.track, self._draws)
         self._sky = draw_sky(scenario, self.track, seed) if scenario.has_sky else None

@@ -166,7 +166,7 @@ def centroids(times: ExposureTimes, path: FloatArray, psf_sigma: float, sigma: f
     """Return centroids of points that move during an exposure, with their errors, shape (..., 2).
 
     Args:
-        times: times of the exposure.
+        times: quadrature nodes of the exposure.
         path: positions of the points at these times, shape (m, ..., 2).
         psf_sigma: standard deviation of the image of a point at rest, each axis.
         sigma: error of the centroid of an image at rest, each axis.

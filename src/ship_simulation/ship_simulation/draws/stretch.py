@@ -31,7 +31,7 @@ class Stretch:
 
     Attributes:
         start_ns: start of the voyage.
-        duration_s: duration of the voyage, its end inclusive.
+        duration_s: duration of the voyage; a sample at its end belongs to the voyage.
         begin_s: begin of the stretch after the start, in whole seconds.
         end_s: end of the stretch; infinite for the last one.
     """

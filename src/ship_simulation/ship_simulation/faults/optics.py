@@ -1,4 +1,4 @@
-"""Cameras of devices from a suite file, with which image points are moved when a fault rotates a device."""
+"""Cameras of devices from a suite file, with which faults rotate devices or add false spots."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -43,7 +43,7 @@ _FIXED = 4
 _MINUTE_S = 60.0
 _EARTH_RADIUS_M = 6_371_000.0
 _BRIGHT = 5.5
-"""Magnitude limit (Hp) of the stars whose magnitudes and identities false stars have."""
+"""Magnitude limit (Hp) of the catalogue stars whose magnitudes and identities are given to false stars."""
 _HALF_FIELD = math.tan(math.radians(3.0))
 """Largest offset of false lights from the axis along each coordinate, 3°, in focal lengths."""
 
@@ -209,7 +209,7 @@ def _shift_baseline(value_fault: ValueFault, message: Any, since_s: float) -> No
 
 
 def _add_false_stars(value_fault: ValueFault, message: Any, since_s: float) -> None:
-    """Add spots anywhere on the detector, each identified as any star of the sky if the sensor identifies stars."""
+    """Add spots anywhere on the detector; if the sensor identifies stars, each has the identity of a bright star."""
     if not message.stars:
         return
     camera, rng = value_fault.optics.stars[value_fault.fault.topic], value_fault.rng

@@ -1,5 +1,6 @@
 """Faults of the messages of a topic: kinds, and the sizes that each kind needs.
 
+A size is a parameter that belongs to some kinds only, such as ``delay_s`` or ``field``.
 Scenarios and the files for ``inject`` contain faults, which :mod:`ship_simulation.faults` applies.
 """
 

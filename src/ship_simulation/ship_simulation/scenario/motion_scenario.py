@@ -22,7 +22,7 @@ _LENGTH: dict[str, Any] = {"doc": "hull length that averages the slope", "unit":
 
 @dataclass(frozen=True)
 class Outage:
-    """A time span without data, in seconds after the start."""
+    """A time span in seconds after the start, such as an outage or a time in which a light is hidden."""
 
     start_s: float = parameter(doc="begin, after the start", **TIME)
     end_s: float = parameter(doc="end, after the start", **TIME)

@@ -65,7 +65,7 @@ def _parameter_error(key: str, text: str) -> ParameterError:
 
 
 def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) -> Scenario:
-    """Return the scenario with the path of the recorded motion relative to the current folder."""
+    """Return the scenario with the bag of its motion: ``recording``, or else the named bag, relative to ``folder``."""
     named = scenario.carrier.recording.bag
     bag = str(recording) if recording is not None else str(folder / named) if named else ""
     moved: CarrierMotion = dataclasses.replace(

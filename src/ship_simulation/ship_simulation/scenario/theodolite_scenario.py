@@ -1,7 +1,7 @@
-"""Parameters of the theodolite in a scenario file, and of the drones whose lights it observes.
+"""Parameters of the theodolite in a scenario file, and of the drones and targets that it observes.
 
-Vectors of devices are (forward, up, right). Positions of drones are relative to the intersection of the theodolite's
-axes.
+Vectors of devices are (forward, up, right). Positions of drones and targets are relative to the intersection of the
+theodolite's axes.
 """
 
 from dataclasses import dataclass
@@ -216,7 +216,7 @@ class Theodolite:
 
 @dataclass(frozen=True)
 class Escort:
-    """A drone that follows the programme's sweep with a constant offset."""
+    """Course of a drone or target that follows the programme's sweep with a constant offset."""
 
     right_deg: float = parameter(0.0, doc="offset to the right of the line of sight", **_OFFSET)
     up_deg: float = parameter(0.0, doc="offset above the line of sight", **_OFFSET)
@@ -225,7 +225,7 @@ class Escort:
 
 @dataclass(frozen=True)
 class Hover:
-    """A drone that hovers, or drifts in a straight line."""
+    """Course of a drone or target that hovers, or drifts in a straight line."""
 
     azimuth_deg: float = parameter(0.0, doc="azimuth at the start, from North", **ANGLE)
     elevation_deg: float = parameter(30.0, doc="elevation at the start", **_ELEVATION)
@@ -237,7 +237,7 @@ class Hover:
 
 @dataclass(frozen=True)
 class Orbit:
-    """A drone that circles the theodolite."""
+    """Course of a drone or target that circles the theodolite."""
 
     azimuth_deg: float = parameter(0.0, doc="azimuth at the start, from North", **ANGLE)
     elevation_deg: float = parameter(30.0, doc="constant elevation", **_ELEVATION)
@@ -247,7 +247,7 @@ class Orbit:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A point where a drone on straight legs stops for an instant."""
+    """A point where a drone or target on straight legs stops for an instant."""
 
     time_s: float = parameter(doc="time after the start", **TIME)
     azimuth_deg: float = parameter(doc="azimuth from North", **ANGLE)

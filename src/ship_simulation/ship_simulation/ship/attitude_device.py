@@ -51,8 +51,8 @@ class InsTruth:
     """The errors of the INS that are correlated from sample to sample.
 
     Attributes:
-        attitude_error_n: correlated error a at each sample (north, up, east), including the effect of gravity, rad,
-            shape (n, 3).
+        attitude_error_n: correlated error a at each sample (north, up, east), including the deflection of the vertical,
+            rad, shape (n, 3).
         time_offset_s: time of validity of a sample minus its stamp.
     """
 
@@ -137,7 +137,7 @@ class DeviceSamples:
         log_time_ns: arrival times, in any order, shape (n,).
         rotation_nv: horizon from device (forward, up, right) as measured, shape (n, 3, 3).
         noise_v: covariance of the noise, independent from sample to sample, in the device frame, rad², shape (3, 3).
-        common_n: covariance of the error that the samples share, about the horizon's axes, rad², shape (3, 3).
+        common_n: covariance of the correlated error, about the horizon's axes, rad², shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -173,7 +173,7 @@ class DeviceExposures:
         valid_ns: times of validity: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
         times: quadrature nodes of each exposure.
-        exposure_nv: horizon from sensor at these nodes, shape (m, n, 3, 3).
+        exposure_nv: horizon from sensor at these nodes, shape (m, n, 3, 3); ``rotation_nv`` only if the length is 0.
     """
 
     time_ns: np.ndarray
@@ -240,7 +240,7 @@ def star_sensor_motion(
 
 
 def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: StarSensorMotion, draws: Draws) -> DeviceSamples:
-    """Return the measured horizon attitudes R_star(t) exp(n), with white noise n."""
+    """Return the measured horizon attitudes R_star(t) exp(n), with white noise n, outside the outages."""
     config = scenario.star_sensors[sensor_id]
     common_sigma = config.common_sigma_arcsec * ARCSEC
     samples = _samples(

@@ -102,7 +102,7 @@ class TrueSky:
 
 
 def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
-    """Return the sky of a run; its errors depend on the seed and have the scenario's sigmas."""
+    """Return the sky of a run; its errors are drawn with sigmas of the scenario, the UT1 table and the catalogue."""
     tabulated = earth_orientation_table().at(track.start_ns)
     ut1_sigma_s = scenario.earth_rotation_sigma_s or float(tabulated.ut1_sigma_s)
     catalogue = hipparcos()

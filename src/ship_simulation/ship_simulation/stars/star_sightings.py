@@ -37,7 +37,7 @@ class ReportedStars:
     The fields have the names of an estimator's exposure, which is not imported here; a test compares the two.
 
     Attributes:
-        hip: reported HIP number, shape (k,); 0 if the sensor reports a direction, or no identity.
+        hip: reported HIP number, shape (k,); 0 if the sensor identifies stars by their directions, or not at all.
         directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
         positions: positions of the reported stars, J2000.0; NaN if the sensor reports no identity.
@@ -105,7 +105,7 @@ class SightingsTruth:
 def simulate_sightings(
     source: str, config: StarImaging, motion: DeviceExposures, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
-    """Return all exposures of a star sensor, or of a camera on the theodolite, without stars by day and in outages.
+    """Return all exposures of a star sensor or theodolite camera, and their truth; by day and in outages without stars.
 
     Args:
         source: begin of the names of the random streams.
@@ -147,8 +147,8 @@ def simulate_sightings(
 class _Spots:
     """The spots of light on the detector, one entry per spot.
 
-    ``row`` is the row of the true star in the catalogue, UNKNOWN for a false spot. ``claimed`` is the row of the
-    reported identity, and ``magnitude`` is the measured magnitude.
+    ``exposure`` is the number of the exposure. ``row`` is the row of the true star in the catalogue, UNKNOWN for a
+    false spot. ``claimed`` is the row of the reported identity, and ``magnitude`` is the measured magnitude.
     """
 
     exposure: NDArray[np.int64]
@@ -203,7 +203,7 @@ def _true_spots(
 def _false_spots(
     source: str, config: StarImaging, sky: TrueSky, is_observing: NDArray[np.bool_], draws: Draws
 ) -> _Spots:
-    """Return spots anywhere on the detector, each identified as any star of the sky."""
+    """Return spots anywhere on the detector, each with the identity of a random star within the magnitude limit."""
     name = source + ".false_stars"
     count = draws.stream(name).poisson(config.false_stars, is_observing.size) * is_observing
     total = int(count.sum())

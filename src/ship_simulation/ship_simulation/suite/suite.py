@@ -1,4 +1,4 @@
-"""The suite file of a scenario, with the same layout and the same sigmas.
+"""The suite file of a scenario, which gives the sigmas of the scenario to the estimators.
 
 The parameters of a scenario and of a node have the same names. Each table in this module lists the parameters of a
 device that a node receives. A test loads the file of each scenario into the configurations of the nodes.
@@ -251,7 +251,7 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def _rates(scenario: Scenario) -> dict[str, Any]:
-    """Return the parameters of the INS's rates; empty if they have no errors, as by default."""
+    """Return the parameters of the INS's rates that are not zero; by default none."""
     parameters = _select_parameters(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
     return {name: value for name, value in parameters.items() if value}
 
@@ -265,7 +265,7 @@ def _camera(detector: Detector) -> dict[str, Any]:
 
 
 def _input(sensor: StarSensor) -> dict[str, Any]:
-    """Return the input type of a sensor, and its camera if it sends single stars."""
+    """Return the input type of a sensor, and its camera if it sends single stars; empty for horizon attitudes."""
     if sensor.output == "horizon_attitude":
         return {}
     if sensor.output == "inertial_attitude":
@@ -313,7 +313,7 @@ def _telescope(telescope: Telescope) -> dict[str, Any]:
 
 
 def _ship(scenario: Scenario) -> dict[str, Any]:
-    """Return the parameters of the ship's attitude, which is simulated, from ``ship_attitude``, or from the INS."""
+    """Return the parameters of the ship's attitude: its source, or the errors of a simulated ``ship/attitude``."""
     if scenario.fused_attitude.written:
         fused = scenario.fused_attitude
         return {

@@ -1,4 +1,4 @@
-"""Paths and attitudes of the drones, and pointing of the main axis.
+"""Paths of drones and targets, attitudes of drones, and pointing of the main axis.
 
 Positions are relative to the intersection of the theodolite's axes, in (North, Up, East), m. The line of sight is
 stabilised against the ship's motion.

@@ -69,7 +69,7 @@ class AxisFit:
         neighbour_correlation: correlation between the residuals of neighbouring sightings.
         sigmas_known: False if neighbour_correlation shows common errors that the table does not state.
         scale: robust sigma of one component of a sighting's own error, rad, without common errors.
-        before: residuals without any model, to the right and up, rad, shape (n, 2).
+        before: residuals with all axis errors zero, to the right and up, rad, shape (n, 2).
         shared: estimated effect of the common errors, rad, shape (n, 2).
         residuals: residuals with the fitted model and without the common errors, rad, shape (n, 2).
         leave_one_out: residual of each sighting against the fit of the other sightings, rad, shape (n, 2).

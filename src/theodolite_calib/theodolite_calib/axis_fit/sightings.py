@@ -1,7 +1,7 @@
 """Sightings of known directions: residuals of an axis model, common errors, and coverage of the sky.
 
 A common error is a Gauss-Markov process in time, or a constant if its correlation time is infinite. One sigma of the
-error moves a sighting by the stated effect, so that two sightings have the covariance
+error shifts the direction of a sighting by the stated effect, so that two sightings have the covariance
 
     sum over the errors of  effect_i effect_jᵀ exp(-|t_i - t_j| / T)
 

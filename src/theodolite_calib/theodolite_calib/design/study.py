@@ -300,7 +300,7 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the factor on the beacons' distances from their middle at which the first beacon leaves the field.
+    """Return the factor on the beacons' angles from their middle at which the first beacon leaves the field.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.

@@ -1,8 +1,8 @@
 """Advised positions of the drones: the positions within the limits with the most accurate pointing.
 
-The standard deviation of the pointing is smooth over the box of allowed positions
+The standard deviation of the pointing is smooth over the box coordinates of the allowed positions
 (:mod:`theodolite_calib.escort.places`). It is minimised with SLSQP from the best of some distributed starting points.
-The result is the best evaluated set of positions with sufficient separations of the drones. All positions in the box
+The result is the best evaluated set of positions with sufficient separations of the drones. All box coordinates
 meet the other limits.
 """
 
@@ -60,7 +60,8 @@ def advise(
         accuracy: accuracy of the pointing with beacons at given positions.
         names: names of the drones, at least one.
         now_n: known present positions of the drones, from the ship's antenna (N, U, E), m, shape (3,).
-        keep_n: previous positions, kept unless other positions are better by half a percent, shape (N, 3).
+        keep_n: previous positions, shape (N, 3). Shifted into the limits, they are kept unless other positions are
+            better by half a percent.
     """
     allowed = AllowedPlaces.around_axis(limits, accuracy.centre_n, accuracy.rotation_nt)
     in_field = {name: place_n for name, place_n in now_n.items() if allowed.is_in_field(place_n)}
@@ -112,7 +113,7 @@ class _Search:
             self._refine(starts[number], scale)
 
     def evaluate(self, box: FloatArray) -> float:
-        """Return the standard deviation at box coordinates; infinite if the drones are too close together."""
+        """Return the standard deviation at box coordinates, infinite for drones too close together; record the best."""
         places_n = self._allowed.places_n(box)
         if not np.all(self._allowed.separations_m(places_n) >= self._allowed.limits.separation_min_m):
             return float("inf")

@@ -1,8 +1,8 @@
-"""Positions of a drone within the limits, as a box of three coordinates between 0 and 1.
+"""Positions of a drone within the limits, given by three box coordinates, each between 0 and 1.
 
 At the theodolite a position has a range, an elevation e and an azimuth A + α; A and E are azimuth and elevation of the
 telescope's axis. The position is in a field of the radius f if cos f ≤ sin e sin E + cos e cos E cos α. The allowed
-elevations are therefore an interval, and so are the allowed azimuths at each elevation. All positions in the box meet
+elevations are therefore an interval, and so are the allowed azimuths at each elevation. All box coordinates meet
 the limits on range, elevation and field; the separation of the drones must be checked.
 """
 

@@ -4,9 +4,10 @@ A source is excluded if the other sources are consistent without it (:mod:`ship_
 also excluded if its baseline jumps by more than its flight allows. If beacons are rejected and no single source
 explains the rejections, the fault is unresolved, and the pointing covariance covers the disagreement.
 
-An excluded source is monitored, and reinstated after it has been consistent for ``return_after_s``. Consistency counts
-only if the fault would be detectable: the standard deviation of the predicted beacon must be small against the rejected
-residual. After a baseline has jumped back, consistency always counts.
+An excluded source is monitored, and reinstated after it has been consistent for ``return_after_s``. For a drone
+without other beacons in use, or with a jumped baseline, consistency counts only if the fault would be detectable. The
+standard deviation of the predicted beacon must then be small against the residual that the fault would cause. After
+the baseline has jumped back, consistency always counts.
 """
 
 from collections.abc import Mapping, Set
@@ -90,8 +91,8 @@ class UnresolvedFault:
 
     Attributes:
         disagreement_n: possible error of the pointing, as covariance of a rotation vector in n, rad², shape (3, 3).
-        is_persistent: True if more than one or two sightings disagreed; the fault then ends only after a period of
-            consistency.
+        is_persistent: True once several sightings have shown the fault, which then ends only after a period of
+            consistency; a fault of one or two sightings ends with the next accepted sighting.
         consistent_since_ns: time since which beacons have been accepted again; None while they are rejected.
     """
 
@@ -106,9 +107,9 @@ class FaultState:
 
     Attributes:
         innovation_means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
-        exclusions: excluded sources by name.
+        exclusions: records of the excluded sources, by source.
         unresolved_fault: unresolved fault, or None.
-        known_jumps_ns: stamps up to which jumps of baselines have been processed, by source.
+        known_jumps_ns: stamps up to which jumps of the baseline of a reinstated drone are ignored, by source.
     """
 
     innovation_means: InnovationMeans
@@ -195,6 +196,8 @@ class FaultDetector:
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
         """Restart the reinstatement timers of sources with a gap in their data before a sighting.
+
+        After a gap in all beacons, the timer of an unresolved fault restarts too.
 
         Args:
             fault_state: state after the previous sighting.
@@ -314,7 +317,11 @@ class FaultDetector:
     def exclude_source(
         self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> FaultState:
-        """Exclude a source; innovation means restart from its subfilter, or from ``explaining_subfilter`` if given."""
+        """Exclude a source and end an unresolved fault.
+
+        The innovation means of all filters restart from those of the source's subfilter, or of
+        ``explaining_subfilter`` if given.
+        """
         row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), fault_state.innovation_means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._subfilters.sources), axis=0)

@@ -41,22 +41,22 @@ class CalibrationState:
     """State of the filter after its last sighting.
 
     Attributes:
-        time_ns: time of the state; None before the first sighting.
+        time_ns: time of the state; None before the first sighting or jump of the INS.
         mean: estimated errors, shape (..., n), mostly (n,).
         covariance_by_source: covariance of the estimate by error source, shape (..., n_sources, n, n).
         observability: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
         subfilters: states of the subfilters.
         fault_state: excluded sources and unresolved faults.
         solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in
-            standard deviations, shape (h,).
+            standard deviations, shape (h,); zeros after the exclusion of a source with a subfilter.
         ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if the messages state none.
         consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected because they
-            contradict encoders and ship.
+            contradict encoders and ship, or one another.
         rejection_text: text of the last rejection of this kind.
         last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
         light_count: number of beacons in the last accepted sighting of beacons.
         last_stars_ns: time of the last accepted exposure of stars; None before the first.
-        pixel_dwells: pixel dwell of the stars in each camera with errors per pixel; empty after an inflation.
+        pixel_dwells: pixel dwell of the stars in each camera with errors per pixel; empty after a jump or an exclusion.
         sighting_count: number of accepted sightings, of beacons and of stars.
         point_count: number of beacons and stars in the accepted sightings.
         residual_square_sum: sum of the squares of the residuals of beacons and stars on the sky, rad².
@@ -95,7 +95,7 @@ class CalibrationState:
 
     @property
     def residual_rms(self) -> float:
-        """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first sighting."""
+        """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first accepted sighting."""
         return float(np.sqrt(self.residual_square_sum / self.point_count)) if self.point_count else float("nan")
 
 
@@ -253,7 +253,7 @@ class CalibrationFilter:
     def update_by_beacons(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
     ) -> tuple[CalibrationState, Comparison]:
-        """Update the propagated state with a sighting; return the new state and the comparison of the last iteration.
+        """Update the propagated main filter with a sighting; return the new state and the last iteration's comparison.
 
         The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). More than one
         iteration is needed only if the sighting is far from the prediction, as the first sighting may be.

@@ -12,7 +12,7 @@ parallelism (3)                       errors of azimuth, elevation and rotation 
 ship_antenna (3)           horizon    error common to all baselines, m; from here on, states exist only with a sigma
 lever (3)                  deck       error of the vector from the ship's antenna to the theodolite, m
 lens (3)                   main       error of the vector from the intersection of the axes to N', m
-telescope.<id>.parallelism            errors of the parallelism of another star camera (3)
+telescope.<id>.parallelism            errors of another star camera's parallelism (3); these exist without a sigma too
 telescope.<id>.optics (4)             errors of the optics of a star camera: focal length, principal point (u, v) and
                                       k1, in their sigmas; calibration telescope: 3, without the focal length
 telescope.<id>.field (18)             field-spatial error of a star camera, in sigmas

@@ -45,7 +45,7 @@ _OWN_WIDTHS = {"rtk": 3, "lever": 3, "attitude": 3, "refraction": 1}
 _NO_COVARIANCE, _UNIT = np.zeros((3, 3)), np.eye(3)
 
 _ALL_BEACONS = -1
-"""Beacon index of an error that moves all beacons."""
+"""Beacon index of an error that affects all beacons."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class SightingDecision:
     Attributes:
         decision: decision about the exposure.
         sighting: sighting with the accepted beacons under their correct names; None if it is rejected.
-        comparison: comparison of ``sighting`` with the propagated state.
+        comparison: comparison of ``sighting`` with the propagated state; None if it is rejected.
     """
 
     decision: ExposureDecision

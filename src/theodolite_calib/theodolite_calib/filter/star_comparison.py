@@ -140,7 +140,7 @@ class StarModel:
         return stars
 
     def optics_rejection(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Rejection | None:
-        """Return the rejection if an exposure moves the focal length far from the configured value, or None.
+        """Return the rejection if the focal length after an exposure is far from the configured value, or None.
 
         Args:
             mean: mean of the state updated by the exposure, shape (n,).

@@ -350,7 +350,10 @@ class SightingStep:
 
     @staticmethod
     def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, has_others: bool) -> float:
-        """Return the size of the residual on the detector that the fault of an excluded drone would cause now, m."""
+        """Return the residual on the detector that the fault of an excluded drone would cause now, m.
+
+        Without a jump it is 0 if beacons of other drones are used, which omits the test.
+        """
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(exclusion.jump_sum_n, direction_n))
         distance_m = comparison.prediction.lines.distance_m[0]
@@ -375,7 +378,9 @@ def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) ->
 def count_rejection(
     state: CalibrationState, decision: ExposureDecision, gate: GateConfig, measured: str
 ) -> tuple[CalibrationState, ExposureDecision]:
-    """Count a rejected sighting; after consecutive rejections report a conflict or inflate the covariance.
+    """Count a rejected sighting; after consecutive rejections report a conflict and inflate the covariance.
+
+    A conflict between the lights themselves is only counted.
 
     Args:
         state: state before the rejected sighting.
@@ -404,12 +409,12 @@ def solution_separations(
     rotation_nc: FloatArray,
     by_state_n: FloatArray,
 ) -> FloatArray:
-    """Return the solution separation of each subfilter in the pointing, in standard deviations, shape (h,).
+    """Return each subfilter's solution separation about the worst axis, in standard deviations, shape (h,).
 
     Args:
         state: state of the main filter.
         subfilters: states of the subfilters.
-        axis_indices: indices of the states that rotate the main axis.
+        axis_indices: indices, in the state vector, of the errors that rotate the main axis.
         rotation_nc: rotation from a camera on the main axis to the horizon, shape (3, 3).
         by_state_n: Jacobian of the camera's rotation vector in n with respect to the state, shape (3, n).
     """

@@ -81,11 +81,11 @@ class _MeasurementPattern(NamedTuple):
     """Components of a sighting of l beacons, m = 2 l, that each of h subfilters uses.
 
     Attributes:
-        uses: components that each subfilter uses, shape (h, m).
-        conditioning: components of other beacons that condition the innovation of each beacon, in the main filter and
-            in every subfilter, shape (l, h + 1, m). Without encoders or ship the attitude of the telescope is unknown,
-            so a beacon can be consistent only relative to the other beacons.
-        updated_states: states that are updated, True for all states, shape (h, n).
+        uses: 1 for the components that each subfilter uses, shape (h, m).
+        conditioning: 1 for the components of other beacons that condition the innovation of each beacon, in the main
+            filter and in every subfilter, shape (l, h + 1, m). Without encoders or ship the attitude of the telescope
+            is unknown, so a beacon can be consistent only relative to the other beacons.
+        updated_states: 1 for the states that a sighting updates, which are all states, shape (h, n).
         gates: gate for the components that each subfilter uses, shape (h,).
     """
 
@@ -211,7 +211,7 @@ class SubfilterSet:
         excluded: Set[str],
         probability: float,
     ) -> tuple[SubfilterStates, SubfilterInnovations]:
-        """Update the subfilters with a sighting of beacons; return the new subfilters and their innovations.
+        """Update each subfilter whose gate the sighting of beacons passes; return the subfilters and all innovations.
 
         Args:
             subfilters: subfilters, propagated to the time of the sighting.

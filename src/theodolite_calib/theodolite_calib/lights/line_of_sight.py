@@ -107,7 +107,7 @@ class ErrorTerm:
     Attributes:
         name: name of the error.
         source: source of the error in the error budget.
-        is_common: True if one error moves all beacons; False if each beacon has an independent error.
+        is_common: True if one error affects all directions; False if each beacon has an independent error.
         is_correlated: True if the error is correlated in time; False if it is white.
         jacobian_n: derivative of the unit directions with respect to the error, rad per unit, shape (..., N, 3, k).
         covariance: covariance of the error, shape (..., k, k) if common, (..., N, k, k) if not; or (k, k) in both

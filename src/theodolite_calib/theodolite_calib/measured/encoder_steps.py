@@ -46,7 +46,8 @@ class EncoderStep(NamedTuple):
         time_ns: time just before the first reading after the step.
         step: step of azimuth and elevation, rad, shape (2,).
         sigma_rad: standard deviation of each component.
-        lower_bound_rad: lower bound of the larger component, three standard deviations below the estimate, rad.
+        lower_bound_rad: lower bound of the larger component, three standard deviations below the smaller of the two
+            prediction errors, rad.
         interval_s: interval between the readings before and after the step.
     """
 
@@ -108,7 +109,7 @@ class EncoderStepDetector:
             time_ns: stamp of the reading.
             angles: azimuth and elevation, rad, shape (2,).
             sigma_rad: stated noise of each angle.
-            coarseness_rad: resolution of the readings; 0 if every reading is new.
+            coarseness_rad: resolution of the readings; 0 if no reading repeats the one before.
             max_gap_ns: maximum interval between readings that are compared.
         """
         if self._previous:

@@ -22,7 +22,7 @@ StampArray = NDArray[np.int64]
 
 
 class Mode(enum.IntEnum):
-    """Source of the pointing, with the values of ship_msgs/OpticalAxisPointing."""
+    """Source of the pointing, with the values of ship_msgs/OpticalAxisPointing; TWO_LIGHTS means two or more."""
 
     TWO_LIGHTS = 0
     ONE_LIGHT = 1
@@ -153,7 +153,7 @@ class Exposure:
 
     source: ClassVar[str] = "beacons"
     covariance_known: ClassVar[bool] = True
-    """True for every exposure; ``ReadMessage`` records on reception if the message lacks a sigma."""
+    """True for every exposure; ``ReadMessage`` records on reception whether the message states its sigma."""
 
     time_ns: int
     beacons: tuple[DetectedBeacon, ...]
@@ -234,7 +234,7 @@ class TargetSample:
 
 @dataclass(frozen=True)
 class TargetEstimate:
-    """Direction and position of a target at the time of its image; NaN if INVALID, or without a range.
+    """Direction and position of a target at the time of its image; NaN if INVALID. Without a range the position is NaN.
 
     Attributes:
         time_ns: time of the image.
@@ -266,8 +266,8 @@ class ExposureDecision(MeasurementDecision[AnyExposure]):
     reason LIGHT_CONFLICT.
 
     Attributes:
-        telescope_dt: deck from telescope by the beacons, shape (3, 3), and the standard deviation about its worst axis,
-            rad; None if not determined.
+        telescope_dt: deck from telescope, shape (3, 3), and the standard deviation about its worst axis, rad; None if
+            not determined. It comes from the beacons, or from the prediction if the beacons agree with it.
         excluded_sources: sources that are excluded after the exposure.
     """
 
@@ -285,10 +285,10 @@ class PointingEstimate:
         covariance_by_source_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
         covariance_n: total covariance, with the inflation by solution separations, rad², shape (3, 3).
         covariance_without_separation_n: total covariance without this inflation, for the protection levels.
-        rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
+        rotation_nt: horizon from telescope, shape (3, 3); NaN without recent beacons (modes ENCODER and STARS).
         mode: source of the pointing.
         status: status of the pointing.
-        light_count: number of beacons used.
+        light_count: number of beacons in the last accepted sighting; 0 if it is not recent.
         state: state of the filter from which the pointing was computed.
         text: reason if the status is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the axis geometry, shape (3, k).

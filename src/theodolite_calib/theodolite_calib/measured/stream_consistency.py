@@ -62,7 +62,7 @@ class LargestStep(NamedTuple):
     sigma_rad: float
 
     def is_detected(self, expected_rad: float) -> bool:
-        """True if the stream has stepped by at least half of the expected step."""
+        """True if the step is significant, and larger than half of the expected step."""
         return self.size_rad > _STEP_SIGMAS * self.sigma_rad and self.size_rad > 0.5 * expected_rad
 
     def is_ruled_out(self, step_rad: float) -> bool:

@@ -116,7 +116,7 @@ class BeaconAt:
 
     Attributes:
         baseline_n: vector from the ship's antenna to the drone's antenna, m, shape (3,).
-        covariance_n: covariance of the baseline's error due to noise and interpolation, m², shape (3, 3).
+        covariance_n: covariance of the light's position due to baseline noise and interpolation, m², shape (3, 3).
         rotation_nb: horizon from drone, shape (3, 3); the identity if the light is at the drone's antenna.
         jump: jump among the last baselines; None without a jump.
     """

@@ -50,7 +50,7 @@ class Calibration:
         units: "rad" or "m" for each value.
         unobservable: combinations of names that the accepted sightings cannot separate.
         sighting_count: number of accepted sightings.
-        residual_rms: RMS of the residuals of beacons and stars on the sky, rad; NaN before the first sighting.
+        residual_rms: RMS of the residuals of beacons and stars on the sky, rad; NaN before the first accepted sighting.
     """
 
     time_ns: int

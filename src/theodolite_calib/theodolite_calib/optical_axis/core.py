@@ -81,7 +81,7 @@ _REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time:
 
 
 class _WaitingReading(NamedTuple):
-    """Encoder reading that waits for the ship's attitude, with the reason and sigma if it is unconfirmed."""
+    """Encoder reading that waits for the ship's attitude, with the reason why it is unconfirmed, or an empty text."""
 
     sample: EncoderSample
     unconfirmed_reason: str
@@ -248,7 +248,7 @@ class OpticalAxisCore:
         self._ship_check.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
-        """Add a baseline to a drone; an unusable baseline is rejected, and no exposure waits for another."""
+        """Add a baseline to a drone; an unusable one is rejected but stored, so that no exposure waits for another."""
         outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
         if outcome.rejection is None:
             outcome.rejection = sample.rejection
@@ -344,7 +344,7 @@ class OpticalAxisCore:
         return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
-        """Return the prior for the next session; None without sightings and saved calibration."""
+        """Return the prior for the next session: before any sighting the one loaded at the start, or None."""
         if self.state.last_update_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -415,7 +415,7 @@ class OpticalAxisCore:
         return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
-        """Return the residuals of the beacons of an exposure against a stored state, by source."""
+        """Return the residuals of the beacons of an exposure against a stored state, by source, or no residuals."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
@@ -425,7 +425,7 @@ class OpticalAxisCore:
     def largest_difference_sigmas(
         self, state: CalibrationState, memory: CalibrationState, is_later: bool = False
     ) -> float:
-        """Return the largest difference from a stored state, in joint standard deviations of both states."""
+        """Return the largest difference from a stored state, in joint standard deviations; inf in a gap of the data."""
         time_ns = state.time_ns
         ship = None if time_ns is None else self._tracks.ship_at(time_ns)
         encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
@@ -479,7 +479,7 @@ class OpticalAxisCore:
         return outcome
 
     def _check_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
-        """Check an attitude of the ship; return its rejection or None, and the usable part of the attitude."""
+        """Check an attitude of the ship and apply detected jumps; return its rejection or None, and its usable part."""
         result = self._ship_check.check(sample, self._estimator.window.oldest_ns)
         if result.rates_wrong_after_ns is not None:
             # Exposures compared with wrong rates are compared again without rates.
@@ -547,12 +547,12 @@ class OpticalAxisCore:
     def _record_stream_fault(
         self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False
     ) -> None:
-        """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
+        """Record the time if the encoder or ship stream was stuck, jumped or repeated a stamp."""
         if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
             self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
 
     def _record_stream_jump(self, time_ns: int, result: CheckedReading) -> None:
-        """Record a jump or a stuck reading of the encoders."""
+        """Record a jump of the encoders, or the first of several stuck readings, for :meth:`take_jumps`."""
         if result.jump is not None:
             self._stream_jumps.append(StreamJump(result.jump))
         is_stuck = result.rejection is not None and result.rejection.reason is Reason.STUCK
@@ -617,7 +617,7 @@ class OpticalAxisCore:
                 self._add_pointing(outcome, pending, waiting_ns)
 
     def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
-        """Publish a pointing at once, or queue the pointing if pointings are computed on request."""
+        """Publish a pointing, or queue it if computed on request; skip it if a later output has been published."""
         if self.pending is None:
             follows = self._estimator.can_publish(pending.time_ns)
             self._estimator.add_output(

@@ -37,7 +37,7 @@ class EscortAdvisor:
         self._config, self._filter = config, filter_
 
     def advice(self, estimate: PointingEstimate) -> EscortAdvice | None:
-        """Return the advised positions of the drones; None before the period has ended, or without usable drones.
+        """Return the advised positions of the drones; None within the period, without usable drones, or in a gap.
 
         Args:
             estimate: latest pointing that is not INVALID.

@@ -1,7 +1,7 @@
 """Direction of a target at the middle of its exposure, from the main axis at that time.
 
 The status of a direction is the worst status of three pointings: the published pointings before and after the middle,
-and the pointing at the middle.
+and the pointing at the middle. Images with conflicting stamps also make the direction DEGRADED.
 """
 
 from collections import deque
@@ -71,7 +71,7 @@ class TargetProcessor:
         self._pending, self._published = before._pending, before._published
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
-        """Add an image that is not late."""
+        """Add an image that is not late; if too many images wait, the oldest is rejected."""
         outcome.rejection = self._pending.add(sample, waiting_ns)
         for overflowing in self._pending.remove_overflow():
             text = "too many images of targets wait for the pointing: the oldest is rejected"
@@ -91,8 +91,8 @@ class TargetProcessor:
 
         Args:
             outcome: receives the directions and the rejections.
-            waiting_ns: time by the timeout clock at a tick; None at a message, because a rejected message must not
-                trigger directions.
+            waiting_ns: time by the timeout clock at a tick; None at a message, so that an image that has waited too
+                long is answered at ticks only: a rejected message must not trigger its direction.
             oldest_ns: time before which data can no longer come.
             state: returns the current state of the filter, for outputs.
         """

@@ -111,7 +111,7 @@ def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Re
 
 
 def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> ReadMessage[BaselineSample]:
-    """Read ``beacon/<id>/baseline``: vector with the covariance of its white error; a rejection below the least fix.
+    """Read ``beacon/<id>/baseline``: vector and covariance of its white error; below the least fix its rejection.
 
     Raises:
         MessageRejected: with the reason.

@@ -311,7 +311,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return []
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """Return the status of pointing, calibration, beacon conflicts, innovation diagnosis, recovery and clocks."""
+        """Return the status of pointing, calibration, integrity, conflicts, innovations, recovery and clocks."""
         return [
             pointing_status(self.latest, self.clock_jumps),
             calibration_status(self.core.calibration(), self.saved_document_remarks()),

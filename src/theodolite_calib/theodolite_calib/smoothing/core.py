@@ -51,8 +51,8 @@ class _RealTimePointing(NamedTuple):
 
     Attributes:
         estimate: pointing without the filter state and the covariance by source, because many pointings are stored.
-        inputs: inputs for smoothing; None if the pointing is not smoothed, because it had an unresolved fault or was
-            from stars alone.
+        inputs: inputs for smoothing; None if the pointing is not smoothed, because it was unconfirmed, had an
+            unresolved fault, was from stars alone, or is already smoothed.
     """
 
     estimate: PointingEstimate
@@ -211,7 +211,7 @@ def _has_unresolved_fault(state: CalibrationState) -> bool:
 
 
 def _copy_without_state(estimate: PointingEstimate) -> PointingEstimate:
-    """Return a copy without state that shares no arrays with other pointings."""
+    """Return a copy without state and covariance by source that shares no arrays with other pointings."""
     return replace(
         estimate,
         rotation_nm=estimate.rotation_nm.copy(),

@@ -21,8 +21,8 @@ class TracedState(CalibrationState):
 
     Attributes:
         last_update: update by the last accepted sighting or the last jump; None if there was none yet.
-        is_predicted_only: True if only prediction led from the last update to this state; False if a subfilter became
-            the main filter since that update.
+        is_predicted_only: False if a subfilter became the main filter since the last propagation, so that the state is
+            not a prediction from the state before.
     """
 
     last_update: StateUpdate | None = None

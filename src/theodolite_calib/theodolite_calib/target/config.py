@@ -47,7 +47,7 @@ class StationPositionConfig(PositionConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class RefractionConfig:
-    """Refraction on the path to the target: its apparent place is raised by k · distance / (2 · Earth's radius)."""
+    """Refraction on the path to the target: it raises its direction by k · (horizontal distance) / (2 R)."""
 
     coefficient: float = parameter(
         0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True

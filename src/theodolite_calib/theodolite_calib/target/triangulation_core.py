@@ -44,7 +44,7 @@ class PositionEstimate:
         status: status of the position.
         text: reason if the status is not VALID.
         stations: theodolites with a direction at that time.
-        triangulated: position with the residuals of the directions; None if they do not intersect.
+        triangulated: position with the residuals of the directions; None if none was computed.
         rejection: reason if INVALID; else None.
     """
 
@@ -175,7 +175,7 @@ class TriangulationCore:
         return target
 
     def _forget(self, target_id: str, outcome: TriangulationOutcome) -> None:
-        """Drop a target and answer its pending directions as INVALID; after a return its positions are later."""
+        """Drop a target and answer its pending directions as INVALID; if it returns, it gets only later positions."""
         target = self._targets.pop(target_id)
         rejection = Rejection(Reason.OVERFLOW, f"more than {MAX_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
