@@ -47,7 +47,7 @@ def first_screen(
         suite_state: state of the suite.
         history: history with the safety of the last ten minutes.
         label: LIVE, BAG or SIMULATED, from the source of the state.
-        location: namespace and domain, for a page that waits for data.
+        location: namespace and domain, or bag, for a page that waits for data.
         local: local time, displayed under UTC; empty if only UTC is displayed.
     """
     has_lights = any(angle.name in _THEODOLITE_ANGLES for angle in suite_state.angles)
