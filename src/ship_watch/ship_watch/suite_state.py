@@ -106,10 +106,10 @@ class NisConsistency:
     """Consistency of a source's stated sigma with its innovations of the last minute (NIS test).
 
     Attributes:
-        ratio: √(mean NIS / degrees of freedom); NaN if nothing was accepted.
+        ratio: √(sum of NIS / ``degrees_of_freedom``); NaN if nothing was accepted.
         degrees_of_freedom: sum of the degrees of freedom.
         text: "σ as stated (1.01)", "σ optimistic by 1.6", "σ pessimistic by 1.3"; empty with too few innovations.
-        is_consistent: True if the ratio is within 1 ± 3.3/√(2·degrees_of_freedom).
+        is_consistent: True if the ratio is within 1 ± 3.3/√(2·degrees_of_freedom), or if nothing was accepted.
     """
 
     ratio: float
