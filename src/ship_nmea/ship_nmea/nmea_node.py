@@ -141,14 +141,14 @@ class NmeaNode:
         self._events.start(self.node)
 
     def require_one_open(self, errors: Sequence[InputError], count: int) -> None:
-        """Raise an error if no place (link or sink) is open; otherwise log the places that cannot be opened.
+        """Raise an error if no place (link or sink) can be opened; otherwise log the places that cannot be opened.
 
         Args:
             errors: errors of the places that cannot be opened.
             count: number of all places.
 
         Raises:
-            InputError: the first error, if no place is open.
+            InputError: the first error, if no place can be opened.
         """
         if len(errors) == count:
             raise errors[0]

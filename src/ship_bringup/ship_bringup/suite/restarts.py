@@ -27,7 +27,7 @@ class Restarts:
     consecutive_count: int = field(default=0, init=False)
 
     def delay_s(self, ran_s: float) -> float:
-        """Return the delay before the next start, s.
+        """Count an end of the program; return the delay before its next start, s.
 
         Args:
             ran_s: run time of the program.

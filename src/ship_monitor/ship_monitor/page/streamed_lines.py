@@ -36,7 +36,7 @@ class StreamedLine:
         self._oldest_ns = 0
 
     def stream_new(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
-        """Stream the new points, or all points if the data have restarted.
+        """Stream the new points of complete seconds, or all points if the data have restarted.
 
         Args:
             points: points in the order of their times.

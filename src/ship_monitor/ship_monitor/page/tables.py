@@ -80,7 +80,7 @@ def event_row(event: Event, marked: str = "") -> str:
 
 
 def input_row(state: InputState, faulty_sources: Mapping[str, SourceDetails], *, is_marked: bool = False) -> str:
-    """Return a row of the inputs; its count is that at the input in 60 s or, if larger, that in a row of a source OUT.
+    """Return a row of the inputs; it shows the larger of rejections in 60 s and, of a source that is OUT, in a row.
 
     The row of a source is highlighted if the source is OUT due to its own fault, not due to another source.
     """
