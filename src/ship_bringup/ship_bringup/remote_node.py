@@ -22,7 +22,7 @@ from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
 _MAX_LISTED = 12
-"""Maximum number of names listed in an error text; if there are more, only the nearest name is given."""
+"""Maximum number of names listed in an error text; if there are more and one is similar, only that name is given."""
 _TIMEOUT_S = 5.0
 
 _NOTHING = "[]"
@@ -90,7 +90,7 @@ class RemoteNode:
         wait: handles callbacks of the own node for the given number of seconds.
 
     Raises:
-        BadInput: there is no such node; the text lists the existing nodes, the nearest name first.
+        BadInput: there is no such node; the text contains the nearest name, or the existing nodes, or both.
     """
 
     def __init__(self, own_node: Node, name: str, timeout_s: float, wait: Callable[[float], None]) -> None:
@@ -104,7 +104,7 @@ class RemoteNode:
         self._wait_until(lambda: bool(self.services()))
 
     def services(self) -> dict[str, str]:
-        """Return name (without the node's name) → type of the node's services, except services for parameters."""
+        """Return name (without the node's name) → type of the node's services, except those that ROS adds to nodes."""
         found = self._own_node.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
         own = {name.removeprefix(f"{self.name}/"): types[0] for name, types in found}
         return {name: kind for name, kind in own.items() if not kind.startswith(("rcl_", "type_description"))}
@@ -203,7 +203,7 @@ def parse_value(text: str, like: ParameterValue) -> ParameterValue:
 
 
 def value_text(value: ParameterValue) -> str:
-    """Return a value as text, in the format that :func:`parse_value` reads."""
+    """Return a value as text, as typed in a shell for :func:`parse_value`: '' for an empty text."""
     plain = parameter_value_to_python(value)
     if isinstance(plain, bool):
         return str(plain).lower()

@@ -1,4 +1,4 @@
-"""Runtime of both nodes: parameters, guarded callbacks, the clock, and diagnostics once a second.
+"""Runtime of ``nmea_in`` and ``nmea_out``: parameters, guarded callbacks, the clock, and diagnostics once a second.
 
 A node of this package consists of this runtime and its :class:`Work`.
 """
@@ -93,7 +93,7 @@ class NmeaNode:
         config: parameters of the node, which do not change while it runs.
         factory: makes messages.
         clock: the node's time, from /clock if the node follows it.
-        guard: calls functions that may raise.
+        guard: calls functions, and counts and reports their exceptions.
 
     Args:
         name: name of the node.
@@ -141,14 +141,14 @@ class NmeaNode:
         self._events.start(self.node)
 
     def require_one_open(self, errors: Sequence[InputError], count: int) -> None:
-        """Log the places that cannot be opened, and raise an error if no place is open.
+        """Raise an error if no place (link or sink) can be opened; otherwise log the places that cannot be opened.
 
         Args:
             errors: errors of the places that cannot be opened.
             count: number of all places.
 
         Raises:
-            InputError: the first error, if no place is open.
+            InputError: the first error, if no place can be opened.
         """
         if len(errors) == count:
             raise errors[0]

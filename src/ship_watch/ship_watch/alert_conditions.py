@@ -1,7 +1,7 @@
 """Situations of a suite for which alerts are raised, and the priorities of these alerts.
 
 A source that is OUT has one alert, which names the affected functions and has at least the priority of each of these
-functions. An output has an alert of its own only if no alert of a source explains the situation.
+functions. An output with data has an alert of its own only if no alert of at least its priority explains the situation.
 docs/explanation/alerts.md contains the table of alerts.
 """
 

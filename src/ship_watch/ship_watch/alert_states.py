@@ -1,7 +1,8 @@
 """Situations of alerts, states of an alert, and the transitions between them.
 
 The states are from IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
-acknowledged it, even if its situation is over. A caution lasts as long as its situation and needs no acknowledgement.
+acknowledged it, even if its situation is over; it also ends when another alert explains its situation. A caution lasts
+as long as its situation and needs no acknowledgement.
 """
 
 import enum

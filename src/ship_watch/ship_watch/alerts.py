@@ -1,7 +1,7 @@
 """Alerts of a suite, one for each situation: raised, acknowledged, silenced, repeated and ended.
 
 :class:`AlertList` is updated periodically with the present situations. A situation has one alert, even if it comes and
-goes repeatedly. An alert is kept until its situation is over and, if necessary, a person has acknowledged it. The
+goes repeatedly. An alert is listed until its situation is over and, if necessary, a person has acknowledged it. The
 caller passes a steady time for durations, and UTC for the stamps.
 """
 
@@ -19,18 +19,18 @@ from ship_watch.suite_state import AlertEntry, Priority
 MAX_HOLD_S = 60.0
 """Maximum hold of an active alert after its situation disappears, s.
 
-The hold doubles each time the situation comes back.
+The hold doubles each time the situation comes back within :data:`FLAPPING_MEMORY_S`.
 """
 
 GLITCH_MEMORY_S = 1.0
-"""Maximum gap after which a brief situation that appears again counts as the same situation, s."""
+"""Maximum gap in a situation that is not raised yet, s; after a longer gap its delay starts again."""
 
 FLAPPING_MEMORY_S = 300.0
-"""Time without the situation after which the hold is no longer doubled, s."""
+"""Time without the situation after which the hold is not doubled but starts at ``clear_after_s`` again, s."""
 
 
 MAX_ALERTS = 1000
-"""Maximum number of alerts, including those that are over."""
+"""Number of alerts above which alerts that are over are removed, the oldest first."""
 
 _EXAMPLE = AlertEntry("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
 
@@ -224,7 +224,7 @@ class AlertList:
     def _escalate(
         condition: Condition, tracked: _TrackedAlert, description: str, now_ns: int, utc_ns: int
     ) -> AlertChange:
-        """Raise a new instance of an alert whose situation has become more severe."""
+        """Raise a new instance of an alert whose situation has become more severe or affects more functions."""
         tracked.unacknowledged_from_ns, tracked.deviates_since_ns = now_ns, None
         tracked.alert = dataclasses.replace(
             _with_condition(tracked.alert, condition), priority=max(condition.priority, tracked.alert.priority),
@@ -234,9 +234,9 @@ class AlertList:
 
     @staticmethod
     def _deescalate(condition: Condition, tracked: _TrackedAlert, now_ns: int, utc_ns: int) -> list[AlertChange]:
-        """Update the value; adopt another text or a lower priority after the hold time.
+        """Update the value while text and priority are the same; adopt another text or a lower priority after the hold.
 
-        The priority of an unacknowledged alert is never lowered.
+        An unacknowledged alert keeps priority, text and value while its situation has a lower priority.
         """
         alert = tracked.alert
         if condition.text == alert.text and condition.priority == alert.priority:

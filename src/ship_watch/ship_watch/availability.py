@@ -46,7 +46,8 @@ class Availability:
         limit_arcsec: current limit of the quantity.
         share: fraction of the decisive time within this limit.
         median_arcsec: median of the accuracy (95 %) of the worst angle in the decisive time.
-        proposed_arcsec: the lowest round limit that is met for :data:`REQUIRED_SHARE` of the decisive time.
+        proposed_arcsec: the lowest round limit that is met for :data:`REQUIRED_SHARE` of the decisive time; if there is
+            none, a limit above all accuracies.
         proposed_share: fraction of the decisive time within the proposed limit.
         decisive_share: decisive fraction of the whole time, without the start.
         other: reason why the quantity is not SAFE with any limit → fraction of the whole time.

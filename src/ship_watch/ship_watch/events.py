@@ -33,7 +33,7 @@ class EventLog:
         self.events.appendleft(Event(utc_ns, kind, subject, text))
 
     def add_node_start(self, node: str, utc_ns: int) -> None:
-        """Add the start of a node, once for all of its topics."""
+        """Add the start of a node, unless a start of any node was added shortly before: a node has several topics."""
         is_reported = any(event.kind == "node" and utc_ns - event.utc_ns < START_UP_NS for event in self.events)
         if not is_reported:
             self.add("node", node, f"{node} started", utc_ns)

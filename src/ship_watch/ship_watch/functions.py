@@ -91,7 +91,7 @@ class FunctionState:
 
     @property
     def reason(self) -> str:
-        """Reason of the worst angle without changing figures, or a reference to the error budget."""
+        """Reason of the worst angle without changing figures; a hint at the budget if only its accuracy is bad."""
         return (
             "see the error budget"
             if self.angle.reason == OVER_THE_LIMIT

@@ -35,13 +35,13 @@ _ERROR_PERIOD_NS = NS_PER_S // 2
 """Minimum interval between errors against truth, ns."""
 
 _MAX_PENDING = 20
-"""Number of outputs that wait for the truth at their stamps."""
+"""Maximum number of outputs that wait for the truth at their stamps; the oldest are dropped."""
 
 _INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
-"""Prefixes of states that are not errors."""
+"""Prefixes of names of estimated states whose nominal value is not zero."""
 
 _ERRORS = ".time_offset", ".focal_length", ".principal_u", ".principal_v", ".distortion_k1"
-"""Endings of states that are errors in spite of a prefix of :data:`_INSTALLED`."""
+"""Endings of names of states that are nominally zero in spite of a prefix of :data:`_INSTALLED`."""
 
 
 class ErrorsAgainstTruth:
@@ -59,7 +59,7 @@ class ErrorsAgainstTruth:
         self._has_published_errors = False
 
     def record_published_error(self, message: Any) -> None:
-        """Record a message of the output's error topic."""
+        """Record a message of the output's error topic; a message without errors only while there is no truth."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
         has_values = any(math.isfinite(value) for value in error.values())

@@ -50,7 +50,7 @@ class MountingShifts:
         self._shifts: dict[str, tuple[float, int]] = {}
 
     def record_alignment(self, message: Any) -> None:
-        """Record the installation angles in an AlignmentState, once a second."""
+        """Record the installation angles in an AlignmentState, at most once a second."""
         count = len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
         if count > MAX_NAMES or covariance.size != count**2:

@@ -71,7 +71,7 @@ class OutputRecord:
         return self.status not in (None, Status.INVALID) and not self.is_old(now_ns)
 
     def protection(self, angle: str, now_ns: int) -> AngleProtection:
-        """Return the protection level of an angle from the last Integrity message; empty if the message is too old."""
+        """Return the protection level of an angle from the last Integrity message; state None if it is too old."""
         if self._integrity_ns is None or now_ns - self._integrity_ns > self._integrity_age_ns:
             return AngleProtection(None)
         return self._protection.get(angle, AngleProtection(None))
@@ -99,7 +99,7 @@ class OutputRecord:
         raise NotImplementedError
 
     def has_reduced_input(self, beacon_count: int) -> bool:
-        """True if the output is VALID but uses fewer lights than are configured."""
+        """True if the output uses only one light although several are configured; never for the attitude."""
         return False
 
     def _record_common(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
@@ -158,7 +158,7 @@ class AttitudeRecord(OutputRecord):
         return min(reported_s, self.age_s(now_ns)) if self._uses_ins else reported_s
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
-        """Return the time without stars; empty if stars are used."""
+        """Return the time without stars, as text; empty unless the attitude is COASTING or no star was ever used."""
         age_s = self.star_age_s(now_ns)
         if math.isinf(age_s):
             return "no stars yet"

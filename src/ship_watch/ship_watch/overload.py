@@ -42,7 +42,7 @@ class OverloadedNodes:
         self._causes: dict[str, str] = {}
 
     def record_report(self, message: Any, now_ns: int) -> None:
-        """Record an Innovation with the reason BEHIND if its source is a node, not a dropped message."""
+        """Record an Innovation with the reason BEHIND if its source is a node, not the source of a dropped message."""
         node = str(message.source)
         if node not in _NODES:
             return
@@ -63,7 +63,7 @@ class OverloadedNodes:
         return next((self._nodes[node].text for node in nodes if self._is_overloaded(node, now_ns)), "")
 
     def with_causes(self, sources: Sequence[SourceState], now_ns: int) -> list[SourceState]:
-        """Return the sources; a source that went OUT during an overload has the overloaded node as its cause.
+        """Return the sources; if one went OUT during an overload or shortly before, the overloaded node is its cause.
 
         The cause stays until the source is IN again.
 

@@ -201,6 +201,8 @@ class TopicReports:
     def _match_reporter(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
         """Replace the previous report of the same node; if several reports may be the previous one, the oldest.
 
+        The report period and the new rejections are recorded too.
+
         Returns:
             True if the report is from a new node, and the previous report of its node, None if there is none.
         """

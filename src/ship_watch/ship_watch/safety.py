@@ -1,9 +1,10 @@
 """Safety of an angle (SAFE, CAUTION or UNSAFE) and a short reason where it is not SAFE.
 
 The terms are from IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
-within the ship's limit and the protection levels are met. An angle is CAUTION if the accuracy is at most three times
-the limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. In all
-other cases the angle is UNSAFE, also if a value is NaN, because NaN fails every comparison.
+within the ship's limit and its protection level within the alert limit. An angle is CAUTION if its accuracy is over the
+limit, but at most ``unsafe_factor`` times (default 3). It is also CAUTION if integrity is unavailable, or if the output
+is COASTING or DEGRADED or uses too few lights. In all other cases the angle is UNSAFE, also if a value is NaN, because
+NaN fails every comparison.
 
 The safety gets worse at once and better after a hold time, with hysteresis. An accuracy that was over its limit must be
 below the limit by a margin for the hold time, or below the limit for several hold times.
@@ -254,7 +255,7 @@ class _Hold(NamedTuple):
     Attributes:
         last_ns: last time at which the safety was this bad.
         last_near_ns: last time at which the safety was this bad, or the accuracy was not within the margin.
-        was_over: True if the accuracy was over its limit during the hold.
+        was_over: True if the accuracy alone was this bad during the hold.
         cause: last reason for a safety this bad.
     """
 

@@ -108,7 +108,7 @@ class SourceRecord:
                     history.record_exposure(stamp_ns, True, now_ns)
 
     def fault(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
-        """Return the reason why the source is OUT; None if it is IN.
+        """Reinstate the source if it is used again; return the reason why it is OUT, None if it is IN.
 
         Missing data have priority over an exclusion, and an exclusion has priority over rejections.
 

@@ -44,7 +44,10 @@ EVALUATION_PERIOD_NS = 100_000_000
 """Period at which safety and events are evaluated, ns."""
 
 MAX_GAP_NS = 120 * NS_PER_S
-"""Longest gap without messages that is evaluated, ns. After such a gap all ages are over their limits."""
+"""Longest part of a gap without messages that is evaluated, ns.
+
+Of a longer gap only the end is evaluated, because all ages are then over their limits.
+"""
 
 CLOCK_TOLERANCE_NS = NS_PER_S // 10
 """Maximum delay of an output's stamp behind the suite's time that confirms this time, ns."""
@@ -53,13 +56,13 @@ CLOCK_TIMEOUT_NS = 5 * NS_PER_S
 """Time without a confirming output after which the suite's time is set again, ns."""
 
 TIME_JUMP_NS = NS_PER_S
-"""Step back of an output's stamp that resets the history, ns, as when a bag is played in a loop."""
+"""Step back of an output's stamp that resets all except the alerts, ns, as when a bag is played in a loop."""
 
 _SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
 _POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
 _SHIP_REQUIRED = ("ins", "star", "reference")
 _POINTING_REQUIRED = ("encoder", "ship_attitude")
-"""Sources that an output requires. Without another source only the quality of the output is reduced."""
+"""Sources that an output requires: the last two lists. Without another source only the quality is reduced."""
 
 
 class SuiteMonitor:
@@ -67,7 +70,7 @@ class SuiteMonitor:
 
     Args:
         limits: limits of the ship.
-        make_recorder: function that returns a new recorder of the history; it may record less for fewer plots.
+        make_recorder: function that returns a new recorder of the history; a recorder for fewer plots may record less.
     """
 
     def __init__(
@@ -136,7 +139,7 @@ class SuiteMonitor:
         self._published = published_state(message, arrival_ns)
 
     def _handler(self, topic: str) -> Callable[[Any, int], None] | None:
-        """Return the handler of a topic's messages; None if the topic is not monitored."""
+        """Return the handler of a topic's messages; None if it is not monitored or there are too many topics."""
         if monitored_topic(topic) is None or not has_room(self._handlers, topic, "topic"):
             return None
         recorder = self._recorder
@@ -204,10 +207,10 @@ class SuiteMonitor:
         self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
     def _update_time_offset(self, stamp_ns: int, now_ns: int) -> None:
-        """Update the suite's time: the stamp of the output with the least delay, plus the time since its arrival.
+        """Update the suite's time: stamp of the output or InputHealth with the least delay, plus the time since then.
 
-        If the stamps of all outputs stay behind this time for some seconds, that stamp was wrong or the clock was set.
-        The suite's time is then set again.
+        If the stamps of all these messages stay behind this time for some seconds, that stamp was wrong or the clock
+        was set. The suite's time is then set again.
         """
         offset_ns = stamp_ns - now_ns
         if (

@@ -106,10 +106,10 @@ class NisConsistency:
     """Consistency of a source's stated sigma with its innovations of the last minute (NIS test).
 
     Attributes:
-        ratio: √(mean NIS / degrees of freedom); NaN if nothing was accepted.
+        ratio: √(sum of NIS / ``degrees_of_freedom``); NaN if nothing was accepted.
         degrees_of_freedom: sum of the degrees of freedom.
         text: "σ as stated (1.01)", "σ optimistic by 1.6", "σ pessimistic by 1.3"; empty with too few innovations.
-        is_consistent: True if the ratio is within 1 ± 3.3/√(2·degrees_of_freedom).
+        is_consistent: True if the ratio is within 1 ± 3.3/√(2·degrees_of_freedom), or if nothing was accepted.
     """
 
     ratio: float
@@ -129,7 +129,7 @@ class SourceState:
         disagreement: largest offset of a source that is OUT, as "reads 49″ high", or correction in the data of a source
             that is IN, as "names exchanged" for lights. Empty if unknown.
         residual: mean of its last rejected residuals over their sigma; NaN if there is none.
-        out_since_ns: UTC of the first rejection or of the last message; 0 if IN.
+        out_since_ns: UTC of the begin of the fault: first rejection, exclusion or last message; 0 if IN or unknown.
         because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
             :data:`CAUSE_NODE`. Empty if the fault is its own.
     """
@@ -150,7 +150,7 @@ class SourceDetails(SourceState):
     Attributes:
         nis_consistency: consistency of its sigma; None if it has no accepted innovations.
         age_s: time since the last message arrived, s.
-        rate_hz: mean rate of arrival, Hz; NaN before two messages.
+        rate_hz: mean rate of arrival, the largest of its topics, Hz; NaN before two messages.
         rejected_in_a_row: messages rejected in a row, at the input or by the filter.
         topics: topics on which the source publishes, relative to the namespace of the suite.
         mounting_shift: angle between its mounting before an exclusion and after its reinstatement, rad, for ten minutes
@@ -205,7 +205,11 @@ class AlertEntry:
 
 @dataclass(frozen=True)
 class InputState:
-    """State of one input topic, with the rejections of the nodes that read it in the last 60 s."""
+    """State of one input topic as last reported, with the rejections of one reading node in the last 60 s.
+
+    ``level`` is as in diagnostic_msgs/DiagnosticStatus, ``latency_s`` the mean time from stamp to arrival. Of several
+    reading nodes, the largest number of rejections is given.
+    """
 
     topic: str
     rate_hz: float

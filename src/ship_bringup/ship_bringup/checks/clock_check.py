@@ -34,7 +34,7 @@ class ClockState:
         bound_s: maximum error if the source is right (chrony's root distance); NaN if unknown.
         is_synchronised: True if the source reports that it follows a better clock.
         detail: reason for an unknown state, or the status reported by the source.
-        is_unresponsive: True if a synchronisation program is installed but gives no answer.
+        is_unresponsive: True if a synchronisation program is installed but gives no usable answer.
     """
 
     source: str
@@ -93,7 +93,10 @@ def ptp_state(text: str) -> ClockState | None:
 
 
 def check_clock(state: ClockState, limits: Limits) -> CheckLine:
-    """Check the clock against the ship's limits: FAIL above the clock's limit, WARN above the heading's limit."""
+    """Check the clock against the ship's limits: FAIL above the clock's limit, WARN above the heading's limit.
+
+    A clock that is not synchronised is a FAIL; a computer without chrony and PTP is a WARN.
+    """
     if state.is_unresponsive:
         found = f"no program synchronises the clock: {state.detail}"
         return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")

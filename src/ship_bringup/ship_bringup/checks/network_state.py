@@ -116,7 +116,7 @@ def observe_network(
     listen_s: float,
     ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> NetworkState:
-    """Receive the inputs of a suite for some time.
+    """Receive the inputs of a suite for some time; return what was observed, or why nothing was observed.
 
     Args:
         inputs: inputs of the suite from outside.
@@ -186,7 +186,7 @@ class _TopicObserver:
 
     @property
     def is_awaited(self) -> bool:
-        """True if no message of a required topic was received yet."""
+        """True if no message was received yet, and the topic is required or configured."""
         return not self.has_received and (self._topic.required or self._topic.is_configured)
 
     @property

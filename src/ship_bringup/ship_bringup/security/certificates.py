@@ -1,4 +1,4 @@
-"""X.509 certificates of a keystore: reading a certificate, and weaknesses that make it unacceptable."""
+"""X.509 certificates of a keystore: reading a certificate, and weaknesses of its key and signature."""
 
 import datetime
 from collections.abc import Iterator

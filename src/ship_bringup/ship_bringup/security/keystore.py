@@ -105,7 +105,8 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
 def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
     """Raise an error if the suite cannot start with a keystore; return its other faults, one line each.
 
-    Faults of policies and weaknesses are only returned, so that they do not prevent a restart at sea.
+    Faults of policies and weaknesses are only returned, so that they do not prevent a restart at sea. If the
+    program ``openssl`` is needed but missing, no fault is returned, only a line about this.
 
     Raises:
         BadInput: the suite cannot start; the text contains the file, the line and what was expected.

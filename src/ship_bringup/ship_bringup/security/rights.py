@@ -65,7 +65,7 @@ class Rights:
 
     @property
     def fingerprint(self) -> str:
-        """Return the SHA-256 of all declarations, in hexadecimal."""
+        """SHA-256 of the enclave's name, rights and declarations, in hexadecimal."""
         parts = (self.publishes, self.subscribes, self.serves, self.requests, self.declarations)
         text = json.dumps([self.enclave, *map(sorted, parts)])
         return hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -93,7 +93,7 @@ def suite_rights(
 
 
 def load_companions(suite_path: Path, namespace: str) -> dict[str, Any]:
-    """Return name → configuration of each companion of the estimators in a suite file.
+    """Return name → configuration of each companion (``nmea_in``, ``nmea_out``) of the estimators in a suite file.
 
     Raises:
         BadInput: a parameter of a companion is wrong, or its package is not installed.

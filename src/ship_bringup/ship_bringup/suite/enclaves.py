@@ -24,10 +24,10 @@ def add_enclaves(
         programs: programs of the suite.
         all_rights: rights of all programs that may belong to the suite.
         namespace: namespace of the suite.
-        limits: limits of the ship, which may contain the ship's authority.
+        limits: limits of the ship, which may contain the SHA-256 of the ship's authority.
 
     Raises:
-        BadInput: there is no keystore, a program has no enclave in it, or it belongs to another ship.
+        BadInput: there is no keystore, or the suite cannot start with it (:func:`require_keystore`).
     """
     keystore = os.environ.get(KEYSTORE)
     if not keystore:

@@ -143,7 +143,7 @@ def check_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str
 
 
 def missing_saved_files(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
-    """Yield a line for each node without a saved file."""
+    """Yield a warning for each parameter of :data:`SAVED_FILES` that is empty."""
     for node in nodes:
         for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":

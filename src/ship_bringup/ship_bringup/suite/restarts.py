@@ -27,7 +27,7 @@ class Restarts:
     consecutive_count: int = field(default=0, init=False)
 
     def delay_s(self, ran_s: float) -> float:
-        """Return the delay before the next start, s.
+        """Count an end of the program; return the delay before its next start, s.
 
         Args:
             ran_s: run time of the program.
@@ -40,7 +40,7 @@ class Restarts:
 
 
 def exit_code_of(code: int) -> int:
-    """Return the exit code of the suite from the end of a program: 0 after a normal end, 128 + n after signal n."""
+    """Return the suite's exit code from a program's: 0 after a normal end, 128 + n after signal n, else the same."""
     if code in _NORMAL_EXIT_CODES:
         return EXIT_DONE
     return code if code > 0 else _SIGNAL_BASE - code

@@ -151,12 +151,12 @@ class Supervisor:
                 key.data()
 
     def _read(self, entry: SupervisedProgram, process: Process) -> bool:
-        """Show the complete lines that a program has written; return True if there may be more to read."""
+        """Show the complete lines that a program has written, and note its ports; return True if there may be more."""
         lines, may_be_more = process.read_lines()
         for line in lines:
             self._log(entry.program.name, line)
         if lines and not entry.ports and process is entry.process:
-            # A program that prints has created its node, which keeps these ports until it ends.
+            # A program that prints has created its node, which keeps its UDP ports until it ends.
             entry.ports = udp_ports_of(process.pid)
         if process.is_output_complete:
             self._selector.unregister(process.output)

@@ -88,7 +88,7 @@ class AlertManager:
         self._updated_ns = now_ns
 
     def update(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
-        """Update the alerts; return the changes.
+        """Update the alerts and save changes; return the changes.
 
         Args:
             now_ns: steady time, ns.

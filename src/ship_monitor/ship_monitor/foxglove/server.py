@@ -84,7 +84,7 @@ class Viewers:
             client.notify({"op": "advertise", "channels": [channel.advertisement()]})
 
     def add_subscriptions(self, numbers: Sequence[int]) -> None:
-        """Add a viewer's subscriptions to some channels."""
+        """Update the receivers, and note the topics of channels to which a viewer has subscribed."""
         self.update_receivers()
         for number in numbers:
             self.new_subscriptions.put(self.channels[number].topic)

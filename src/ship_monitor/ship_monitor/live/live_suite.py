@@ -74,7 +74,7 @@ class LiveSuite:
                     self._monitor.process_message(received.topic, received.message, received.arrival_ns)
 
     def _process_suite_state(self, message: Any, arrival_ns: int) -> None:
-        """Process a SuiteState message; an invalid one is dropped with a warning."""
+        """Process a SuiteState message; an invalid one is dropped, with a warning for the first."""
         try:
             self._monitor.process_suite_state(message, arrival_ns)
         except ValueError as problem:

@@ -65,7 +65,8 @@ class ReceivedBatch:
 
     Attributes:
         time_went_back: True if the suite's time went back, as at the start of a bag: earlier data are invalid.
-        messages: messages in the order of their arrival, without the messages before a step back of the time.
+        messages: messages in the order of their arrival, without /clock; after a step back of the time, without earlier
+            messages that are not latched.
         alerts_ended: True if the alert node has ended since the last fetch.
     """
 
@@ -112,7 +113,7 @@ class TopicReader:
         self._open()
 
     def fetch(self) -> ReceivedBatch:
-        """Return the messages since the last call, the newest of each topic up to its queue depth."""
+        """Subscribe to new topics; return messages since the last call, the newest of each up to its queue depth."""
         asleep_ns = _sleep_time_ns()
         if asleep_ns - self._sleep_time_ns > _MIN_SLEEP_NS:
             self.close()

@@ -23,7 +23,7 @@ _ROW_PX = 20
 
 
 class AlignmentPanel:
-    """Panel with a row for each state.
+    """Panel with a row for each estimated state, for example an installation angle or a time offset.
 
     Attributes:
         box: the panel.
@@ -97,7 +97,7 @@ _UNITS = {
 
 
 def bars_arcsec(states: Sequence[ParameterEstimate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return lower end, value and upper end of each bar, arcsec; NaN for states without angle or nominal value."""
+    """Return lower end, value and upper end of each bar, arcsec; NaN unless it is an angle with a nominal value."""
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
     value = scale * np.array([deviation_from_nominal(state) for state in states])
     reach = 2.0 * scale * np.array([state.sigma for state in states])

@@ -224,7 +224,7 @@ def top_of_axis(totals: FloatArray) -> float:
 
 
 def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float, float]]:
-    """Return time and variance of the highest point of each interval that is cut off.
+    """Return time and variance of the highest point of each interval that is cut off; of near ones only the highest.
 
     Args:
         times: times in the browser's unit, shape (n,).

@@ -72,7 +72,7 @@ def next_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
 
 
 def label_positions(wanted: Sequence[float], spacing: float, low: float, high: float) -> list[float]:
-    """Return positions of labels near the wanted positions, without overlap and in the given order.
+    """Return positions of labels near the wanted positions, without overlap, in the order of ``wanted``.
 
     Args:
         wanted: best positions.

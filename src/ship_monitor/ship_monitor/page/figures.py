@@ -236,6 +236,8 @@ class GrowingRows(Generic[Key, Row]):
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
         """Make plots for keys that have no plot, in the order of the keys; return all plots.
 
+        If the keys have changed, all plots are made again.
+
         The caller draws the plots before :meth:`show`. Changes of a plot that is being sent to a browser would be lost,
         because the document does not contain the plot yet.
         """

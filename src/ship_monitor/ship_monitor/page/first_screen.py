@@ -47,7 +47,7 @@ def first_screen(
         suite_state: state of the suite.
         history: history with the safety of the last ten minutes.
         label: LIVE, BAG or SIMULATED, from the source of the state.
-        location: namespace and domain, for a page that waits for data.
+        location: namespace and domain, or bag, for a page that waits for data.
         local: local time, displayed under UTC; empty if only UTC is displayed.
     """
     has_lights = any(angle.name in _THEODOLITE_ANGLES for angle in suite_state.angles)
@@ -142,7 +142,8 @@ def _alert(alert: AlertEntry) -> dict[str, str]:
 def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str, Any]:
     """Return the banners of sources that are OUT, and all sources; sources not configured are last and not counted.
 
-    A source that is OUT due to another source or a node has no banner, but its cause has. It is marked in the list.
+    A source that is OUT due to another source or an overloaded node has no banner, but its cause has. It is marked in
+    the list.
     """
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]

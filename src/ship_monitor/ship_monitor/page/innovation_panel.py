@@ -30,7 +30,7 @@ from ship_watch.history import History, InnovationPoint, points_after
 from ship_watch.suite_state import Presence, SourceDetails, SuiteState
 
 MEAN_WINDOW_NS = 10_000_000_000
-"""Window of the means at a plot, ns; the height of the plot is determined by six windows."""
+"""Window of the means at a plot, ns; the height of the plot is determined by the last six windows."""
 
 AXES_DRAWN = (("up", "z"), ("right", "x"))
 """Drawn axes of star sensors and lights, one marker each; rotations about the boresight are far less accurate."""

@@ -47,7 +47,7 @@ class InputsPanel:
         self.box = PanelBox(theme, "Inputs", [self._table])
 
     def update(self, suite_state: SuiteState, marked: str) -> None:
-        """Write the inputs; rows of sources that are OUT are highlighted, rows of the marked source framed."""
+        """Write the inputs; rows of sources that are OUT have a cross, rows of the marked source a frame."""
         faulty_sources = {
             topic: source
             for source in suite_state.sources
@@ -80,7 +80,7 @@ def event_row(event: Event, marked: str = "") -> str:
 
 
 def input_row(state: InputState, faulty_sources: Mapping[str, SourceDetails], *, is_marked: bool = False) -> str:
-    """Return a row of the inputs; rejections at the input and by the filter are added up.
+    """Return a row of the inputs; it shows the larger of rejections in 60 s and, of a source that is OUT, in a row.
 
     The row of a source is highlighted if the source is OUT due to its own fault, not due to another source.
     """

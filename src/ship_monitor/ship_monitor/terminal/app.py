@@ -145,7 +145,7 @@ class TerminalApp(App[int]):
         self._drawing.show(lines, styles_of(THEMES[self._theme_name]))
 
     def action_toggle_page(self, page: str) -> None:
-        """Open a page, or close it if it is open."""
+        """Open a page, or close the open page, whichever it is."""
         self._page = "" if self._page else page
         self.draw()
 
@@ -155,7 +155,7 @@ class TerminalApp(App[int]):
         self.draw()
 
     def action_choose(self, step: int) -> None:
-        """Select the next angle or source."""
+        """Select the next (``step`` 1) or previous (-1) angle or source."""
         if self._suite_state is None:
             return
         names = selectable_names(self._suite_state)

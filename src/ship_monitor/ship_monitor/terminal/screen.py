@@ -25,7 +25,7 @@ MIN_WIDTH, MIN_HEIGHT = 64, 15
 """Size of the smallest terminal with a full screen; a smaller terminal shows one line."""
 
 MIN_EVENT_ROWS = 6
-"""Minimum number of events before inputs are shown."""
+"""Rows for events that must remain free if the inputs are shown."""
 
 KEYS = " a acknowledge   Enter details   t theme   p pause   ? help   q quit"
 
@@ -50,9 +50,9 @@ class View:
     Attributes:
         width: columns of the terminal.
         height: rows of the terminal.
-        name: name of the suite, which is its namespace.
+        name: namespace of the suite without slashes, or name of the bag.
         label: LIVE, BAG or SIMULATED.
-        location: namespace and domain, shown while waiting for data.
+        location: namespace and domain, or bag, shown while waiting for data.
         paused_s: time since the pause, s; NaN if not paused.
         chosen: name of the selected angle or source; empty without a selection.
         note: result of the last action, shown instead of the keys; empty for no note.
@@ -172,7 +172,7 @@ def alert_pieces(alert: AlertEntry, formatter: LineFormatter, text_width: int) -
 def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
     """Return the row of a source: presence, age, rate, reason. A source is indented below its cause.
 
-    If no output is current, the row is struck through and has no tick.
+    If no output is current, the row of a source that is not OUT is struck through and marked "?".
     """
     is_out = source.presence is Presence.OUT
     is_consequence = is_out and source.because_of in {each.name for each in suite_state.sources if not each.because_of}

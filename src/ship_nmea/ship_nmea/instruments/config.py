@@ -95,7 +95,7 @@ class NmeaSourceConfig:
         return f"{self.kind} {self.address or ANY_ADDRESS}:{self.port}"
 
     def held_place(self, name: str) -> MachineResource | None:
-        """Return the port or device of this machine that the source occupies; None if there is no such place.
+        """Return the port or device of this machine that the source occupies; None for TCP.
 
         Args:
             name: name of the source's group of parameters, for example ``sources.gyro``.

@@ -185,7 +185,7 @@ class LinkReader:
 
     Attributes:
         problem: one line about why the link is not open; empty if it is open.
-        failure: exception of the first opening of the link, if any.
+        failure: exception of the opening by the constructor; None if it succeeded, or if the thread opens the link.
     """
 
     def __init__(self, link: Link, now_ns: Callable[[], int], on_lines: Callable[[], None]) -> None:

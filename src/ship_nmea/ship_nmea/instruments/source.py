@@ -24,10 +24,10 @@ WARNING_NS = 10 * NS_PER_S
 """Time for which a past problem remains a warning, ns."""
 
 _BACKWARD_JUMP_NS = NS_PER_S
-"""Backward jump of the node's time beyond which the instrument is reset, ns."""
+"""Backward jump of the node's time beyond which the conversion (:class:`Instrument`) is reset, ns."""
 
 _CLOCK_CORRECTED_NS = 3 * NS_PER_S
-"""Time without published messages after which the instrument is reset if its last stamp is in the future, ns."""
+"""Time without published messages after which the conversion is reset if the last stamp is in the future, ns."""
 
 _MAX_CHARACTERS = 60
 _MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
@@ -165,7 +165,7 @@ class Source:
         return None
 
     def status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
-        """Return the status of the source, from the messages that it published.
+        """Return the status of the source, with the rate of its messages since the last call.
 
         Args:
             problem: problem of the source's link; empty if the link is open.

@@ -116,7 +116,7 @@ class BridgeAlerts:
         self._counts["alerts sent"] += 1
 
     def _send_list(self) -> None:
-        """Send the list if live alerts are published; an empty list would report that there is no alert."""
+        """Send the heartbeat, and the list if live alerts are published: an empty list would mean "no alert"."""
         has_publisher = self._has_publisher() and not is_played(self._runtime)
         sentences = alc(self._sent_alerts.all, self._config.talker, self._config.manufacturer, self._next_sequence(ALC))
         for sentence in sentences if has_publisher else ():

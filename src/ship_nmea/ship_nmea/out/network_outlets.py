@@ -74,7 +74,7 @@ class _Client:
 
 
 class TcpOutlet(Outlet):
-    """A server; each client receives as much as it can take, and a client that takes nothing is disconnected."""
+    """A server; each client receives as much as it can take, and is disconnected if it acknowledges nothing."""
 
     def __init__(self, config: SinkConfig, receive: LineReceiver) -> None:
         super().__init__(config, receive)

@@ -50,7 +50,7 @@ class Throttle:
         self._next_ns: int | None = None
 
     def is_due(self, now_ns: int) -> bool:
-        """True if an attitude that arrives at this time is to be sent."""
+        """True if an attitude that arrives at this time is to be sent; the next period then begins."""
         late_ns = 0 if self._next_ns is None else now_ns - self._next_ns
         if late_ns < -self._period_ns // 2:
             return False

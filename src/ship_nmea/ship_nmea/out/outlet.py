@@ -24,7 +24,7 @@ class Outlet(ABC):
 
     Attributes:
         place: kind and address of the destination, as text.
-        client_lost_ns: steady time at which a client was last disconnected; None if no client was disconnected.
+        client_lost_ns: steady time at which a client was last disconnected or refused; None if there was none.
 
     Args:
         config: configuration of the sink.

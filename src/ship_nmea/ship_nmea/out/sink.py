@@ -91,7 +91,7 @@ class Sink:
         self._thread.start()
 
     def queue(self, sentence: str, max_wait_ns: int = 0) -> None:
-        """Queue a sentence; if the queue is full, the oldest sentence is dropped.
+        """Queue a sentence, or drop it if the outlet is not open; if the queue is full, the oldest sentence is dropped.
 
         Args:
             sentence: the sentence without its line end.
@@ -188,7 +188,7 @@ class Sink:
             self._is_open, self._failure = True, ""
 
     def _fail(self, problem: Exception) -> None:
-        """Close the outlet until the next attempt."""
+        """Close the outlet until the next attempt, and discard the queued sentences."""
         with self._lock:
             self._is_open = False
             self._failures += 1

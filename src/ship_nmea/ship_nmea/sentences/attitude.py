@@ -32,7 +32,7 @@ class AttitudeQuality(Enum):
 
     NORMAL = "A", 0
     ESTIMATED = "E", 1
-    """Reduced set of sources: COASTING without recent stars, or DEGRADED."""
+    """Reduced set of sources: COASTING, on recent stars, or DEGRADED, without stars."""
     SIMULATED = "S", 1
     """Played or simulated: the node follows /clock."""
     VOID = "V", 2
