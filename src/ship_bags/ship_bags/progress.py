@@ -76,7 +76,7 @@ class Progress:
 
 def erase_progress() -> None:
     """Erase a line of progress that an interruption has left on the terminal."""
-    for progress in _on_terminal:
+    for progress in tuple(_on_terminal):  # end() removes it
         progress.end()
 
 
