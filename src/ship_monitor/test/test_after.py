@@ -135,7 +135,7 @@ class TestBagPlayback:
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
         monitor = monitor_after(suite, max(time_ns - round(HISTORY_S * NS_PER_S), 0), time_ns)
         assert shown == monitor.current_state(time_ns)
-        assert pictures.history.ribbons == monitor.history.safety
+        assert pictures.history.safety == monitor.history.safety
         heading = next(angle for angle in shown.angles if angle.name == "heading")
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 
