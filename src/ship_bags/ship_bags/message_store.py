@@ -108,7 +108,8 @@ class BagTypes(NamedTuple):
 
     Attributes:
         store: the types, with precedence of the bag's definitions.
-        differences: type of the bag that differs from the suite's type, also in a nested type → one line per field.
+        differences: name of a type → one line per field that differs between bag and suite, fields of nested types
+            included. Types without a difference are left out.
         unreadable: type of the bag whose definition cannot be used → reason.
     """
 
@@ -263,7 +264,8 @@ def _definition_text(type_name: str) -> str:
 
 
 def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
-    # Without comments, which take the parser as long as fields; lines may end as on Windows.
+    # Comments are removed, because the parser needs as much time for a comment as for a field. Windows line ends are
+    # accepted.
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     text = "".join(f"{line}\n" for line in lines)
     if len(text) > MAX_DEFINITION_CHARACTERS:

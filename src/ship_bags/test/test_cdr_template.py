@@ -68,7 +68,7 @@ def test_bytes_are_those_of_rosbags(type_name, factory):
     for _ in range(30):
         fields = random_fields(draw, type_name)
         expected = serialize(RosbagsFactory().make(type_name, **fields))
-        encoded = factory().encoded(type_name, **fields)
+        encoded = factory().encode(type_name, **fields)
         assert encoded.__cdr__ == expected
         assert encoded.__msgtype__ == type_name
 

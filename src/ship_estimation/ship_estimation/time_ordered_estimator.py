@@ -75,7 +75,7 @@ class LagWindow:
 
 
 _MOST_AHEAD_NS = SECOND_NS // 10
-"""Twice the maximum time by which an accepted stamp is ahead of its arrival, ns."""
+"""Bound of the time by which an accepted stamp is ahead of its arrival, ns, with a factor of two as margin."""
 
 
 def is_within_lag(
@@ -226,8 +226,8 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
                 exception; the state is kept.
             window_ns: stamp before which no relevant data can arrive, and present time; None for no limit. At most
                 :data:`MOST_REPEATS_AT_ONCE` measurements are applied again, and :data:`MOST_REPEATS_PER_S` in a second.
-                The other measurements stay pending until the next call, or until no more data can arrive. The limit
-                does not change the final state.
+                The other measurements stay pending until a later call. Measurements before the stamp are applied again
+                without a limit. The limit does not change the final state.
 
         Returns:
             The decision about each applied measurement and the decision that it replaces, or None.
@@ -413,7 +413,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         return not self._log.pending_count
 
     def advance_to(self, time_ns: int) -> None:
-        """Advance the window after samples up to a stamp were appended to their track, while :attr:`is_idle`."""
+        """Advance the window to the stamp of the last sample that was appended to a track while :attr:`is_idle`."""
         self.window.advance_to(time_ns)
         self._close()
 
@@ -584,7 +584,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
 
     @property
     def state_now(self) -> State:
-        """State for outputs, which jumps inflate at once, even if measurements before the jumps are pending."""
+        """State for outputs: :attr:`state`, with the covariance inflated also for jumps that are still pending."""
         if not (self._has_inflation and self._log.pending_count):
             return self.state
         pending = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]

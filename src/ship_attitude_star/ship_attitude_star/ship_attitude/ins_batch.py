@@ -49,14 +49,16 @@ class InsBatch:
     """A batch of checked INS samples.
 
     Attributes:
-        samples: samples of the batch, from the first of the block.
-        block: samples as arrays.
+        samples: samples of the batch, which are the first samples of ``block``.
+        block: samples as arrays; there may be further samples after those of the batch.
         arrivals_ns: arrival times, by the timeout clock.
-        checked: results of the INS check, including a last sample that needs separate handling.
+        checked: results of the INS check. If the check found a sample that needs separate handling, this sample is
+            ``checked.last``; it follows the batch and is not part of it.
         previous_rates: rates of the samples before the batch.
         extra_noise: noise of the samples in excess of the stated noise; None without excess noise.
         committed_count: number of committed samples.
-        pending_outcomes: outcomes of samples besides attitudes, each with the index of its sample, not yet retrieved.
+        pending_outcomes: decisions and failures caused by samples, not yet retrieved, each with the index of its
+            sample.
     """
 
     samples: list[AttitudeSample]

@@ -61,7 +61,7 @@ _INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
-# The index takes a hundred bytes per chunk. This part of the index stays in memory, the rest is on the disk.
+# The index takes a hundred bytes per chunk. It is in memory up to this size; a larger index is in a file.
 _INDEX_IN_MEMORY_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20
 
@@ -160,7 +160,10 @@ class McapWriter:
             start = stop
 
     def _end_of_chunk(self, log_times_ns: NDArray[np.int64], ends: NDArray[np.int64], start: int) -> int:
-        """Return the index of the first message after the chunk to which message ``start`` belongs."""
+        """Return the index of the first message after the chunk to which message ``start`` belongs.
+
+        If message ``start`` is too far in time from the current chunk, that chunk is ended first.
+        """
         if self._start_ns is not None and (
             log_times_ns[start] - self._start_ns > CHUNK_NS or self._end_ns - log_times_ns[start] > CHUNK_NS
         ):

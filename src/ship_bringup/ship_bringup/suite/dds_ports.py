@@ -1,8 +1,8 @@
 """Reserve the ports of a killed program, so that DDS connects its successor at once.
 
-A killed program does not announce its end. For 20 s, the default lease of DDS, its peers continue to send to its ports,
-and a successor on these ports receives the messages. Shared memory has the same defect, without ports that could be
-reserved.
+A killed program does not announce its end. For 20 s, the default lease of DDS, its peers continue to send to its ports.
+A successor on these ports receives the messages meant for the killed program, and is discovered later. Shared memory
+has the same defect, but no ports that could be reserved (see :data:`UDP_ONLY`).
 
 On other ports the successor is discovered as soon as each peer announces itself: every 0.5 s with the suite's profile
 (:data:`ship_bags.live.dds.DDS_PROFILE`), every 3 s by default. The successor must wait for these announcements.

@@ -18,10 +18,12 @@ LATCHED_TOPICS = ("ship/alerts", "ship/alignment", "theodolite/calibration")
 """Topics whose last message stays valid until the next message."""
 
 _NOMINAL_TOPICS = LATCHED_TOPICS[1:]
-"""Topics whose first message also contains the nominal values."""
+"""Topics whose first message in the bag gives the nominal values, with which later values are compared."""
 
 THINNING_PERIOD_NS = 100_000_000
-"""Period of decoded messages, ns, for topics whose newest message is enough: the period of the evaluation."""
+"""Period in which one message of a topic is decoded, ns, if the topic's newest message is enough.
+
+The monitor evaluates the suite with the same period."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +75,13 @@ class RecordedSuite:
         ]
 
     def messages(self, since_ns: int) -> Iterator[RecordedMessage]:
-        """Yield the alerts and states that were valid at a log time, then the monitored messages after that time.
+        """Yield the alerts, alignment and calibration valid at a log time, then the monitored messages from then on.
 
-        Messages that cannot be decoded are skipped.
+        Before them come the first alignment and calibration of the bag, for the nominal values. Messages that cannot be
+        decoded are skipped.
 
         Args:
-            since_ns: log time of the first message, ns.
+            since_ns: the log time, ns; messages before it are yielded with this log time.
         """
         last = [self._bag.last_before(topic, since_ns) for topic in self._latched.values()]
         first = [record for record in self._first_nominal if record is not None and record.log_time_ns < since_ns]

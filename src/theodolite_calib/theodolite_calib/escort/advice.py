@@ -151,7 +151,11 @@ class _Search:
 
 
 def _starting_points(count: int) -> Iterator[FloatArray]:
-    """Yield boxes of N positions: around the field in some orientations, on its upper or lower edge, at some ranges."""
+    """Yield the box coordinates of N positions for each start, shape (N, 3).
+
+    The positions are around the edge of the field, at equal or alternating ranges, or at one elevation. A single
+    position is also in the middle of the field.
+    """
     numbers = np.arange(float(count))
     for share in _RANGES:
         ranges = np.full(count, share)
