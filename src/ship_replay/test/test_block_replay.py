@@ -177,11 +177,11 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
     taken = []
     finish_batch = core.finish_batch
 
-    def count_calls(self: Any, ahead: Any) -> Any:
-        taken.append(ahead.followed.usual)
-        return finish_batch(self, ahead)
+    def count_accepted(self: Any, batch: Any) -> Any:
+        taken.append(batch.checked.accepted_count)
+        return finish_batch(self, batch)
 
-    monkeypatch.setattr(core, "finish_batch", count_calls)
+    monkeypatch.setattr(core, "finish_batch", count_accepted)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 

@@ -116,7 +116,7 @@ def test_ins_samples_in_batches_equal_those_one_by_one(name):
         list(outcomes(core, run, wanted_ns))
         for outcomes, core in zip((attitude_outcomes, one_by_one), cores, strict=True)
     )
-    for attribute in ("estimates", "decisions", "refusal"):
+    for attribute in ("estimates", "decisions", "rejection"):
         values = [[getattr(outcome, attribute) for outcome in some] for some in (found, expected)]
         one, other = ([each for each in some if each] for some in values)
         assert len(one) == len(other)
