@@ -187,7 +187,7 @@ def test_the_same_exposure_again_is_dropped() -> None:
 
 
 @pytest.mark.parametrize("delay_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
-def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(delay_ns: int) -> None:
+def test_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(delay_ns: int) -> None:
     """A sensor with conflicting exposures gives no attitude until it has been consistent for ten seconds."""
     index = index_at(voyage(), FORE, CHANGE_S)
     mine = voyage()[index]
@@ -327,7 +327,7 @@ def test_exposures_without_stars_are_no_fault() -> None:
     assert run.health(FORE).rejected == 0
 
 
-def test_mend_07_another_noise_of_the_ins_reaches_its_check() -> None:
+def test_another_noise_of_the_ins_reaches_its_check() -> None:
     """One sample off by 60", as in the test of ship_attitude."""
 
     def rotate_up(message: Any) -> None:

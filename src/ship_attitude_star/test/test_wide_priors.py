@@ -145,7 +145,7 @@ WIDTHS = [
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("width", WIDTHS, ids=str)
-def test_mend_11_single_stars_and_solutions_match_their_covariance_and_agree(sky: Sky, width: Width) -> None:
+def test_single_stars_and_solutions_match_their_covariance_and_agree(sky: Sky, width: Width) -> None:
     ends = [end(sky, seed, width) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, 3)
     for kind in ("observations", "solution"):
@@ -158,7 +158,7 @@ def test_mend_11_single_stars_and_solutions_match_their_covariance_and_agree(sky
         assert normalized_error_squared(one - other, one_covariance + other_covariance) < 21.1
 
 
-def test_mend_11_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitude(sky: Sky) -> None:
+def test_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitude(sky: Sky) -> None:
     """They do not verify one another. With a tilt of 10″ they do, however wide the heading; with 10° they do not."""
     ends = [end(sky, seed, Width(3.0 * DEGREE, 10.0), count=2)["observations"] for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, 3)
@@ -170,7 +170,7 @@ def test_mend_11_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitud
 
 @pytest.mark.parametrize("heading", [72.0, 3.0 * DEGREE, 10.0 * DEGREE])
 @pytest.mark.parametrize("kind", ["observations", "solution"])
-def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_sensor(
+def test_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_sensor(
     sky: Sky, kind: str, heading: float
 ) -> None:
     """Before, the first exposure made the attitude VALID, whatever the prior."""
@@ -197,7 +197,7 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int) -> None:
+def test_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int) -> None:
     """The least sum of squares that scipy finds with the exact motion of a ship that turns at 4 degrees a second.
 
     Before, the turn by the estimated offset of the clock counted twice: three of the five were rejected, and the offset
@@ -243,7 +243,7 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
 
 
 @pytest.mark.parametrize("off_deg", [3.0, -3.0, 9.0])
-def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: float) -> None:
+def test_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: float) -> None:
     """An INS that was 3° off with a sigma of 3° once made 421 of 431 VALID attitudes wrong by more than five sigma."""
 
     def turn_ins(message: Any) -> None:
@@ -265,7 +265,7 @@ def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_d
 
 
 @pytest.mark.parametrize("count", [2, 8])
-def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count: int) -> None:
+def test_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count: int) -> None:
     """Linearised at the INS, 3° off, the right stars contradict it by 283″."""
     rng = np.random.default_rng(4)
     exposure = sky.exposure_with_errors("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
@@ -282,7 +282,7 @@ def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky
 
 
 @pytest.mark.parametrize("width", [WIDTHS[0], WIDTHS[3], WIDTHS[4]], ids=str)
-def test_mend_11_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> None:
+def test_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> None:
     """The sum of squares at the estimate, of the first exposure of each seed: sixteen residuals, sixteen degrees."""
     values = []
     for seed in range(SEEDS):
@@ -300,7 +300,7 @@ def test_mend_11_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [8, 4, 3])
 @pytest.mark.parametrize("width", [WIDTHS[3], Width(3.0 * DEGREE, 3.0 * DEGREE), WIDTHS[6]], ids=str)
-def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width: Width, count: int) -> None:
+def test_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width: Width, count: int) -> None:
     """The right stars outvote them, or the exposure is refused."""
     used = 0
     for seed in range(20):
