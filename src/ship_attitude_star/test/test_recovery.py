@@ -19,6 +19,7 @@ from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_attitude_star.ship_attitude.state import with_changes
 from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_estimation.outcome import Status
+from ship_estimation.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
@@ -100,10 +101,24 @@ def test_without_a_second_estimator_it_does_not_recover() -> None:
     assert run.adapter.recovery.started == 0
 
 
-def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude() -> None:
-    run = recovered_run()
-    claimed = [stamp_of(m) for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
+def test_stamps_continue_to_increase_after_an_adoption() -> None:
+    claimed = [stamp_of(m) for m in recovered_run().messages(ATTITUDE) if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(claimed))
+
+
+class _SufficientLevels(PublishedLevels):
+    """Published levels that cover every output."""
+
+    def needs_update(self, *_: Any, **__: Any) -> bool:
+        return False
+
+
+def test_levels_of_an_adopted_estimator_are_published_whatever_was_published_before() -> None:
+    def cover_all(run: Run, since_s: float) -> None:
+        if since_s > FAULTY_S + 50.0 and not run.adapter.recovery.adopted:
+            run.adapter.published_levels = _SufficientLevels()
+
+    run = run_voyage(calm(), then=cover_all)
     both = [(topic, m) for _, topic, m in run.published if topic in (ATTITUDE, "ship/integrity")]
     late = [number for number, (_, m) in enumerate(both) if since_start_s(m) > FAULTY_S + 60.0]
     first = next(number for number in late if both[number][0] == ATTITUDE and both[number][1].status == Status.VALID)
