@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
@@ -116,6 +117,38 @@ def test_disagreement_is_the_component_furthest_off() -> None:
     message = innovation(False, Reason.EXCLUDED, arcsec=(0.0, 1.0, 0.0), names=("forward", "up", "right"))
     streak.record(102 * SECOND, message, 102 * SECOND, PERIOD)
     assert streak.disagreement.text == "reads 49″ high"
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("axis", "pointer", "effect", "words"),
+    [
+        ("right", "forward", "up", ("high", "low")),  # the bow of the device rises
+        ("up", "forward", "right", ("to the right", "to the left")),
+        ("forward", "up", "right", ("clockwise", "counterclockwise")),  # looking forward, its top moves to the right
+    ],
+)
+def test_sense_of_a_rotation_is_that_of_the_right_hand_rule(axis, pointer, effect, words, sign) -> None:
+    """The expected sense comes from scipy: where a rotation about one axis moves another axis of the device."""
+    axes = dict(zip(("forward", "up", "right"), np.eye(3), strict=True))
+    moved = Rotation.from_rotvec(sign * 0.1 * axes[axis]).apply(axes[pointer])
+    streak = DecisionHistory(5, 10)
+    streak.record(SECOND, innovation(False, arcsec=(sign * 49.0,), names=(axis,)), SECOND, PERIOD)
+    assert streak.disagreement.text == f"reads 49″ {words[0] if moved @ axes[effect] > 0.0 else words[1]}"
+
+
+@pytest.mark.parametrize(
+    ("axis", "arcsec", "sense"),
+    [
+        # An image point of a light with x > 0 or z > 0 is of a light to the left or low (BeaconSighting.msg).
+        ("x", 30.0, "to the left"), ("x", -30.0, "to the right"), ("z", 30.0, "low"), ("z", -30.0, "high"),
+        ("up", 30.0, "high"), ("up", -30.0, "low"), ("right", 30.0, "to the right"), ("right", -30.0, "to the left"),
+    ],
+)  # fmt: skip
+def test_sense_of_a_light_or_star_is_that_on_the_sky(axis: str, arcsec: float, sense: str) -> None:
+    streak = DecisionHistory(5, 10)
+    streak.record(SECOND, innovation(False, arcsec=(arcsec,), names=(f"a {axis}",)), SECOND, PERIOD)
+    assert streak.disagreement.text == f"a reads 30″ {sense}"
 
 
 def test_equal_residuals_of_all_stars_are_a_rotation_of_the_sensor() -> None:
