@@ -261,8 +261,8 @@ class TargetEstimate:
 class ExposureDecision(MeasurementDecision[AnyExposure]):
     """Decision about an exposure.
 
-    ``residual`` and ``sigma`` are angles: x and z of the inverted image of each beacon (positive to the left and down on
-    the sky), up and to the right on the sky for each star. ``rejected_parts`` are beacons or stars. An exposure whose
+    ``residual`` and ``sigma`` are angles: x and z of the inverted image of each beacon (positive to the left and down
+    on the sky), up and to the right on the sky for each star. ``rejected_parts`` are beacons or stars. An exposure whose
     beacons had exchanged names is accepted, with the reason LIGHT_CONFLICT.
 
     Attributes:
