@@ -47,7 +47,7 @@ BAD = [
     ("ROS_SECURITY_STRATEGY", "Permissive", "a node without an enclave runs unprotected"),
     ("ROS_SECURITY_STRATEGY", "enforce", "a node without an enclave runs unprotected"),
     ("ROS_SECURITY_KEYSTORE", None, "ROS_SECURITY_KEYSTORE is not set"),
-    ("ROS_SECURITY_KEYSTORE", "/nowhere", "ROS_SECURITY_KEYSTORE=/nowhere is no folder"),
+    ("ROS_SECURITY_KEYSTORE", "/nowhere", "ROS_SECURITY_KEYSTORE=/nowhere is not a folder"),
 ]
 
 
