@@ -1,4 +1,5 @@
-"""Reports of vulnerabilities and licences: versions without a result are reported, and every licence is known."""
+"""Reports of tools/audit.py and tools/licences.py: wheels without a result are listed, and all licences are known.
+"""
 
 import os
 import subprocess
@@ -55,7 +56,7 @@ def evaluate_report(report: str) -> str:
 
 
 def test_a_vulnerability_is_listed_with_its_fix_and_a_missing_result_is_listed() -> None:
-    """The form of a report is that of pip-audit 2.10, whose entries of what it left out have no ``vulns``."""
+    """The report has the form of pip-audit 2.10, in which the entry of a skipped wheel has no ``vulns``."""
     flaw = {"id": "PYSEC-2026-1", "fix_versions": ["3"], "aliases": [], "description": ""}
     left_out = {"name": "b", "skip_reason": "not found"}
     report = {"dependencies": [{"name": "a", "version": "1", "vulns": [flaw]}, left_out]}

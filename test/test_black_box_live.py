@@ -1,6 +1,6 @@
 """The live node's black box: bit-exact after all operations, after a restart, and after kill -9.
 
-``tools/black_box_run.py`` does the same for ten minutes.
+``tools/black_box_run.py`` does the operations and the restart over a voyage of ten minutes, without kill -9.
 """
 
 import os
@@ -26,7 +26,8 @@ DEMO = ROOT / "bags" / "demo.mcap"
 
 @pytest.fixture(scope="module")
 def paths(tmp_path_factory):
-    """Return black boxes of two voyages: 30 s with changes, save, reset and load; then from the saved alignment."""
+    """Return the black boxes of two runs: 30 s with changes, save, reset and load; started from the saved alignment.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         return eventful_runs(tmp_path_factory.mktemp("black_box"), duration_s=30.0, rate=3.0)
@@ -93,11 +94,11 @@ def test_a_recovered_black_box_is_verified(killed_path):
     # The file is whole now, but the node still ended suddenly.
     assert "no footer" not in recovered.stdout
     assert "the black box ends without a footer" in recovered.stdout
-    # Not a single use or output less.
+    # The recovered black box has as many used and equal messages as the original.
     assert counts(recovered) == counts(original)
     assert len(counts(original)) == 2
 
 
 def counts(outcome):
-    """Return the numbers of used and equal messages in a verification."""
+    """Return the two lines of a verification that count the used and the equal messages."""
     return [line for line in outcome.stdout.splitlines() if line.startswith(("used:", "equal:"))]

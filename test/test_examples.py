@@ -1,4 +1,4 @@
-"""The suite files of examples/ agree with their comments."""
+"""Suite files of examples/ are accepted, have comments at all parameters, and start nodes without warnings."""
 
 import re
 import time
@@ -49,7 +49,7 @@ def theodolite() -> Any:
 
 
 def nbp1406() -> Any:
-    """Return two attitude systems on a simulated ship, with the accuracy of those of the recorded one."""
+    """Return the demo scenario without star sensors: the INS has the errors configured in examples/nbp1406.yaml."""
     voyage = scenario("demo")
     del voyage["star_sensors"]
     quiet = {"tilt_sigma_arcsec": 1.0, "heading_sigma_arcsec": 1.0, "white_sigma_arcsec": 15.0}
@@ -70,7 +70,7 @@ CASES = {
 
 def test_every_example_is_tested() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.yaml")} == set(CASES)
-    # Its own test is ship_attitude_star's test_requirement.
+    # test_requirement of ship_attitude_star tests layout.yaml.
     assert [path.name for path in EXAMPLES.rglob("*") if path.parent != EXAMPLES] == ["layout.yaml"]
 
 
@@ -112,7 +112,7 @@ def in_namespace(bag_path: Path, path: Path, namespace: str) -> Path:
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_parameter_is_below_a_comment_or_in_a_commented_group(path: Path) -> None:
-    """The first of several equal parameters has the comment; the group of a later one refers to it."""
+    """A comment stands above each block of parameters, or above an earlier parameter of the same last name."""
     lines = path.read_text(encoding="utf-8").splitlines()
     commented: set[str] = set()
     _, sections = read_sections(path)
@@ -152,7 +152,8 @@ def wait_for(text: str, process: LiveProcess) -> None:
 def test_a_node_starts_with_its_example_without_warnings(
     example: str, package: str, node: str, arguments: list[str], tmp_path: Path
 ) -> None:
-    # An unknown topic in a parameter is reported last: at that line the start is complete.
+    # This override names an unknown topic. The node logs its warning last, so that all other warnings are logged by
+    # then.
     last = ["-p", "qos_overrides./absent.subscription.depth:=1"]
     files = ["--params-file", str(EXAMPLES / f"{example}.yaml")]
     command = [*executable(package, node), "--ros-args", *files, *arguments, *last]

@@ -1,4 +1,4 @@
-"""[W18]'s (3), (5), (14), (15), (18)-(20) and (23) as printed in our text, compared with exact rotations.
+"""Equations (3), (5), (14), (15), (18)-(20) and (23) of [W18], as printed, compared with exact rotations.
 
 The paper's axes are East, North, Up and right, forward, up; those of the suite North, Up, East and forward, up, right.
 """
@@ -15,7 +15,8 @@ ROUNDING = 1e-13
 
 
 def random_angles(count: int = 2000) -> FloatArray:
-    """Return azimuth and image rotation in all quadrants, elevation in ±85°, rad, shape (3, count)."""
+    """Return azimuths in all quadrants, elevations in ±85° and image rotations in all quadrants, rad, shape (3, count).
+    """
     limits = np.deg2rad([180.0, 85.0, 180.0])
     return np.random.default_rng(18).uniform(-limits[:, None], limits[:, None], (3, count))
 
@@ -76,7 +77,7 @@ def test_14_and_15_lack_three_terms_and_no_other() -> None:
     expected[:, 1, 0] = -np.sin(azimuth) * np.cos(rotation)
     expected[:, 1, 2] = -np.sin(azimuth) * np.sin(rotation)
     np.testing.assert_allclose(lacking, expected, atol=ROUNDING)
-    # At azimuth 0, and at 180°, nothing is missed.
+    # The missing terms vanish at azimuths 0 and 180°; over all angles they reach nearly 1.
     assert np.max(np.abs(expected), axis=0)[[0, 1, 1], [0, 0, 2]] == pytest.approx([0.98, 1.0, 1.0], abs=0.02)
 
 
@@ -94,11 +95,11 @@ def test_23_finds_neither_azimuth_nor_image_rotation_beyond_their_quadrants() ->
         first, second = (np.arcsin(np.clip(each / np.cos(elevation), -1.0, 1.0)) for each in (k_12, k_22))
         printed_rotation = np.arccos(k_31 / np.sin(elevation))
     assert np.array_equal(error_size(first, azimuth) < 1e-6, np.abs(azimuth) < 0.5 * np.pi)
-    # The second form gives the complement, which is the azimuth at 45° alone.
+    # The second form gives 90° minus the size of the azimuth, which equals the azimuth only at 45°.
     np.testing.assert_allclose(second, 0.5 * np.pi - np.abs(azimuth), atol=1e-6)
     assert np.mean(error_size(second, azimuth) < np.deg2rad(1.0)) < 0.01
     assert np.mean(error_size(printed_rotation, rotation) < np.deg2rad(1.0)) < 0.01
-    # An upright image has 90° by it.
+    # For an upright image (rotation 0) the printed formula gives 90°.
     upright = exact(np.array([0.5]), np.array([0.5]), np.array([0.0]))[0]
     assert np.arccos(upright[2, 0] / np.sin(0.5)) == pytest.approx(0.5 * np.pi)
 
@@ -126,7 +127,7 @@ def test_18_needs_a_third_vector_for_20_to_be_an_attitude() -> None:
 def test_3_and_5_are_rotations_with_pitch_and_roll_exchanged_and_in_reverse_order() -> None:
     heading, pitch, roll = random_angles()
     printed = about_right(roll) @ about_forward(pitch) @ about_up(heading)
-    # Each factor is a rotation, its last row included.
+    # The printed product is a rotation: its rows are orthonormal, and its determinant is 1.
     squares = printed @ np.swapaxes(printed, -1, -2)
     np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), atol=ROUNDING)
     np.testing.assert_allclose(np.linalg.det(printed), 1.0, atol=ROUNDING)

@@ -1,4 +1,4 @@
-"""The check of the language: the repository has no find, and each kind of find is reported with what to use."""
+"""Tests of tools/words.py: it reports nothing in the repository, and each kind of find with the word to use instead."""
 
 from pathlib import Path
 

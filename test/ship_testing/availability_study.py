@@ -1,11 +1,11 @@
-"""Availability of the ship's attitude below an error limit, by star vectors and by the methods that [P15] replaces.
+"""Share of exposures with attitude errors below a limit: joint solution and the methods that [P15] replaces.
 
 Exposures of the scenario ``paper_stars``: two sensors at right angles under the real sky, each centroid with 3″ of
 noise, the ship at any roll and heading, in any night of 2014. Errors of mounting, air, UT1, place, catalogue and INS
 are drawn for each. Every method has the same stars.
 
-Clouds are a random field over the sky: Gaussian, with correlation exp(-θ²/2ℓ²) at an angle θ, opaque above the
-quantile of the cover. A star is hidden with a probability equal to the cover for any ℓ: with ℓ = 0 stars vanish
+Clouds are a random field over the sky: Gaussian, with correlation exp(-θ²/2ℓ²) at an angle θ, a star is hidden below
+the quantile of the cover. A star is hidden with a probability equal to the cover for any ℓ: with ℓ = 0 stars vanish
 independently, with ℓ as large as a field (10°) they vanish in patches.
 """
 
@@ -67,7 +67,7 @@ class Scene:
     """One exposure of all sensors.
 
     Attributes:
-        exposures: by sensor, up to eight stars each.
+        exposures: by sensor, eight stars each.
         config: of ``star_attitude``.
         sky_model: sky model of the configuration.
         erfa_sky: sky by ERFA from the ship's input of time, place and air.
@@ -97,8 +97,10 @@ class Attitude:
 
 Method = Callable[[Scene, Mapping[str, np.ndarray]], Attitude | None]
 Results = dict[tuple[str, str], FloatArray]
-"""(case, method) → worst of the three angles' errors in arcsec, NaN without an attitude, and normalised error squared,
-shape (exposures, 2)."""
+"""(case, method) → worst of the three angles' errors in arcsec, NaN without an attitude, and normalised error squared.
+
+The shape is (exposures, 2).
+"""
 
 
 def draw_scene(seed: int) -> Scene:
@@ -166,7 +168,7 @@ def _whole_scenario() -> Scenario:
 
 
 def some_stars(scene: Scene, counts: Sequence[int]) -> dict[str, np.ndarray]:
-    """Return the indices of the first stars by sensor, with a given number of each."""
+    """Return for each sensor the indices of a given number of stars, the first in the scene's random order."""
     return {id_: np.sort(scene.order[id_][:count]) for id_, count in zip(scene.exposures, counts, strict=True)}
 
 
@@ -188,7 +190,8 @@ def _correlated_numbers(white: FloatArray, directions: FloatArray, length: float
     if not length:
         return white
     cosine = np.clip(directions @ directions.T, -1.0, 1.0)
-    # In the chord, as which it is positive definite on a sphere; at 10° the angle is the same to 0.1 %.
+    # The correlation uses the chord instead of the angle, so that it is positive definite on a sphere. At 10° the two
+    # differ by 0.1 %.
     correlation = np.exp(-(1.0 - cosine) / length**2)
     values, vectors = np.linalg.eigh(correlation)
     return vectors @ (np.sqrt(np.maximum(values, 0.0)) * white)

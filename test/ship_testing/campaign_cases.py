@@ -1,4 +1,4 @@
-"""Cases in which the ship's covariance is compared with its errors over many seeds: full length, and short.
+"""Cases, full and short, for comparing the errors of the ship's attitude with their covariance over many seeds.
 
 ``tools/campaign.py`` runs each in full length, ``test/test_campaign_cases.py`` short. Each is a scenario of
 ``bags/scenarios``, or one with a change; the configuration of the suite follows from it.
@@ -80,14 +80,14 @@ def _each_sensor(scenario: Scenario, **changes: Any) -> Scenario:
 
 
 def _rolling_by_a_poor_clock(scenario: Scenario) -> Scenario:
-    """Roll of 15° in 9 s: at 10°/s the 20 ms of the clock's sigma are 750 arcseconds."""
+    """Roll of 15° amplitude and 9 s period: at 10.5°/s, the clock's sigma of 20 ms causes 750 arcseconds."""
     roll = AngleMotion(waves={"swell": Wave(amplitude_deg=15.0, period_s=9.0)})
     ins = replace(scenario.ins, time_offset_sigma_s=0.02)
     return replace(scenario, ins=ins, carrier=replace(scenario.carrier, roll=roll))
 
 
 def _late_at_two_rates(scenario: Scenario) -> Scenario:
-    """Rates of 5 and 3 Hz: exposures of the sensors never coincide, and arrive half a second late."""
+    """Rates of 5 and 3 Hz: exposures of the two sensors coincide only once a second, and arrive half a second late."""
     late = _each_sensor(scenario, latency_s=0.5).star_sensors
     rates_hz = {"fore": 5.0, "starboard": 3.0}
     return replace(scenario, star_sensors={id_: replace(late[id_], rate_hz=rate) for id_, rate in rates_hz.items()})
@@ -118,9 +118,9 @@ def _on_the_same_pixels(scenario: Scenario) -> Scenario:
 CASES = {
     # Two sensors at right angles.
     "paper": Case("paper", ShortRun(60.0, 20.0, 2.0)),
-    # The error about its boresight is large: the error ellipsoid is long.
+    # The error of one sensor about its boresight is large, so the error ellipsoid of the attitude is long.
     "one_sensor": Case("one_sensor", ShortRun(60.0, 20.0, 2.0)),
-    # It separates the INS's error from that of the installation.
+    # A turn of the ship separates the errors of the INS from those of the installation.
     "turn": Case("turn", ShortRun(280.0, 5.0, 1.0)),
     # Thirty minutes of clouds: the covariance grows as the INS's errors do.
     "outage": Case("outage", ShortRun(1860.0, 10.0, 1.0, clouds_s=60.0)),
@@ -132,7 +132,7 @@ CASES = {
     "flexure": Case(
         "paper", ShortRun(60.0, 20.0, 2.0), partial(_each_sensor, flexure_sigma_arcsec=5.0, flexure_time_s=10.0)
     ),
-    # How far off the INS's clock is shows in a ship that rolls, beyond what is linear in it.
+    # The roll makes the offset of the INS's clock observable. The offset is so large that its effect is not linear.
     "poor_clock": Case("paper", ShortRun(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
     # A late exposure rewinds the filter over exposures of the other sensor.
     "two_rates_late": Case("paper", ShortRun(25.0, 20.0, None), _late_at_two_rates),
@@ -144,11 +144,12 @@ CASES = {
     ),
     # A ship that rolls draws her stars as streaks.
     "streaks": Case("paper_stars", ShortRun(30.0, 10.0, 1.0), partial(_each_sensor, exposure_s=0.1)),
-    # Errors of 7″ over the field and of 5″ a pixel, which do not average while stars keep their places.
+    # Field-spatial errors of 7″ and pixel-spatial errors of 5″, which do not average out while the stars stay on the
+    # same pixels.
     "spatial_errors": Case("paper_stars", ShortRun(20.0, 10.0, 2.0), _on_the_same_pixels),
     # An undamped INS, two hours of stars and two of clouds.
     "schuler": Case("schuler", ShortRun(3600.0, 0.05, 0.025, clouds_s=1800.0), _without_waves),
-    # Clouds across a change of the vertical by 60 arcseconds, with a table of it.
+    # The vertical changes by 60 arcseconds under clouds; the suite has a table of this change.
     "deflection": Case("deflection", ShortRun(3600.0, 0.05, 0.05), _without_waves),
     # On the motion of a ship at sea.
     "recorded": Case("recorded", ShortRun(60.0, 20.0, None)),

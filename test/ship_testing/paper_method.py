@@ -1,4 +1,5 @@
-"""[W18]'s method for the telescope's attitude from two lights: peer of the default method."""
+"""Method of [W18] for the telescope's attitude from two lights, for comparison with the method of ``theodolite_calib``.
+"""
 
 import numpy as np
 
@@ -11,7 +12,7 @@ def triad(first_n: FloatArray, second_n: FloatArray, first_t: FloatArray, second
 
 
 def mean_of_two_triads(direction_n: FloatArray, direction_t: FloatArray) -> FloatArray:
-    """Return the mean of the TRIADs of the two lights, made orthogonal by one step, by [W18] (14)-(22).
+    """Return the mean of two TRIADs, each exact for another light, orthogonalised once: [W18] (14)-(22).
 
     (22) as corrected: K* = ½ K (3 I - Kᵀ K), models.md §5.
 
@@ -37,7 +38,7 @@ def angles(rotation_nt: FloatArray) -> FloatArray:
 
 
 def _orthonormal(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return columns: the first direction, the normal of both, and their cross product."""
+    """Return as columns the first direction, the unit normal to both directions, and first direction × normal."""
     normal = np.cross(first, second)
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.stack([first, normal, np.cross(first, normal)], axis=-1)

@@ -158,7 +158,8 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 
 
 def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
-    """Counted, in one innovation message, and in the diagnostics within 1.1 s."""
+    """Assert that the rejection is counted once, is in one innovation message, and is in the diagnostics within 1.1 s.
+    """
     health = run.health(topic)
     assert run.reasons(topic) == {reason: 1}
     assert (health.rejected, health.received) == (1, health.accepted + 1)
@@ -181,7 +182,7 @@ def test_a_quaternion_a_little_long_is_renormalised() -> None:
     assert run.reasons(INS) == {}
     clean = fault_free_run()
     for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
-        # Rounding of the numbers handed over: a few 1e-16.
+        # Scaling and normalising rounds the quaternion by a few 1e-16.
         assert np.allclose([one.heading, one.pitch, one.roll], [other.heading, other.pitch, other.roll], atol=1e-14)
 
 
@@ -217,7 +218,7 @@ def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) ->
 
 
 def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block() -> None:
-    """Every configured sigma is zero: only the star's own covariance is left, which is nearly singular."""
+    """All sigmas of INS and installation are zero. Only the star's own covariance is left, and it is singular."""
     exact = {"ins__time_offset_sigma_s": 0.0}
     exact |= {f"ins__{name}_sigma_arcsec": 0.0 for name in ("tilt", "heading", "white")}
     for axis in ("forward", "up", "right"):
@@ -225,14 +226,15 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
     perfect_axis = covariance("rotation_covariance", (900.0, 0.0, 0.0), (0.0, 900.0, 0.0), (0.0, 0.0, 0.0))
     arrivals = change_where(voyage(), lambda a: a.topic == FORE, perfect_axis)
     run = run_adapter(new_adapter(**exact), arrivals)
-    # A small interpolation error, or rounding, may make it invertible: then the gate rejects it.
+    # A small interpolation error or rounding may make the innovation covariance invertible. Then the gate rejects the
+    # measurement.
     assert run.reasons(FORE).keys() <= {"bad_covariance", "gate", "attitude_conflict"}
     assert run.health(FORE).accepted == 0
     assert len([m for m in run.messages("ship/innovation") if m.source == "star.starboard"]) > 20
 
 
 def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
-    """The fore sensor has almost no weight for the heading if its sigma is 30 times as large."""
+    """With 3000″ about all axes instead of 100″, 3″, 3″, the stars have almost no weight for the heading."""
     arrivals = change_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
@@ -306,7 +308,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
             message.azimuth += 5.0 * ARCSEC
 
     arrivals = voyage()
-    index = index_at(arrivals, topic, 2.6)  # the INS sample just before the star's of 2.613 s
+    index = index_at(arrivals, topic, 2.6)  # for the INS 2.600 s, just before the star exposure of 2.613 s
     one, another = arrivals[index], changed_copy(arrivals[index], other)
     second_ns = one.receive_ns + round(delay_s * SECOND_NS)
     one_first, another_first = (
@@ -346,7 +348,8 @@ def test_a_source_with_conflicting_messages_is_not_valid_for_ten_seconds(
     arrivals = voyage(16.0)
     index = index_at(arrivals, topic, 3.0)
     run = run_adapter(new_adapter(), add_copy(arrivals, index, turn_heading(20.0), arrivals[index].receive_ns + 1))
-    # The rates of the INS show a step in the second one, which conflicts with the first one too.
+    # The second message of the INS also contradicts its rates: the reason is then 'gate', and the conflict of stamps is
+    # recorded all the same.
     assert run.reasons(topic) == {"gate" if topic == INS else "conflict": 1}
     until_ns = arrivals[index].stamp_ns + 10 * SECOND_NS
     status = {stamp_of(m): m.status for m in run.messages("ship/attitude") if stamp_of(m) > START_NS + 3.3 * SECOND_NS}
@@ -407,7 +410,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
     after = run.diagnostics(f"input {INS}", tenth_ns, tenth_ns + 1_100_000_000)
     assert all(level < 2 for level, _ in before)
     assert any(level == 2 and "clock offset" in text for level, text in after)
-    # No stamps were changed: no output is based on the INS any more.
+    # The node does not correct the stamps, so no later output is based on the INS.
     assert max(stamp_of(m) for m in run.messages("ship/attitude") if "ins" in m.sources) < from_ns
 
 
@@ -460,8 +463,8 @@ def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> N
     run = run_adapter(
         new_adapter(), change_where(arrivals, lambda a: a.topic == INS and from_ns <= a.stamp_ns < until_ns, freeze)
     )
-    # 75 samples in three seconds, the first of them true: its own rate contradicts the second at once, and after half
-    # a second the fault is isolated.
+    # Of 75 samples in three seconds, the first is true. The rates of the INS contradict the next 12 (gate); after half
+    # a second the value counts as stuck.
     assert run.reasons(INS) == {"gate": 12, "stuck": 62}
     stamps = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
     assert stamps[0] == from_ns + 13 * 40_000_000
@@ -474,7 +477,7 @@ def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> N
 
 @pytest.mark.parametrize("motion_reference", [INS, "other star sensor"])
 def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(motion_reference: str) -> None:
-    """While the INS moves, or, during an INS timeout, the other star sensor."""
+    """The motion reference is the INS or, during an INS timeout, the other star sensor."""
     arrivals = voyage(16.0)
     frozen = arrivals[index_at(arrivals, FORE, 3.0)].message
     from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 10 * SECOND_NS
@@ -489,7 +492,8 @@ def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(m
 
     run = run_adapter(new_adapter(), change_where(arrivals, is_frozen, freeze))
     stuck = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
-    # 35 frozen at 5 Hz in seven seconds: the first is true, the next two are not certain.
+    # Seven seconds at 5 Hz give 35 equal exposures. The first is true, and the next two come too early to count as
+    # stuck.
     assert len(stuck) == run.reasons(FORE)["stuck"] == 35 - 3
     assert min(stuck) == stamp_of(frozen) + 3 * 200_000_000
     assert max(stuck) == stamp_of(frozen) + 34 * 200_000_000

@@ -22,8 +22,10 @@ from ship_bags.message_factory import Converters, PlannedFactory
 SHIP_MESSAGES = "ship_msgs"
 
 MAX_DEFINITION_CHARACTERS = 100_000
-"""Maximum length of a message definition with all types that it refers to, without comments; ten times the length of a
-large definition."""
+"""Maximum length of a message definition with all types that it refers to, without comments.
+
+This is ten times the length of a large definition.
+"""
 
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
 _ELEMENTS = {
@@ -110,7 +112,8 @@ class BagTypes(NamedTuple):
     """Types for reading one bag.
 
     Attributes:
-        store: the types, with precedence of the bag's definitions.
+        store: types as the bag defines them; the suite's own store if the bag's definitions agree with it and add no
+            types.
         differences: name of a type → one line per field that differs between bag and suite, fields of nested types
             included. Types without a difference are left out.
         unreadable: type of the bag whose definition cannot be used → reason.
@@ -141,7 +144,8 @@ def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
     if not differences and all(parts.keys() <= ours.fielddefs.keys() for parts in parsed.values()):
         return BagTypes(ours, {}, unreadable)
     store = Typestore()
-    # Types equal to the suite's come first, so that a differing definition of a shared part does not affect them.
+    # Types without a difference are registered first. A later, differing definition of a nested type does not affect
+    # them.
     for type_name in sorted(parsed, key=differences.__contains__):
         try:
             store.register(parsed[type_name])
@@ -213,7 +217,7 @@ class RosbagsFactory(PlannedFactory):
         return definition_in(message_store(), type_name)
 
     def _converter(self, node: Nodetype, content: Any) -> Callable[[Any], Any] | None:
-        """Return the converter for a kind of field and its content."""
+        """Return the converter of a field from its type in rosbags; None if values need no conversion."""
         if node == Nodetype.NAME:
             return self.message_converter(content)
         if node == Nodetype.BASE:
@@ -285,7 +289,7 @@ def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
 
 
 def _type_text(description: Any) -> str:
-    """Return a field's type as a .msg file writes it."""
+    """Return a field's type as in a .msg file, except that the bound of a sequence looks like a length."""
     node, content = description
     if node == Nodetype.NAME:
         return str(content)

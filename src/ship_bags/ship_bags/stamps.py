@@ -31,7 +31,7 @@ _UNITS = (
 
 
 def ns_from_stamp(stamp: Any) -> int:
-    """Return the nanoseconds of a builtin_interfaces/Time."""
+    """Return a builtin_interfaces/Time as one integer, ns."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
@@ -49,7 +49,7 @@ def stamp_of_bytes(data: bytes) -> int | None:
 
 
 def stamps_of_rows(numbers: np.ndarray) -> NDArray[np.int64]:
-    """Return the stamps of messages as rows (:class:`ship_bags.cdr_template.CdrRows`), ns, shape (N,)."""
+    """Return the stamps, ns, shape (N,), of messages given by :attr:`ship_bags.cdr_template.CdrRows.numbers`."""
     whole_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S
     times_ns: NDArray[np.int64] = whole_ns + numbers["header.stamp.nanosec"]
     return times_ns

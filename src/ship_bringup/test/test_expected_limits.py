@@ -17,7 +17,8 @@ ROW = re.compile(r"(heading|tilt|pointing) +([\d.]+)″ +([\d.]+)″ +(\d+) % +(
 
 
 def run_and_read_table(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """Return the printed text, and for each quantity median, limit, its share, proposed limit and its share."""
+    """Return the printed text, and by quantity: median accuracy, limit, its share SAFE, proposed limit, its share SAFE.
+    """
     assert suite(arguments) == 0
     text = capsys.readouterr().out
     return text, {name: tuple(map(float, numbers)) for name, *numbers in ROW.findall(text)}
@@ -59,7 +60,7 @@ def scenario(name: str) -> dict:
 
 
 def theodolite() -> dict:
-    """Return the voyage of test_examples for examples/theodolite.yaml: stars instead of a simulated attitude."""
+    """Return the voyage of test_examples for examples/theodolite.yaml: with star sensors, without ``ship/attitude``."""
     voyage = scenario("theodolite")
     voyage["fused_attitude"]["written"] = False
     voyage["star_sensors"] = scenario("demo")["star_sensors"]
@@ -68,7 +69,8 @@ def theodolite() -> dict:
 
 
 def test_shipped_bags_are_within_the_default_limits(capsys: pytest.CaptureFixture) -> None:
-    """The limits are met for at least 95 % of the time in which the output is VALID, checked, and 30 s old."""
+    """After the first 30 s, the limits are met for at least 95 % of the time in which the output is VALID and checked.
+    """
     _, rows = run_and_read_table(["--bag", str(ROOT / "bags" / "theodolite.mcap"), "--limits"], capsys)
     assert list(rows) == ["pointing"]
     assert rows["pointing"][2] >= 95.0

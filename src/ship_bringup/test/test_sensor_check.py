@@ -59,7 +59,7 @@ def test_single_message_of_a_slow_sensor():
     [(0, math.nan, 0.0), (1, 0.0, 0.0), (10, 4.5, 2.0), (11, 4.99, 10.0 / 4.99), (3, 0.5, 0.6), (4, 0.0, 0.8)],
 )
 def test_rate_from_mean_interval(count, span_s, rate_hz):
-    """Messages within five seconds: 2 Hz, a last message just in time or not, three and then none, a burst."""
+    """Messages in five seconds: none, one, ten at 2 Hz, an eleventh just in time, three and then none, four at once."""
     assert observed_rate_hz(count, span_s, observed_s=5.0) == pytest.approx(rate_hz)
 
 

@@ -20,14 +20,22 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 
 _LARGEST_ACCELERATION = math.radians(60.0)
-"""Maximum angular acceleration of a hull, rad/s². A small craft that rolls by 30° in 5 s reaches 47°/s²."""
+"""Maximum angular acceleration of a hull, rad/s².
+
+A small craft that rolls with an amplitude of 30° and a period of 5 s reaches 47°/s².
+"""
 FASTEST_RAD_PER_S = math.radians(60.0)
-"""Maximum angular rate of a hull, rad/s, as limit if no rate predicts the next attitude."""
+"""Maximum angular rate of a hull, rad/s.
+
+It bounds the next attitude if neither rates nor continued motion predict it.
+"""
 _LONGEST_STEP_S = 1.0
 _PIECES, _LEARNT_RAD_PER_S, _FORGET = 12, 5.0 * ARCSEC, 0.95
-"""Number of pieces of some seconds over which the drift of the rates is averaged, constant part of the drift bound,
-rad/s, and decay factor per piece of the largest recent drift. The bound is the constant part plus twice the largest
-recent drift."""
+"""Constants of the drift bound, which is the constant part plus twice the largest recent drift.
+
+In order: number of drift measurements, each over a few seconds, in the running mean; constant part, rad/s; decay factor
+of the largest recent drift at each measurement.
+"""
 
 
 class NumberedSample(NamedTuple):
@@ -70,7 +78,8 @@ class RateDrift:
         """Update the estimate; return the current error of the rates in the deck frame, rad/s, shape (3,).
 
         Args:
-            drift_n: measured drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
+            drift_n: measured drift of the attitude against the rates after subtraction of the present estimate, horizon
+                frame, rad/s, shape (3,).
             rotation_nd: current attitude, shape (3, 3).
         """
         self._pieces += 1
@@ -95,7 +104,7 @@ class InsPredictions:
         rate_bound: bound of the difference from a prediction by rates.
         motion_bound: bound of the difference from a prediction by continued motion.
         drift: constant error of the rates.
-        reported_step_rad: possible step with the newest sample that the source itself reports, rad.
+        reported_step_rad: size of a possible step at the newest sample, as reported by the source itself, rad.
 
     >>> predictions = InsPredictions(StuckCheck())
     >>> turns = [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
@@ -176,8 +185,8 @@ class InsPredictions:
 def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> AttitudeSample | None:
     """Return the attitude at the time of the last accepted sample, extrapolated back from a new sample.
 
-    The motion is assumed to be the same as before the last accepted sample. After a jump, the next sample is predicted
-    with the extrapolated attitude.
+    The motion is assumed to be the same as before the last accepted sample. The sample after ``sample`` is predicted
+    from both, so that a jump before ``sample`` does not count as motion.
 
     Example:
         >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))

@@ -34,7 +34,7 @@ class Stream:
         self.missed = np.cumsum(rng.choice([1e-9, 5e-7], _SAMPLES, p=[0.99, 0.01]))
 
     def look(self, detector: InsStepDetector, number: int) -> bool | None:
-        """Check and accept one sample."""
+        """Check one sample; the caller accepts it."""
         sample = AttitudeSample(int(self.times_ns[number]), self.rotations[number], self.rates[number])
         integrated = IntegratedAttitude(self.by_rates[number], 0, float(self.missed[number]))
         return detector.check(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
@@ -72,7 +72,7 @@ def test_block_gives_the_state_of_single_samples(block: int) -> None:
             assert single.accept() is None
         assert _state(single) == _state(together)
         number += count
-    # The first one off the line is for check().
+    # accept_block() stops before the first sample that may be off the line; check() decides about this sample.
     assert step <= number < step + 20
     assert stream.look(single, number) is not None
     assert max(single._sizes) > 1.0

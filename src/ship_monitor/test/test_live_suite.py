@@ -170,7 +170,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
 
 
 def test_invalid_state_is_dropped_and_later_messages_are_processed(live_suite, ship, until, caplog):
-    """An unknown presence gives one warning and no published state; the attitude is still displayed."""
+    """SuiteState messages with an unknown presence are dropped with one warning; the attitude is still displayed."""
     wrong = SuiteState(sources=[SuiteSource(name="ins", presence=9)])
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 

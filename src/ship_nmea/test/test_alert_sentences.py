@@ -1,4 +1,4 @@
-"""Alerts as sentences, against examples of open decoders (ALF) and a recorded line (ALC); commands of the bridge."""
+"""Alert sentences, compared with examples of decoders (ALF) and a recorded line (ALC); commands of the bridge."""
 
 import re
 from pathlib import Path
@@ -38,7 +38,8 @@ def render_all(sentences):
 def test_alf_in_one_sentence_equals_decoder_example():
     lost = SentenceAlert(192, 1, 1, 0, "W", "A", time_ns(12, 43, 4.5), "LOST TARGET")
     (sentence,) = alf(lost, "II", "", 0)
-    # Its category is A: the radar picture is needed to decide. It is never needed for alerts of the suite.
+    # The example has category A, because the radar picture is needed to decide. The suite gives all its alerts category
+    # B.
     sentence.category = "A"
     assert sentence.render() == "$IIALF,1,1,0,124304.50,A,W,A,,192,1,1,0,LOST TARGET*14"
 
@@ -79,7 +80,7 @@ def test_text_with_reserved_characters_is_one_field():
     for sentence in sentences:
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
         assert len(pynmea2.parse(sentence.render(), check=True).data) == 13
-    assert sentences[0].text == "A^2CB^2AC^24DE.."  # 16 characters at most, codes whole
+    assert sentences[0].text == "A^2CB^2AC^24DE.."  # At most 16 characters; a code such as ^2C is never cut.
     assert sentences[1].text.startswith('heading sigma 3.2" is')
 
 

@@ -48,7 +48,8 @@ def test_each_message_is_processed_at_its_own_time(context):
         # Until both are connected.
         publish(1)
         executor.spin_once(0.01)
-    # All of it waits before the node takes the first; within a process DDS keeps the order between topics.
+    # All messages are queued before the node takes the first of them. Within one process, DDS keeps the order of
+    # messages across topics.
     for number in range(2, COUNT):
         publish(number)
     while COUNT - 1 not in seen and time.monotonic() < deadline_s:

@@ -19,7 +19,7 @@ FORE = "star/fore/horizon_attitude"
 
 
 def entries_under(faults, topic):
-    """Return (message, log time) of one topic of three seconds at 20 Hz."""
+    """Return the messages of one topic with their log times, from a run of three seconds with an INS of 20 Hz."""
     scenario = load_scenario(PAPER)
     ins = dataclasses.replace(scenario.ins, rate_hz=20.0)
     run = simulate(dataclasses.replace(scenario, duration_s=3.0, ins=ins, faults=faults), seed=1)
@@ -36,14 +36,14 @@ def vector(value):
 
 
 def faulty(topic, kind, **changes):
-    """Return the entries of a topic without and with a fault from 1 s to 2 s, as bytes and decoded."""
+    """Return the entries of a topic from two runs: without a fault, and with a fault from 1 s to 2 s."""
     clean = entries_under({}, topic)
     fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
     return clean, entries_under({"fault": fault}, topic)
 
 
 def in_window(entries, run_start_ns=1_404_906_607_800_000_000):
-    """Return the entries stamped from 1 s to 2 s."""
+    """Return the messages, without log times, that are stamped from 1 s to 2 s after the start."""
     stamped = [(ns_from_stamp(m.header.stamp) - run_start_ns, m) for m, _ in entries]
     return [m for t, m in stamped if SECOND_NS <= t < 2 * SECOND_NS]
 

@@ -19,7 +19,7 @@ from ship_watch.suite_state import AlertEntry, Priority
 MAX_HOLD_S = 60.0
 """Maximum hold of an active alert after its situation disappears, s.
 
-The hold doubles each time the situation comes back within :data:`FLAPPING_MEMORY_S`.
+The hold doubles each time the alert is raised again within :data:`FLAPPING_MEMORY_S`.
 """
 
 GLITCH_MEMORY_S = 1.0
@@ -30,14 +30,14 @@ FLAPPING_MEMORY_S = 300.0
 
 
 MAX_ALERTS = 1000
-"""Number of alerts above which alerts that are over are removed, the oldest first."""
+"""Number of alerts above which alerts that are over are removed, those first whose ids were listed first."""
 
 _EXAMPLE = AlertEntry("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
 
 
 @dataclass(frozen=True)
 class AlertChange:
-    """An alert after a change (NORMAL if it is over), and the change in words."""
+    """An alert after a change, and the change in words. The state is NORMAL if the alert is no longer listed."""
 
     alert: AlertEntry
     description: str
@@ -146,7 +146,10 @@ class AlertList:
                 del self._pending[what]
 
     def _drop_normal(self) -> None:
-        """Remove the oldest alerts that are over if the list is too long; their instances then start at 1 again."""
+        """Remove alerts that are over if the list is too long, the first listed first.
+
+        Their instances then start at 1 again.
+        """
         over = [id_ for id_, tracked in self._tracked.items() if tracked.alert.state == AlertState.NORMAL]
         for id_ in over[: max(0, len(self._tracked) - MAX_ALERTS)]:
             del self._tracked[id_]

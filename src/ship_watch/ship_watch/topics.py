@@ -100,7 +100,7 @@ def source_of_name(name: str) -> str:
 
 
 def reading_node(topic: str) -> str:
-    """Return the node that reads an input topic, for people; some topics have several readers."""
+    """Return the name of the node that reads an input topic, or "a node that reads TOPIC"."""
     if topic.startswith(("theodolite/", "beacon/", "ship/")):
         return "optical_axis"
     if topic.startswith("reference/") or topic.endswith(("/solution", "/horizon_attitude", "/inertial_attitude")):

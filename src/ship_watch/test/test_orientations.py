@@ -1,4 +1,4 @@
-"""Orientations of messages as rows are identical to those of the single messages."""
+"""Orientations that are read from messages in rows equal the orientations that are read from each message alone."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ NINE = np.zeros(9)
 
 
 def message(of: Orientation, number: int) -> Any:
-    """Return a message; the second angle of some and the rate of others is not finite."""
+    """Return message ``number``; some have a second angle or a rate that is not finite."""
     rng = np.random.default_rng(number)
     angles = dict(zip(of.angles, rng.uniform([0.0, -1.5, -3.0], [6.28, 1.5, 3.0]).tolist(), strict=True))
     if number % 5 == 0:

@@ -15,7 +15,7 @@ FAILURE_S = 2.6
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function, which raises for some arguments."""
+    """Return a function that raises if ``bad`` is true for the arguments, and otherwise calls the given function."""
 
     def call(*arguments: Any) -> Any:
         if bad(*arguments):
@@ -59,7 +59,10 @@ def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch
 
 
 def test_exact_values_pass_the_gate_as_others() -> None:
-    """Axes, deformation, levers, air and mounting without any error: nothing is singular."""
+    """All sigmas are 0: axes, deformation, ship's attitude, air, antenna, encoders and focal length.
+
+    Sightings are at most gated or in conflict, and no pointing is missing.
+    """
     zero = [f"axes__{name}_sigma_arcsec" for name in ("g", "h", "c", "I", "beta_x", "beta_y")]
     zero += ["deformation__sigma_arcsec", "ship__white_sigma_arcsec", "air__sigma", "air__light_sigma"]
     zero += ["ship_antenna__sigma_m", "encoder__sigma_arcsec", "telescope__focal_length_sigma_m"]

@@ -120,12 +120,12 @@ def attitude_from_numbers(
 
 
 def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
-    """Return an attitude with the configured shared error."""
+    """Return the attitude in the form for its kind of shared error."""
     if sharing == SHARED_BY_SKY:
         return SolvedAttitude(**vars(attitude) | {"has_noise_covariance": has_noise_covariance})
     if sharing == SHARED_BY_MESSAGES and attitude.common_n.any():
-        # All messages share one vector of unit covariance. It is multiplied by the symmetric root of each message's
-        # covariance, so that the errors of the messages have the maximum correlation.
+        # The filter has one error vector of unit covariance for all messages (``sky.common``). The symmetric root of
+        # each common covariance scales it, so that simultaneous errors are fully correlated.
         values, vectors = np.linalg.eigh(attitude.common_n)
         root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         return replace(attitude, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
@@ -221,19 +221,21 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
 
 
 def _read_message(measurement: Measured) -> ReadMessage[Measured]:
-    """Return the read message of a measurement."""
+    """Return a measurement as a ReadMessage with the measurement's own ``covariance_known``."""
     return ReadMessage(measurement, measurement.covariance_known)
 
 
 def _configured_noise(config: StarSensorConfig) -> FloatArray:
-    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), if a message has none."""
+    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), used if a message has none."""
     sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
     noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
     return noise_s
 
 
 def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
-    """Return the covariance of the error common to successive solutions: total minus noise, negative eigenvalues as 0.
+    """Return the covariance of the error common to successive solutions.
+
+    This is total minus noise, with eigenvalues that are negative or within rounding set to 0.
 
     Raises:
         MessageRejected: the noise covariance is larger than the total covariance.

@@ -24,7 +24,8 @@ from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 
 _UP_RIGHT_BY_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Jacobian of the direction (up, right) of a point ahead with respect to a device rotation (forward, up, right)."""
+"""Jacobian of the forward axis's direction (up, right) with respect to a rotation of the device (forward, up, right).
+"""
 _UP_RIGHT_BY_ROTATION.flags.writeable = False
 
 _LENGTH_SIGMAS = 5.0
@@ -33,7 +34,10 @@ _LENGTH_SIGMAS = 5.0
 _HALF_TURN_RAD = math.radians(177.0)
 """Rotation angle above which noise of up to 1° per attitude may decide the sense of the rotation vector, rad."""
 _TIE_BREAK_RAD = 0.01
-"""Value added to each component of an error, rad, so that the negative of two equal angles is chosen."""
+"""Value added to each component of both candidate errors, rad.
+
+Of two opposite errors, the one with the negative component sum then counts as smaller.
+"""
 
 _IDENTITY = np.eye(3)
 _IDENTITY.flags.writeable = False
@@ -95,8 +99,8 @@ def predict_attitude(
     """Predict the attitude of a device from an (interpolated) INS attitude.
 
     The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation J_left(v)
-    dv in the frame to the left of the factor. The inverse of the product, up to and including this factor, rotates
-    J_left(v) dv into the device frame.
+    dv in the frame to the left of the factor. The transpose of the product of this factor and all factors to its right
+    rotates J_left(v) dv into the device frame.
     """
     chain = model.rotation_chains[device.name]
     result = compiled_rotations.composed_attitude(
@@ -187,7 +191,7 @@ def compare(
 def _compare_baseline(
     measurement: BaselineMeasurement, device: Device, predicted: PredictedAttitude, model: ShipStateModel
 ) -> ComparedMeasurement | Rejection:
-    """Compare a baseline with its predicted direction and its length aboard.
+    """Compare a measured baseline with its predicted direction and its configured length.
 
     The residual is the direction of the end of the baseline, up and right in the baseline frame, rad. The residual has
     two components, as for a single star.
@@ -227,7 +231,7 @@ def _compare_baseline(
 def _attitude_residual(
     measurement: AttitudeMeasurement, predicted: PredictedAttitude, model: ShipStateModel, mean: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return measured minus predicted attitude, and the Jacobian of this residual with respect to the state.
+    """Return measured minus predicted attitude, and the Jacobian of the predicted attitude with respect to the state.
 
     Returns:
         The residual log(R_predicted^T R_measured), rotation vector in the device frame, rad, shape (3,), and the
@@ -250,9 +254,9 @@ def _attitude_residual(
 def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
     """Return a residual of about 180° in the sense that leads to the smaller INS error.
 
-    At 180° noise decides the sense of the logarithm. With the wrong sense, an INS whose heading jumped by 180° and back
-    would end with an error of 360°, where a rotation vector has no derivative. If the predicted error is about zero,
-    both senses lead to equally large errors, and the negative sense is chosen.
+    At 180° noise decides the sense of the logarithm. With the wrong sense, the estimated INS error would be 360° after
+    a heading jump by 180° and back. There the left Jacobian is singular. If the predicted error is about zero,
+    both errors are equally large. The one with the negative component sum is chosen.
 
     Args:
         residual: rotation vector of the device, rad, shape (3,).

@@ -7,8 +7,8 @@ over the sensors. Here they become errors common to all sensors:
 - An error of UT1 or of the position rotates the whole sky, whatever stars were observed
   (:meth:`LocalSky.sky_rotations`).
 - An error of refraction raises the stars of a sensor. It rotates the attitude about the horizontal axis perpendicular
-  to the boresight, and slightly about other axes if the stars are unevenly distributed. This error is the part of the
-  remaining covariance that is correlated with the rotation about the horizontal axis.
+  to the boresight, and slightly about other axes if the stars are unevenly distributed. The part of the remaining
+  covariance correlated with the rotation about that axis is attributed to refraction, up to a maximum.
 
 The remainder is the error of the sensor itself. Its covariance is non-negative in every direction: for a covariance C
 and a direction u, C - C u uᵀ C / (uᵀ C u) is C conditioned on the component along u.
@@ -35,8 +35,8 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     """Return the attitude with ``shared_n``; its noise and common error no longer contain the shared errors.
 
     If the message states noise and total error separately, the shared errors are part of the difference. If the message
-    states one covariance, the shared errors are part of it. If it states no covariance, the shared errors are added to
-    the configured noise.
+    states one covariance, the shared errors are part of it. If it states no covariance, the noise is the configured
+    noise, and ``shared_n`` contains the errors of the sky model.
 
     Args:
         solved: attitude computed by the sensor.
@@ -96,7 +96,7 @@ def _split_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tu
         most: maximum component of the rotation vector along this axis, rad.
     """
     along = float(np.sqrt(max(float(lift @ stated_n @ lift), 0.0)))
-    # Written so that NaN, which occurs outside the model's range, leads to the stated covariance.
+    # ``most`` is NaN outside the model's range. The comparison is then False, and the refraction has no maximum.
     share = most / along if most < along else 1.0
     turn_n = stated_n @ lift * (share / along) if along > 0.0 else np.zeros(3)
     left_n = stated_n - np.outer(turn_n, turn_n)

@@ -1,6 +1,7 @@
 """Vertical at any time of a voyage: known deflection of the vertical, and distance over ground.
 
-The returned vertical is constant within intervals of two seconds, so the results do not depend on the order of arrival.
+The vertical is computed at fixed times, every two seconds, and again after a late input. The results therefore do not
+depend on the order of arrival.
 The steps between intervals are small: 0.02″ if the deflection changes by 60″ in 50 km, at 20 kn.
 """
 
@@ -28,7 +29,7 @@ _MIN_MOVE_M = 100.0
 """Minimum distance that counts as motion, m; smaller distances at anchor would add up the noise of fixes."""
 
 _MAX_STEPS = 50_000
-"""Maximum number of stored steps and of steps evaluated after a gap, more than a day.
+"""Maximum number of stored steps, and of steps computed across a gap. 50 000 steps last 27.8 hours.
 
 After a longer gap the distance restarts at zero.
 """
@@ -127,7 +128,7 @@ class VerticalTrack:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, given: "PositionFix | DeflectionReading") -> Rejection | None:
-        """Return the rejection or remark for an input, or None; call it before :meth:`insert`."""
+        """Return why an input is rejected or contradicts a stored input, or None; call it before :meth:`insert`."""
         if isinstance(given, PositionFix):
             return self._place.rejection(given)
         index = bisect.bisect_left(self._stamps, given.time_ns)
@@ -206,7 +207,7 @@ class VerticalTrack:
         return point
 
     def _first_point(self, step: int) -> _GridPoint:
-        """Return the first point of the track."""
+        """Return the point at a step without using an earlier point; its distance is zero."""
         place = self._place_at(step)
         return _GridPoint(self._local_vertical(step, 0.0, place, _BEFORE_FIRST_FIX), place, place)
 

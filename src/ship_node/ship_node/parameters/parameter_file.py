@@ -26,8 +26,10 @@ from ship_geometry.input_error import InputError
 Config = TypeVar("Config")
 
 _MIN_SIMILARITY = 0.8
-"""Minimum similarity of two names of which one may be a misspelling of the other. The similarity of 'ship_attitude' to
-'ship_attitude_node' is 0.86, and to 'star_attitude' 0.75."""
+"""Minimum similarity of two names of which one may be a misspelling of the other.
+
+The similarity of 'ship_attitude' to 'ship_attitude_node' is 0.86, and to 'star_attitude' 0.75.
+"""
 
 
 def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
@@ -93,7 +95,9 @@ def read_matching_sections(source: Path | str, node: str) -> ParameterFile:
 
 
 def section_warning(source: Path | str, node: str) -> str:
-    """Return a warning about a file that a node was started with; empty if a section matches the node.
+    """Return a warning about a file whose sections do not match the node; otherwise an empty text.
+
+    The warning also comes if only a wildcard section matches and another section was probably meant for the node.
 
     Raises:
         BadInput: the file cannot be read or is not a parameter file; or no section matches, but a section of (nearly)
@@ -120,7 +124,9 @@ def section_warnings(sources: Iterable[Path], node: str) -> list[str]:
 
 
 def error_with_location(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
-    """Return an error with the file and the line of the parameter that it is about; of several files, the last.
+    """Return the error with the file and line of its parameter.
+
+    If several files give the parameter, the last of them is named.
 
     Args:
         error: error about a parameter of the node; any other error gets no file and line.

@@ -1,8 +1,8 @@
 """Hours without faults: exclusions, availability, protection levels and consistency of the covariances.
 
 A voyage is simulated and passed to the core of its node in this process, without messages and files, so that a hundred
-hours of voyage take about one hour. Outputs are requested once a second; exclusions and unresolved faults are recorded
-after every measurement.
+hours of voyage take about one hour. One output a second is compared with the truth. Exclusions, and unresolved faults
+of a ship, are recorded after every measurement.
 """
 
 import dataclasses
@@ -38,8 +38,10 @@ TWO, THREE, THEODOLITE = "two sensors", "three sensors", "theodolite"
 ALERT_LIMIT_ARCSEC = {TWO: 30.0, THREE: 12.0}
 """Kind of voyage → alert limit within which its attitude must be available."""
 SETTLED_S = 600.0
-"""Time after which availability, unresolved faults and RMS are counted, s. By then, the correlated error of the INS is
-estimated."""
+"""Time after which availability, unresolved faults and RMS are counted, s.
+
+By then, the correlated error of the INS is estimated.
+"""
 BEYOND_SIGMAS = 5.0
 
 _SLOW_INS_HZ = 20.0
@@ -58,7 +60,8 @@ class CleanVoyage:
     Attributes:
         number: number of the voyage, and seed of its errors.
         kind: TWO, THREE or THEODOLITE.
-        full_rate: True if the INS has the rate of the scenario; otherwise 20 Hz.
+        full_rate: True if the INS of a ship keeps the rate of the scenario, False for 20 Hz. A theodolite voyage always
+            keeps it.
     """
 
     number: int
@@ -154,7 +157,7 @@ class VoyageStatistics:
             self.worst_level = max(self.worst_level, *np.nan_to_num(level).tolist())
         if valid:
             sigma = np.sqrt(np.diagonal(covariance))
-            # A NaN error counts as above the limit.
+            # An error of NaN counts as beyond five sigmas and beyond the protection level.
             self.beyond_sigmas += not np.all(np.abs(error) <= BEYOND_SIGMAS * sigma)
             if np.all(np.isfinite(level)):
                 over = float(np.max(np.abs(error) / level))

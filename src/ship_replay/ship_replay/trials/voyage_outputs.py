@@ -32,11 +32,13 @@ _IN_COMPARISON = frozenset(
         Reason.NO_FIX,
     )
 )
-"""Reasons for which a correct measurement may be rejected if the values for its comparison are wrong or missing."""
+"""Reasons that may reject a correct measurement, because the values it is compared with are wrong or missing."""
 
 _COMPARED_PREFIXES = ("star", "reference", "light", "telescope", "beacon", "baseline", "drone", "theodolite/beacons")
-"""Prefixes of the names of sources that are compared with an estimate. INS, encoders, fix and weather are not compared:
-their rejections refer to their own sequence of values."""
+"""Prefixes of the names of sources that are compared with an estimate.
+
+INS, encoders, fix and weather are not compared: their rejections refer to their own sequence of values.
+"""
 
 _CONSEQUENCES = (EXCLUSION, Reason.EXCLUDED.word, Reason.REVISED.word)
 
@@ -63,7 +65,7 @@ class FaultIndication(NamedTuple):
 
     @property
     def is_own_fault(self) -> bool:
-        """True if the source is rejected, or without data, for its own fault."""
+        """True if the reason concerns the source alone: form, stamps, sequence of values, no data."""
         if self.reason in _CONSEQUENCES:
             return False
         return self.reason not in _IN_COMPARISON or not self.source.startswith(_COMPARED_PREFIXES)
@@ -94,8 +96,8 @@ class VoyageOutputs:
     Attributes:
         valid_outputs: VALID outputs at stamps of the truth.
         not_valid: (topic, stamp, log time, status) of the outputs that are not VALID.
-        indications: each rejection, the beginning of each exclusion, and each report of an input without data or with
-            new rejections for its own fault.
+        indications: innovations rejected for a reason other than REVISED, beginnings of exclusions, and entries of
+            ``input_health``: no data, or new rejections for the source's own fault.
         failure_count: number of rejections because of a software failure.
         output_count: number of attitudes and pointings with any status.
     """
@@ -123,7 +125,7 @@ class VoyageSink:
         self._health = HealthHistory()
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Ignore the truth, which is known."""
+        """Ignore truth messages of the bag; the constructor receives the truth as ``truths``."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Add an output."""
@@ -189,7 +191,7 @@ class HealthHistory:
     def new_indications(self, report: Any, log_time_ns: int) -> list[FaultIndication]:
         """Return the indications in a report: no data on its topic, or rejections for the source's own fault.
 
-        Rejections in comparison with other sources are contained in the innovations.
+        Rejections by a comparison with other sources are left out here; the innovations contain them.
         """
         topic, stamp_ns = report.topic, ns_from_stamp(report.header.stamp)
         last_ns, place = self._place.get(topic, (stamp_ns, -1))

@@ -70,7 +70,7 @@ class AxisErrors:
 
     @cached_property
     def by_tilt(self) -> FloatArray:
-        """Derivative of the main frame's rotation vector in d with respect to the tilt's, shape (..., 3, 3)."""
+        """Small rotation of the main frame, in d, per change of the tilt's rotation vector, shape (..., 3, 3)."""
         return left_jacobian(_tilt_vector(self))
 
 
@@ -97,7 +97,7 @@ class MainAxis:
 
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
-    """Return the main frame with its Jacobians; an encoder error has the effect of a change of the encoder's angle."""
+    """Return the main frame with its Jacobians. ``by_encoder`` serves errors of the encoder readings too."""
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)
@@ -125,7 +125,7 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative (..., 3, n) of a direction fixed in a frame, from the frame's ``by_rotation``."""
+    """Return the derivative (..., 3, n) of a direction fixed in a frame that turns by ``by_rotation``."""
     return -skew(direction) @ by_rotation
 
 
@@ -202,7 +202,8 @@ def encoder_angles(
     # Direction in the frame of the tilted vertical axis: x, y (up), z.
     x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.tilt_rotation)[..., 0, :], -1, 0)
     sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
-    # Components in the frame that turns in azimuth, where the upward component is y too.
+    # Components in the frame turned by A - g about the tilted vertical axis, before Rx(I). Its upward component is also
+    # y.
     left = (y * sin_i + sin_c) / cos_i
     horizontal = np.hypot(x, z)
     square = (horizontal - left) * (horizontal + left)

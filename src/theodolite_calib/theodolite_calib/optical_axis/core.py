@@ -97,7 +97,8 @@ class OpticalAxisCore:
         on_commit: callback for states that can no longer change, in order; None if unused.
 
     Attributes:
-        pending: offline, pointings that are computed together on request; None if each pointing is computed at once.
+        pending: offline, the pointings that :meth:`compute_pending` computes together; None if each pointing is
+            computed immediately.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter
@@ -248,7 +249,10 @@ class OpticalAxisCore:
         self._ship_check.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
-        """Add a baseline to a drone; an unusable one is rejected but stored, so that no exposure waits for another."""
+        """Add a baseline to a drone.
+
+        An unusable baseline is rejected but stored, so that exposures do not wait for a usable one.
+        """
         outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
         if outcome.rejection is None:
             outcome.rejection = sample.rejection
@@ -260,7 +264,10 @@ class OpticalAxisCore:
         return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 
     def add_surroundings(self, given: SkyInput) -> PointingOutcome:
-        """Add the ship's position, or the air; stars compared with other values are compared again."""
+        """Add a position fix of the ship or an air reading.
+
+        Exposures of stars whose sky values have changed are applied again.
+        """
         assert self._sky is not None
         surroundings, outcome = self._sky.surroundings, PointingOutcome()
         outcome.rejection = surroundings.rejection(given)
@@ -310,7 +317,9 @@ class OpticalAxisCore:
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Publish a pointing from stars alone if an input has timed out, or INVALID once a second without recent stars.
+        """Publish a pointing from recent stars if an input has timed out.
+
+        If no output was published for a second, publish INVALID once a second.
 
         Args:
             now_ns: current time.
@@ -344,7 +353,10 @@ class OpticalAxisCore:
         return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
-        """Return the prior for the next session: before any sighting the one loaded at the start, or None."""
+        """Return the prior for the next session.
+
+        Before the first sighting, this is the prior loaded at the start, or None.
+        """
         if self.state.last_update_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -358,7 +370,10 @@ class OpticalAxisCore:
         return None if self._escort is None else self._escort.advice(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
-        """Return an exposure within ``lag_s`` with the samples of its time; None if samples are missing."""
+        """Return the sighting of an exposure with the samples at its middle.
+
+        The result is None if samples are missing. The exposure is at most ``lag_s`` old.
+        """
         return self._sightings.assemble(exposure).sighting
 
     @property
@@ -589,7 +604,10 @@ class OpticalAxisCore:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        """Publish pointings whose ship's attitude can no longer change or come, and then directions of targets."""
+        """Publish the pointings of waiting readings, and then directions of targets.
+
+        A reading waits until the ship's attitude at its time is final or overdue. Without an attitude it is skipped.
+        """
         if self._waiting_readings:
             self._publish_waiting(outcome, waiting_ns)
         self._publish_targets(outcome)
