@@ -15,8 +15,8 @@ HEAD = """# Performance, measured
 
 Speed of the suite, measured by `make bench`. [Performance](../explanation/performance.md) explains where the time goes
 and why some bounds are not met. Seconds and microseconds depend on the machine. Ratios are comparable between machines:
-both sides are measured by turns in one run. The nodes and the replay always compute the subfilters for integrity, which
-may cost 1.6 times as much; their bounds include that factor.
+both sides are measured by turns in one run. Nodes and replay always compute the subfilters for integrity. A filter step
+may then take 1.6 times as long; bounds of processing include this factor.
 
 Measured on {date}: {processor}, {cores}, Python {python}, numpy {numpy};
 load {load}, mean of 15 minutes. On a busy machine elapsed times are too long, and their ratios uncertain; processor
