@@ -234,7 +234,7 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
 
 
 def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
-    """With 3000″ about all axes instead of 100″, 3″, 3″, the stars have almost no weight for the heading."""
+    """The stars have almost no weight for the heading with 3000″ about all axes instead of 100″, 3″, 3″."""
     arrivals = change_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
@@ -336,7 +336,7 @@ def attitudes(run: Run) -> list[Any]:
     """All attitudes to the last bit, without their status."""
     published = run.messages("ship/attitude")
     return [
-        exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published
+        exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, m.roll, *m.covariance]) for m in published
     ]
 
 

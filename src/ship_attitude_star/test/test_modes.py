@@ -209,7 +209,7 @@ def test_after_an_ins_timeout_attitudes_come_from_stars_at_their_rate() -> None:
         assert np.isnan(message.angular_velocity.x)
         assert_consistent(message)
     level, text = run.diagnostics("attitude", START_NS + 5 * SECOND_NS, START_NS + 7 * SECOND_NS)[-1]
-    assert (level, text) == (1, "DEGRADED: INS gone, stars alone")
+    assert (level, text) == (1, "DEGRADED: no INS data, stars alone")
 
 
 def test_when_the_ins_comes_back_all_is_as_before() -> None:

@@ -102,7 +102,7 @@ def use_installed_definition(type_name: str) -> None:
     store = message_store()
     if type_name in store.fielddefs:
         return
-    found = get_types_from_msg(_definition_text(type_name), type_name)
+    found = _parse(_definition_text(type_name), type_name)
     for name in _referenced_types(found[type_name][1]):
         use_installed_definition(name)
     store.register(found)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.message_store import (
     RosbagsFactory,
@@ -15,6 +16,7 @@ from ship_bags.message_store import (
     serialize,
     store_with_definitions,
     type_hash,
+    use_installed_definition,
 )
 from ship_bags.stamps import make_header
 from ship_testing.hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
@@ -169,6 +171,15 @@ def test_an_unusable_definition_affects_only_its_type(text, why):
     assert types.unreadable["x_msgs/msg/X"].startswith(why)
     assert types.differences == {}
     assert "sensor_msgs/msg/Imu" in types.store.fielddefs
+
+
+def test_an_installed_definition_that_cannot_be_parsed_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "share/x_msgs/msg/X.msg"
+    path.parent.mkdir(parents=True)
+    path.write_text("float64 [")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    with pytest.raises(BadInput, match="definition of x_msgs/msg/X cannot be parsed"):
+        use_installed_definition("x_msgs/msg/X")
 
 
 def test_missing_parts_of_a_definition_are_taken_from_the_suite():

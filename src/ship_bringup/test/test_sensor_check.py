@@ -130,8 +130,8 @@ def test_required_input_of_nmea_in_fails_until_received():
     without_publisher = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
     (row,) = check_sensors(without_publisher, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
-    assert row.finding == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
-    assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
+    assert row.finding == "ins/imu: no publisher yet: the suite starts nmea_in, which may publish it"
+    assert row.advice == "start ./ros2run nmea_in and run preflight again; end nmea_in before you start the suite"
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
     (row,) = check_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED

@@ -193,7 +193,7 @@ class AlertList:
             return []
         tracked.lost_functions |= condition.lost_functions
         if is_graver:
-            what = f"was a {tracked.alert.priority.name.lower()}, is a{_with_article(condition.priority)} now"
+            what = f"was a{_after_article(tracked.alert.priority)}, is a{_after_article(condition.priority)} now"
             return [self._escalate(condition, tracked, what, now_ns, utc_ns)]
         if more and condition.priority is not Priority.CAUTION:
             if tracked.alert.is_acknowledged:
@@ -312,10 +312,10 @@ def _alert_from_saved(entry: Mapping[str, Any]) -> tuple[AlertEntry, frozenset[s
 
 
 def _state_text(alert: AlertEntry) -> str:
-    return f"a {alert.priority.name.lower()}, {AlertState(alert.state).name.lower().replace('_', ' ')}"
+    return f"a{_after_article(alert.priority)}, {AlertState(alert.state).name.lower().replace('_', ' ')}"
 
 
-def _with_article(priority: Priority) -> str:
+def _after_article(priority: Priority) -> str:
     return f"{'n' if priority is Priority.ALARM else ''} {priority.name.lower()}"
 
 

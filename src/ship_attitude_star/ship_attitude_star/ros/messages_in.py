@@ -197,7 +197,8 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     # NaN fails these comparisons.
     is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
     if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
-        raise MessageRejected(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric, positive and finite")
+        text = "covariance of (xi, eta): expected a symmetric, positive definite, finite matrix"
+        raise MessageRejected(Reason.BAD_COVARIANCE, text)
     return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
 
 

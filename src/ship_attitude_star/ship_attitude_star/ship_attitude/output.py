@@ -110,7 +110,7 @@ def estimate_from_star(
         sources=(measurement.source,),
         star_age_s=0.0,
         state=state,
-        text="INS gone, stars alone",
+        text="no INS data, stars alone",
     )
 
 

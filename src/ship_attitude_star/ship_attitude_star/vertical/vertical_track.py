@@ -174,7 +174,7 @@ class VerticalTrack:
         """Return a text about missing data at a time; empty if nothing is missing."""
         point = self._grid_point(time_ns // STEP_NS)
         if self._config.deflection == NONE:
-            text = "no position fix: the error model of the INS uses a wrong latitude"
+            text = "no position fix: the error model of the INS uses the last latitude, or 0° before the first fix"
             return "" if point.place is not None else text
         if point.vertical.given_deflection is not None or self._config.deflection in (CONSTANT, "unknown"):
             return ""

@@ -74,10 +74,10 @@ def check_sensors(
         return
     for observed in state.inputs:
         if not observed.publishers and observed.input.topic in own:
-            found = f"{observed.input.topic}: not received: no publisher before nmea_in runs, which the suite starts"
+            found = f"{observed.input.topic}: no publisher yet: the suite starts nmea_in, which may publish it"
             # A configured instrument may be switched off.
             is_needed = observed.input.required or observed.input.is_configured
-            advice = f"start {own_command}, then preflight again, and end it before the suite"
+            advice = f"start {own_command} and run preflight again; end nmea_in before you start the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
         result, found, advice = _evaluate_input(observed, limits, lags_s, requested_qos.get(observed.input.topic, {}))

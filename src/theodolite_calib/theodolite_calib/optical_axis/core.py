@@ -77,7 +77,7 @@ _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
 _MAX_JUMPS = 100
 """Maximum number of jumps stored until the next :meth:`OpticalAxisCore.take_jumps`, called once a second."""
-_REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
+_REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal stamps: a clock has repeated this time"
 
 
 class _WaitingReading(NamedTuple):
