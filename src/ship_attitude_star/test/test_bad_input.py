@@ -336,7 +336,8 @@ def attitudes(run: Run) -> list[Any]:
     """All attitudes to the last bit, without their status."""
     published = run.messages("ship/attitude")
     return [
-        exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, m.roll, *m.covariance]) for m in published
+        exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, m.roll, *m.covariance])
+        for m in published
     ]
 
 
