@@ -84,6 +84,19 @@ def test_file_size_is_bounded(tmp_path, pipe, monkeypatch):
     assert sum(sizes.values()) > 1000
 
 
+def test_lines_of_stdout_and_stderr_share_a_file_without_loss(tmp_path, pipe, monkeypatch):
+    monkeypatch.setattr(suite_log, "LARGEST_FILE_BYTES", 1000)
+    os.close(pipe[0])
+    output, errors = (SuiteLog(tmp_path / "suite.log", pipe[1]) for _ in range(2))
+    errors.write("first error")
+    for number in range(60):
+        output.write(f"{number:019d}")
+    errors.write("second error")
+    kept = [line for name in ("suite.log.1", "suite.log") for line in (tmp_path / name).read_text().splitlines()]
+    lines = [f"{number:019d}" for number in range(60)]
+    assert [line for line in kept if "stdout does not accept" not in line] == ["first error", *lines, "second error"]
+
+
 def test_file_is_in_the_log_folder_of_ros(monkeypatch, tmp_path):
     monkeypatch.delenv("ROS_LOG_DIR", raising=False)
     monkeypatch.setenv("ROS_HOME", str(tmp_path))

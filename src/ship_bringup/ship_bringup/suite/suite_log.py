@@ -25,7 +25,6 @@ class SuiteLog:
 
     def __init__(self, path: Path, descriptor: int = 1) -> None:
         self._path, self._descriptor = path, descriptor
-        self._file: int | None = None
         self._missed_count = 0
 
     def write(self, line: str) -> None:
@@ -60,16 +59,17 @@ class SuiteLog:
             data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
 
     def _append_to_file(self, line: str) -> None:
-        """Append a line to the file; on failure the line is lost."""
+        """Append a line to the file, which stdout and stderr may share; on failure the line is lost."""
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         with contextlib.suppress(OSError):
-            if self._file is None:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-                self._file = os.open(self._path, flags, 0o644)
-            os.write(self._file, _bytes(line))
-            if os.fstat(self._file).st_size > LARGEST_FILE_BYTES:
-                os.close(self._file)
-                self._file = None
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(self._path, flags, 0o644)
+            try:
+                os.write(file, _bytes(line))
+                is_full = os.fstat(file).st_size > LARGEST_FILE_BYTES
+            finally:
+                os.close(file)
+            if is_full:
                 self._path.replace(f"{self._path}.1")
 
 
