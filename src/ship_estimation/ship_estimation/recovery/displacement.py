@@ -24,7 +24,7 @@ _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
 """Maximum share of the largest displacement that remains when a source has moved back, and the maximum share if the
 measurements do not determine the displacement more precisely."""
 _DECISIVE_SIGMAS = 5.0
-"""Size of a displacement, in standard deviations of the stored state, from which that state alone can show a return."""
+"""Minimum size of a return, in standard deviations of the stored state, for this state alone to show the return."""
 _STEP_LASTS = 4
 """Duration of a step, s; further significant changes in this time belong to the step."""
 _AT_REST, _DISPLACED = 0, 1
@@ -214,7 +214,7 @@ class Displacement:
         return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
 
     def has_not_moved_as(self, other: "Displacement") -> bool:
-        """True if this source has not moved with another source; the same displacement would show here as a step."""
+        """True if this source is not displaced and would show the displacement of ``other`` as a clear step."""
         if self._newest is None or self.is_displaced:
             return False
         covariance = self._residual_covariance + other._residual_covariance
