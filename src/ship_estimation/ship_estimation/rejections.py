@@ -33,7 +33,7 @@ _AT_ALL_STAMPS_NS = -(2**62)
 """Stamp since which a source counts as having two publishers if its stamps may have restarted."""
 
 DETECTION_TIME_S = 2.0
-"""Time within which two publishers of one source are detected, from the second message of both, s."""
+"""Maximum delay of the detection of two publishers of one source after both have sent two messages, s."""
 
 LONGEST_TEXT = 200
 """Maximum length of a reason, and of any text from outside in an output, characters."""

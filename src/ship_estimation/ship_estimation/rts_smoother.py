@@ -109,11 +109,11 @@ class StatePredictor(Protocol[Given]):
     def estimates_at(
         self, anchor: Anchor[Given], times_ns: Sequence[int], later: Anchor[Given] | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the r quantities to smooth, as predicted at N times, none before the anchor, in ascending order.
+        """Return the r quantities to smooth, predicted at N ascending times at or after the anchor.
 
         Args:
             anchor: last estimate before the times.
-            times_ns: the N times; times before a jump may be later than the estimate that is inflated for the jump.
+            times_ns: the N times. If ``later`` is inflated for a jump, the times up to the jump may be after ``later``.
             later: next estimate; None without a next estimate or without a backward step from the next estimate.
 
         Returns:

@@ -63,7 +63,7 @@ def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Seque
 
 
 def _sparse_basis(runs: FloatArray) -> FloatArray:
-    """Return rows that span the same space with few elements each, by Gauss–Jordan elimination in column order."""
+    """Return rows of the same space with few non-zero elements each, by Gauss–Jordan elimination in column order."""
     runs = runs.copy()
     done = 0
     for column in range(runs.shape[1]):
