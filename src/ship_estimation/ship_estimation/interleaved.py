@@ -52,7 +52,7 @@ _ONE = _WindowResult(0.0)
 
 
 class InterleavedStreams:
-    """Detector of two streams in the values of one source, in their order of arrival.
+    """Detector of two streams in the values of one source, which are added in the order of arrival.
 
     Args:
         least: distance below which two streams count as one, in the unit of the values.

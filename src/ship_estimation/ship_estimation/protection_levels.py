@@ -186,7 +186,7 @@ class ProtectionLevels(NamedTuple):
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
         level: protection level of each component, shape (3,).
-        dominant: index, among the tested hypotheses, of the one with the largest level; -1 for the fault-free case.
+        dominant: index of the tested hypothesis with the largest level; -1 for the fault-free case.
         largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components.
     """
 

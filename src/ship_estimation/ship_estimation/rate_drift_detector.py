@@ -24,7 +24,7 @@ _FARTHEST = 3.0
 """Bound of a slope in the estimate of the spread, sigmas, so that a drifting piece does not enlarge the spread."""
 
 _FASTER = 1.5
-"""Ratio to the fastest earlier rotation above which a piece is not tested, because it shows new scale errors."""
+"""Ratio to the fastest earlier rotation above which a piece is not tested, because the piece shows new scale errors."""
 
 
 class RateDisagreement(NamedTuple):

@@ -229,7 +229,7 @@ class RtsSmoother(Generic[Given]):
         leads_back: bool,
         jumped_ns: int | None = None,
     ) -> None:
-        """Add a link with the requested times before it; for a jump up to the last sample before the jump."""
+        """Add a link with the requested times up to the link or, for a jump, up to the last sample before the jump."""
         assert state.time_ns is not None
         last, is_first = self._last, self._last.time_ns is None
         reached = Anchor(state.time_ns, estimate, state.prediction_input)

@@ -44,7 +44,7 @@ def unobservable_combinations(
 
 
 def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequence[str]) -> str:
-    """Return a combination as text, with a factor for each state whose coefficient differs in size from the first one.
+    """Return a combination as text, with a factor for each state whose coefficient differs in size from the first.
 
     Args:
         run: coefficients of the combination in prior sigmas, shape (n,).

@@ -1,7 +1,7 @@
 """Mean over an exposure of a rotating camera, from attitudes of the body that carries the camera.
 
-The image of a star moves over the detector during the exposure. The centroid of the image is the mean of its positions
-p(t) over the exposure T. It differs from the position p(0) at the middle, and the light is spread along the path:
+The image of a star moves over the detector during the exposure. The measured centroid is the mean of the positions
+p(t) over the exposure T. The mean differs from the position p(0) at the middle, and the light is spread along the path:
 
     mean of p - p(0) = p̈ T²/24 + p⁗ T⁴/1920 + ...          spread of p about its mean = ṗ ṗᵀ T²/12 + ...
 

@@ -1,4 +1,4 @@
-"""Displacement of a source, or of several together, to find out whether an inconsistent source has moved back.
+"""Displacement of a source or of several sources, to find out whether an inconsistent source has moved back.
 
 Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. The residual
 changes slowly due to the drift of the INS, and in a step if a source or the INS moves. Only steps count as
@@ -51,7 +51,7 @@ class MemoryResidual(NamedTuple):
 
 
 class Displacement:
-    """The displacement of a source, or of several together, which is the change of their residual by steps.
+    """The displacement of a source, or of several sources together: the change of their residual by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -92,10 +92,10 @@ class Displacement:
             self._pending.append(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Add the covariance of a jump of the INS that its own rates showed in this second, rad², shape (k, k).
+        """Add the covariance of an INS jump that the INS's own rates showed in this second, rad², shape (k, k).
 
         The measurements of this second, before and after the jump, are dropped. A displacement that is not larger than
-        the jump may be a displacement of the INS, so it is reset.
+        the jump may be a displacement of the INS, so the displacement is reset to zero.
         """
         self._pending.clear()
         if self._newest is None:

@@ -113,7 +113,7 @@ class TopicReader:
         self._open()
 
     def fetch(self) -> ReceivedBatch:
-        """Subscribe to new topics; return the newest messages since the last call, per topic at most the queue depth."""
+        """Subscribe to new topics; return the newest messages since the last call, at most a queue depth per topic."""
         asleep_ns = _sleep_time_ns()
         if asleep_ns - self._sleep_time_ns > _MIN_SLEEP_NS:
             self.close()
