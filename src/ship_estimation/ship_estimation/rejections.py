@@ -145,7 +145,7 @@ class Content(Protocol):
 
 
 def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
-    """Return True if a new input replaces a known input with the same stamp, and the rejection of the other input.
+    """Return True if a new input replaces a known input with the same stamp, and the rejection of the dropped input.
 
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
 
