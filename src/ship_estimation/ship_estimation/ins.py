@@ -45,7 +45,7 @@ class InsInputConfig:
 
     @cached_property
     def rotation_di(self) -> FloatArray:
-        """Deck from INS by the installation angles, shape (3, 3)."""
+        """Rotation "deck from INS" by the installation angles, shape (3, 3)."""
         angles_deg = self.installation_heading_deg, self.installation_pitch_deg, self.installation_roll_deg
         return rotation_from_angles(*np.deg2rad(angles_deg))
 
@@ -136,8 +136,8 @@ class InsJump:
     def shared_with_clock(self) -> tuple[FloatArray, FloatArray]:
         """Jump with one half attributed to the attitude and one half to the clock, and the covariance of both.
 
-        While the ship rotates at a constant rate, a jump of the attitude and a clock step cannot be distinguished. By
-        the covariance, a jump of the attitude alone and a clock step alone are both one sigma away.
+        While the ship rotates at a constant rate, a jump of the attitude and a clock step cannot be distinguished. In
+        the covariance, a jump of the attitude alone and a clock step alone are both one sigma from the mean.
 
         Returns:
             Change of the correlated error and of the clock offset, rad and s, shape (4,), and covariance of this

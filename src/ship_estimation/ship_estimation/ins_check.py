@@ -39,7 +39,8 @@ class CheckedInsSample(NamedTuple):
 
     Attributes:
         sample: sample to use, without its rate if the rates are not measured.
-        rejection: reason not to use the sample, which may be a step or drift found with it; None if it is accepted.
+        rejection: reason not to use ``sample``, for example a step or drift detected with the sample; None if the
+            sample is to be used.
         jumps: jump or drift of the attitude that is found with this sample. A jump is given at each end of the interval
             in which it may have happened. Empty without a jump.
         rates_wrong_after_ns: stamp after which the rates of earlier samples were wrong; None without new information.
@@ -176,8 +177,8 @@ class InsCheck:
         """Check a sample against earlier samples.
 
         The checks follow the stream in order. A sample that arrives after later samples is only compared with the
-        accepted sample before it in time. It is also rejected while the source is frozen at its value, or while the
-        rates have the wrong unit.
+        accepted sample before it in time. Such a sample is also rejected while the source is frozen at its value, or
+        while the rates have the wrong unit.
 
         Args:
             sample: sample to check.
@@ -199,7 +200,7 @@ class InsCheck:
 
     @property
     def least_step_rad(self) -> float:
-        """Largest reported step that does not affect the check of a sample while :attr:`can_check_block` holds, rad."""
+        """Largest reported step, rad, that does not affect a check while :meth:`can_check_block` returns True."""
         return self._step_detector.least_rad
 
     def can_check_block(self, time_ns: int) -> bool:
@@ -218,8 +219,8 @@ class InsCheck:
     def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
 
-        The result for each sample is the result of :meth:`check`; motion references do not affect this result. After
-        :meth:`commit_block` the next sample must be checked by :meth:`check`.
+        The result for each sample is the result of :meth:`check`; motion references do not affect this result. If any
+        sample was checked, :meth:`commit_block` must be called before the next sample is checked.
 
         Args:
             samples: samples in the order of their stamps, later than all samples before.

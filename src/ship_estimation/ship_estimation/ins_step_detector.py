@@ -65,8 +65,9 @@ class LineStatistics(NamedTuple):
 
     Attributes:
         drift_n: drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
-        seconds: time over which the drift is measured, from the middle of the first samples to that of the last, s.
-        turning: angular rate of the deck, mean over the line, rad/s.
+        seconds: time over which the drift is measured, from the middle of the oldest part of the buffer to the middle
+            of the newest part, s.
+        turning: magnitude of the mean angular velocity of the deck over the buffer, rad/s.
         typical_rad: root mean square difference of a sample from its prediction by the previous sample.
     """
 
@@ -80,7 +81,7 @@ class InsStepDetector:
     """Detector of steps of one INS attitude against its integrated rates.
 
     The period of the samples is estimated, and also the size of the apparent steps that sample errors cause. This size
-    is the mean of a high power, so that rare large errors dominate, for example those due to rounding.
+    is the eighth root of the mean eighth power, so that rare large errors dominate, for example those due to rounding.
 
     Args:
         white_rad: noise of an attitude about each axis.
@@ -125,7 +126,7 @@ class InsStepDetector:
                 self._make_plan()
 
     def reset_statistics(self) -> None:
-        """Reset the statistics of the samples, because the rates or their calibration have changed."""
+        """Reset the statistics of the samples and start a new line, because the rates or the noise have changed."""
         self._learns = 0
         self._high[:] = 0.0
         self.restart()
@@ -366,7 +367,10 @@ class InsStepDetector:
         return sigmas
 
     def _shift(self) -> None:
-        """Drop the older samples of the full buffer after computing its statistics; restart a large line from zero."""
+        """Drop the older samples of the full buffer after computing its statistics.
+
+        If the newest sample is more than ``_FAR_RAD`` from the origin of the line, this sample becomes the new origin.
+        """
         assert self._full is not None
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)

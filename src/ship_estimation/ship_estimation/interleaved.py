@@ -52,7 +52,7 @@ _ONE = _WindowResult(0.0)
 
 
 class InterleavedStreams:
-    """Detector of two streams in the values of one source, in their order of arrival.
+    """Detector of two streams in the values of one source, which are added in the order of arrival.
 
     Args:
         least: distance below which two streams count as one, in the unit of the values.
@@ -78,7 +78,10 @@ class InterleavedStreams:
         self._clean = 0
 
     def add(self, time_ns: int, value: FloatArray) -> bool:
-        """Add a value, shape (n,), ignored between two windows; return True if the number of streams changed."""
+        """Add a value, shape (n,); return True if the number of streams changed.
+
+        A value between two windows is ignored.
+        """
         self.newest_ns = time_ns
         if not self._times and self._due_ns - _EVERY_NS < time_ns < self._due_ns:
             return False
@@ -136,7 +139,7 @@ def _evaluate(times_ns: StampArray, values: FloatArray, least: float) -> _Window
     # A change between two streams makes a third difference of twice their distance. Smooth motion makes small
     # differences.
     thirds = np.diff(values, n=3, axis=0)
-    if float(np.max(np.einsum("ij,ij->i", thirds, thirds))) < least**2:  # NaN is not
+    if float(np.max(np.einsum("ij,ij->i", thirds, thirds))) < least**2:  # false for NaN
         return _ONE
     span_ns = int(times_ns.max() - times_ns.min())
     if span_ns == 0 or not np.isfinite(values).all():

@@ -9,7 +9,7 @@ import numpy as np
 from ship_geometry.rotations import FloatArray, log_rotation
 
 HISTORY_NS = 2_000_000_000
-"""Duration of the history with which a reference attitude is compared, ns; motion is detected within this time."""
+"""Duration of the recent attitudes with which a reference attitude is compared, in addition to the first, ns."""
 _SPACING_NS = 250_000_000
 """Spacing of the attitudes in a history, ns."""
 _SIGMAS = 5.0

@@ -44,7 +44,7 @@ class Measurement(Protocol):
 
     @property
     def reach_ns(self) -> int:
-        """Half of the duration of the measurement about its stamp, ns, as of an exposure; 0 if instantaneous."""
+        """Time before and after the stamp for which motion data are needed, ns; 0 if only the stamp matters."""
         ...
 
     def content(self) -> bytes:

@@ -74,7 +74,7 @@ def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
 
 
 def stamp_age() -> Any:
-    """Return the parameter ``max_age_s`` of every node, the age of a stamp above which an error is reported, s.
+    """Return the parameter ``max_age_s`` of an estimator, the age of a stamp above which an error is reported, s.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)

@@ -153,7 +153,7 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
     """Return a configuration after changes of live parameters, which are given by dotted name.
 
     Raises:
-        ParameterError: a parameter is unknown, out of range, or can be set only at the start.
+        ParameterError: a parameter is unknown, has a value that is not allowed, or can be set only at the start.
 
     Example:
         >>> from ship_estimation.gates import GateConfig

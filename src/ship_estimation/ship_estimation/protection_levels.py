@@ -28,7 +28,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 TESTS_PER_H = 360
 """Number of independent values of a solution separation in an hour.
 
-A separation changes over ten seconds and more, as the estimate of the INS's correlated error changes."""
+A separation changes as slowly as the estimate of the INS's correlated error, over ten seconds or more."""
 
 NORMAL_95 = 1.96
 """Half-width of the two-sided 95 % interval of a normal error, sigmas; it defines the accuracy of an angle."""
@@ -186,7 +186,7 @@ class ProtectionLevels(NamedTuple):
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
         level: protection level of each component, shape (3,).
-        dominant: index, among the tested hypotheses, of the one with the largest level; -1 for the fault-free case.
+        dominant: index of the tested hypothesis with the largest level; -1 for the fault-free case.
         largest_sigma: largest standard deviation, in any subfilter, of a state that determines the components.
     """
 
@@ -268,7 +268,8 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
 def separation_inflation(separations: FloatArray, statistic: FloatArray) -> FloatArray:
     """Return the covariance that is added to an output because of its solution separations.
 
-    A drifting source separates the main filter from its subfilter long before the separation exceeds the threshold.
+    A drifting source separates the main filter from the subfilter without this source long before the separation
+    exceeds the threshold.
     Until then the published covariance covers both solutions. Each subfilter whose separation d exceeds three sigmas
     adds d dᵀ (1 - 9 / s²), where s is the separation in sigmas. The term is continuous, because it is zero at s = 3.
 

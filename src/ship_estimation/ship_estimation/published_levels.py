@@ -83,7 +83,7 @@ class PublishedLevels:
         return count
 
     def needs_update(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
-        """True if the levels of an output must be published before the output; they are then stored as published.
+        """True if the levels of an output must be published before the output; these levels are then stored.
 
         Args:
             output: the output.

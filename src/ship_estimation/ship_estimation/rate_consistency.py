@@ -173,7 +173,7 @@ class RateConsistencyCheck:
         self.is_usable = self.status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
 
     def _in_other_units(self, turns: list[tuple[FloatArray, FloatArray]], least: int) -> bool:
-        """True if the rates equal the rotations of the attitude up to a factor of about 57.3."""
+        """True if rotations by rates and by attitude have a ratio of about 57.3 or 1/57.3; then set :attr:`slope`."""
         if len(turns) < least:
             return False
         attitude, rate = (np.array(values) for values in zip(*turns, strict=True))

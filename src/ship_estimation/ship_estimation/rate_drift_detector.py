@@ -24,7 +24,7 @@ _FARTHEST = 3.0
 """Bound of a slope in the estimate of the spread, sigmas, so that a drifting piece does not enlarge the spread."""
 
 _FASTER = 1.5
-"""Ratio to the fastest earlier rotation above which a piece is not tested, because it shows new scale errors."""
+"""Ratio to the fastest earlier rotation above which a piece is not tested, because the piece shows new scale errors."""
 
 
 class RateDisagreement(NamedTuple):
@@ -64,12 +64,14 @@ class RateDriftDetector:
         self._turning.clear()
 
     def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> RateDisagreement | None:
-        """Return the drift of the attitude in this piece and the pieces before; None if usual or not testable yet.
+        """Return the drift of the attitude in this piece and the pieces before, or None.
+
+        The result is None if the drift is usual or cannot be tested yet.
 
         Args:
             slope_n: drift in the piece minus the estimated drift, horizon frame, rad/s, shape (3,).
             seconds: length of the piece, s.
-            turning: mean angular rate of the ship in the piece, rad/s.
+            turning: magnitude of the ship's mean angular velocity in the piece, rad/s.
         """
         self._fresh += 1
         if self._fresh == 0 and not self._known:

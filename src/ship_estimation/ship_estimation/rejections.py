@@ -33,7 +33,7 @@ _AT_ALL_STAMPS_NS = -(2**62)
 """Stamp since which a source counts as having two publishers if its stamps may have restarted."""
 
 DETECTION_TIME_S = 2.0
-"""Time within which two publishers of one source are detected, from the second message of both, s."""
+"""Maximum delay of the detection of two publishers of one source after both have sent two messages, s."""
 
 LONGEST_TEXT = 200
 """Maximum length of a reason, and of any text from outside in an output, characters."""
@@ -145,7 +145,7 @@ class Content(Protocol):
 
 
 def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
-    """Return True if a new input replaces a known input with its stamp, and the rejection of the input not kept.
+    """Return True if a new input replaces a known input with the same stamp, and the rejection of the dropped input.
 
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
 

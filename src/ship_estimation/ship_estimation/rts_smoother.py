@@ -109,11 +109,11 @@ class StatePredictor(Protocol[Given]):
     def estimates_at(
         self, anchor: Anchor[Given], times_ns: Sequence[int], later: Anchor[Given] | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the r quantities to smooth, as predicted at N times, none before the anchor, in ascending order.
+        """Return the r quantities to smooth, predicted at N ascending times at or after the anchor.
 
         Args:
             anchor: last estimate before the times.
-            times_ns: the N times; times before a jump may be later than the estimate that is inflated for the jump.
+            times_ns: the N times. If ``later`` is inflated for a jump, the times up to the jump may be after ``later``.
             later: next estimate; None without a next estimate or without a backward step from the next estimate.
 
         Returns:
@@ -229,7 +229,7 @@ class RtsSmoother(Generic[Given]):
         leads_back: bool,
         jumped_ns: int | None = None,
     ) -> None:
-        """Add a link with the requested times before it; for a jump up to the last sample before the jump."""
+        """Add a link with the requested times up to the link or, for a jump, up to the last sample before the jump."""
         assert state.time_ns is not None
         last, is_first = self._last, self._last.time_ns is None
         reached = Anchor(state.time_ns, estimate, state.prediction_input)

@@ -1,4 +1,4 @@
-"""Main filter, which uses all sources, and subfilters, which exclude one or more each; all are updated together.
+"""Main filter, which uses all sources, and subfilters, each without one or more sources; all are updated together.
 
 The innovations of a measurement are computed for all filters at once. A subfilter that excludes the source of a
 measurement updates only the states that belong to that source alone, such as its installation. The other states and

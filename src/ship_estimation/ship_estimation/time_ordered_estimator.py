@@ -7,11 +7,11 @@ is independent of the kind of measurement. A measurement is processed as follows
    lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
    time-ordered estimator.
 2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
-   CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. If too many later measurements of
-   its source are known, it is rejected as OVERFLOW.
-3. It is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again, and a decision
-   that changes is published again as revised. The number of repetitions is limited for each input and for each second;
-   the rest is pending.
+   CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. A measurement is rejected as
+   OVERFLOW if too many later measurements of its source are known.
+3. It is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A decision is
+   published again as revised if it changes between accepted and rejected. The number of repetitions is limited for each
+   input and for each second; the other measurements stay pending.
 4. It is pending, with all measurements after it, while the model lacks data that may still arrive within ``lag_s``.
 5. The model accepts or rejects it. If the model raises an exception, the measurement is rejected as FAILED and the
    state is kept.
@@ -147,7 +147,7 @@ class _Entry(Generic[State, Item, AnyDecision]):
 
 
 class TimeOrderedLog(Generic[State, Item, AnyDecision]):
-    """Committed state, and the measurements not committed yet in time order, each with the state after it.
+    """Committed state, and the uncommitted measurements in time order, each with the state after the measurement.
 
     A measurement out of order is inserted, and all measurements after it are applied again from the state before it. A
     measurement for which the step raises an exception changes no state and delays no other measurement.
@@ -194,7 +194,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
 
     def insert(self, key: Key, measurement: Item) -> None:
-        """Insert a measurement in time order, or replace the one with its key; it and all later ones become pending."""
+        """Insert or replace the measurement with a key; this measurement and all later measurements become pending."""
         index = bisect.bisect_left(self._keys, key)
         if index < len(self._keys) and self._keys[index] == key:
             self._entries[index].measurement = measurement
@@ -206,7 +206,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         self.pending_count = max(self.pending_count, len(self._entries) - index)
 
     def rewind_to_first(self, affected: Callable[[AnyDecision], bool]) -> None:
-        """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
+        """Make the first measurement whose decision is affected, and all later measurements, pending again."""
         for index in range(self._applied_count):
             decision = self._entries[index].decision
             if decision is not None and affected(decision):
@@ -260,7 +260,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return decisions
 
     def commit_before(self, time_ns: int) -> list[State]:
-        """Commit the applied measurements before a time, which can then no longer be revised.
+        """Commit the applied measurements before a time; these measurements can then no longer be revised.
 
         Returns:
             The state after each committed measurement.
@@ -439,11 +439,11 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             self.rewind_after(changed_after_ns)
 
     def rewind_after(self, after_ns: int) -> None:
-        """Apply again, at the next :meth:`apply`, the measurements that depend on samples after a stamp."""
+        """Make the first measurement that depends on samples after a stamp, and all later ones, pending again."""
         self.rewind_to_first(lambda decision: self._model.until_ns(decision) > after_ns)
 
     def rewind_to_first(self, affected: Callable[[DecisionT], bool]) -> None:
-        """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
+        """Make the first measurement whose decision is affected, and all later measurements, pending again."""
         self._log.rewind_to_first(lambda item: not isinstance(item, _CovarianceInflation) and affected(item))
 
     def tick(self, now_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
@@ -457,7 +457,9 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         return self._log.is_behind
 
     def apply(self, outcome: Outcome[DecisionT, Estimate], now_ns: int | None = None) -> None:
-        """Apply pending measurements as far as possible, and add new and revised decisions to the outcome.
+        """Apply pending measurements as far as possible, and add new decisions to the outcome.
+
+        A repeated decision is added as revised if it changes between accepted and rejected.
 
         Args:
             outcome: receives the decisions.
@@ -512,7 +514,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         return self._log.base
 
     def _close(self) -> None:
-        """Commit the measurements that are older than the window."""
+        """Commit the measurements that no data can affect any more, and drop the data that only they need."""
         closed_ns = self.window.oldest_ns - self._reach_ns
         if self._log.oldest_ns is not None and self._log.oldest_ns < closed_ns:
             closed = self._log.commit_before(closed_ns)
@@ -553,7 +555,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     ) -> None:
         """Add the estimate of a stamp to the outcome if the stamp is later than all output stamps before.
 
-        If its computation raises an exception, a failure is reported; the next estimate is computed as usual.
+        If ``estimate`` raises an exception, a failure is reported; the next estimate is computed as usual.
 
         Args:
             outcome: receives the estimate.

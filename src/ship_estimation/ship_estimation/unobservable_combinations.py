@@ -44,7 +44,7 @@ def unobservable_combinations(
 
 
 def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequence[str]) -> str:
-    """Return a combination as text, with a factor for each state whose coefficient differs in size from the first one.
+    """Return a combination as text, with a factor for each state whose coefficient differs in size from the first.
 
     Args:
         run: coefficients of the combination in prior sigmas, shape (n,).
@@ -63,7 +63,7 @@ def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Seque
 
 
 def _sparse_basis(runs: FloatArray) -> FloatArray:
-    """Return rows that span the same space with few elements each, by Gauss–Jordan elimination in column order."""
+    """Return rows of the same space with few non-zero elements each, by Gauss–Jordan elimination in column order."""
     runs = runs.copy()
     done = 0
     for column in range(runs.shape[1]):

@@ -25,7 +25,7 @@ JUMP_SAMPLES = 5
 """Default number of rejected, mutually consistent values after which a jump is accepted."""
 
 ROUNDING_SPREAD = 1.8
-"""Bound of the error due to rounding to unit steps in each of three axes, a little more than sqrt(3)."""
+"""Bound of the error of a difference due to rounding to unit steps in three axes, a little more than sqrt(3)."""
 
 
 def vector_length(vector: FloatArray) -> float:
@@ -262,7 +262,7 @@ class PredictionMatch(NamedTuple):
         """True if the value is consistent with the last accepted value although values between were rejected.
 
         The bound of this prediction grows with the time since the accepted value. If the value is consistent with the
-        rejected value before it, the bound is therefore at most the bound of this last step.
+        rejected value before it, the bound is therefore at most the bound of ``step``.
 
         Args:
             step: the same value compared with its prediction from the value before it, accepted or not.

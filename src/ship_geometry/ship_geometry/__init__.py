@@ -15,13 +15,13 @@ Frames
     d     bow, up, starboard       the ship                     deck: the levelled reference plate of the ship
     i     forward, up, right       the INS's maker              case of the INS; ``ins.installation`` turns it into d
     s     boresight, up, right     the sensor's maker           star sensor; up and right are those of its picture
-    v     forward, up, right       the device                   a device aboard where the code serves several kinds of
-                                                                it: a star sensor or a reference
+    v     forward, up, right       the device                   any device aboard where the code serves several kinds: a
+                                                                star sensor or a reference
     r     forward, up, right       the device                   reference: another attitude system aboard
-    b     forward, up, right       the body                     body where the code serves several: a drone (nose, up,
-                                                                right); sensor or deck where stars are fitted
-    f     bow, up, starboard       the hull                     foot of the theodolite: d as the hull, bent since it
-                                                                was surveyed, carries it there
+    b     forward, up, right       the body                     any body where the code serves several kinds: a drone
+                                                                (nose, up, right); sensor or deck where stars are fitted
+    f     bow, up, starboard       the hull                     foot of the theodolite: d rotated by the bending of the
+                                                                hull between d and the foot since the survey
     x     forward, up, right       the theodolite               the part of the mount that turns in azimuth
     m     optical axis, up, right  the theodolite               main frame: the main tube
     t     optical axis, up, right  the theodolite               calibration telescope, parallel to the main tube
@@ -250,7 +250,8 @@ Terms of integrity
         Bound of an error under an undetected fault; largest acceptable protection level.
         Unit: rad; module: ship_estimation.protection_levels.
     VALID, COASTING, DEGRADED, UNVERIFIED, INVALID
-        The value rests on stars or lights; on recent ones; not on them; on unconfirmed stars; there is no value (NaN).
+        The value rests on stars or lights; on recent stars or lights; on neither; on unconfirmed stars; there is no
+        value (NaN).
         Module: ship_estimation.outcome.
     SAFE, CAUTION, UNSAFE
         An angle is within the limits of the ship; usable with care; not usable.

@@ -164,7 +164,7 @@ class InterpolatedAttitude:
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         noise_gain: variance of the attitude, divided by the variance of the samples' independent noise.
         error_covariance_d: covariance of the interpolation error and of the samples' extra noise, rotation vector in
-            the deck frame, rad², shape (3, 3). It is estimated from the neighbouring samples.
+            the deck frame, rad², shape (3, 3). The interpolation error is estimated from the neighbouring samples.
         sample: last sample at or before the time; None for a propagated attitude.
         next_sample: sample after the time; None if the attitude is not interpolated.
         errors_d: estimates of the interpolation error, rotation vectors in the deck frame, rad, shape (3,) each; empty
@@ -205,7 +205,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     """Attitudes of one source, interpolated by a cubic of the rotation vector.
 
     Example:
-        A ship that turns by 10° in one second, halfway between two samples:
+        A ship turns by 10° in one second. Its attitude is interpolated halfway between two samples:
 
         >>> from ship_geometry.frames import angles_from_rotation, rotation_from_angles
         >>> rate_d = np.deg2rad([0.0, -10.0, 0.0])  # clockwise seen from above is negative about up
@@ -235,7 +235,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return next((one for one in reversed(self._extra) if one.from_ns <= time_ns), None)
 
     def at(self, time_ns: int) -> InterpolatedAttitude | None:
-        """Return the attitude at a time; None outside the track or in a gap."""
+        """Return the attitude at a time; None outside the track, in a gap or across a cut."""
         interval = self._interval(time_ns)
         if interval is None:
             return None
@@ -304,7 +304,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._times[start - 1] if start > 0 else self._times[0] - 1
 
     def rate(self, index: int) -> FloatArray:
-        """Return the rate at sample ``index``, deck frame, rad/s: measured, else from neighbours; zero without them."""
+        """Return the rate at sample ``index``, deck frame, rad/s.
+
+        Without a measured rate the result is the mean rate between the neighbours; zero if there is no neighbour.
+        """
         sample = self._samples[index]
         if sample.rate_d is not None:
             return sample.rate_d

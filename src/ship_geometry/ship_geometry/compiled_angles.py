@@ -91,7 +91,7 @@ def _by_rotation_vector(
 def angle_errors(azimuth: cython.double, elevation: cython.double, highest: cython.double):
     """Return the derivative of one attitude's angles with respect to a rotation vector, shape (3, 3).
 
-    It is NaN if the elevation is beyond ``highest``.
+    The derivative is NaN if the elevation is beyond ``highest``.
     """
     matrix = np.empty((3, 3))
     out: cython.double[:, ::1] = matrix

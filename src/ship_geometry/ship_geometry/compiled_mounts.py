@@ -276,7 +276,8 @@ def pointings(
     """Return the main frame at N encoder readings, corrected by one estimate of the errors, with covariance by source.
 
     The errors a and e are Gauss–Markov processes with steady covariances. If the stated covariance of the ship's
-    attitude has changed since the estimate, a share of a remains and a covariance is added.
+    attitude has changed since the estimate, the error a is multiplied by ``remaining_share``, and ``added_covariance``
+    is added to the covariance of a.
 
     Args:
         since_ns: time from the estimate to each reading, ns, shape (N,); negative times count as 0.
@@ -285,8 +286,8 @@ def pointings(
         ship_variances: variance of a further error of each attitude, equal about all axes, rad², shape (N,).
         angles: encoder readings of azimuth and elevation, rad, shape (N, 2).
         angle_variances: noise variance of each of the two encoder angles, rad², shape (N,).
-        remaining_share: remaining share of a, shape (N, 3), or (0, 3) if a is not reduced at any reading.
-        added_covariance: covariance added to a, rad², shape (N, 3, 3), or (0, 3, 3).
+        remaining_share: factor of each component of a, shape (N, 3), or (0, 3) if a is not reduced at any reading.
+        added_covariance: covariance added to that of a, rad², shape (N, 3, 3), or (0, 3, 3).
         errors: estimated errors, shape (14,).
         exceeds_model: true for each component of a and e whose mean does not decay, shape (6,).
         time_s: correlation times of a and e, s, shape (6,).

@@ -30,7 +30,7 @@ def _polynomial_error(
     next_term_share: cython.double,
     out: cython.p_double,
 ) -> cython.void:
-    """Write the error of a value by Newton's polynomial through samples, and a share of the polynomial's last term.
+    """Write Newton's polynomial through samples minus a value, and a share of the polynomial's last term.
 
     ``values`` is overwritten.
     """

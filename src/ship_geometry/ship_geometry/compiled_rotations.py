@@ -252,8 +252,8 @@ def composed_attitude(
 ):
     """Return the attitude composed of a rotating base and a sequence of rotations (links), with its derivatives.
 
-    The product is formed from right to left. Each link adds the rotation exp(v) of three states v, and on its left a
-    fixed rotation. To the left of the fixed rotation of one of the links, ``base_link``, the base is added.
+    The product is formed from right to left. Each link adds the rotation exp(v) of three states v, and a fixed rotation
+    to the left of exp(v). To the left of the fixed rotation of the link ``base_link``, the base is added.
 
     Args:
         mean: all states, shape (n,).
@@ -477,7 +477,7 @@ def interpolate_attitude(
         other_at: time of the other sample in units of the interval, negative; 0 if there is no other sample.
         bound_share: twice the factor of the second estimate if there is another sample; otherwise the factor is 1.
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the errors' squares, rad²; a larger covariance is scaled down to it.
+        largest: maximum of the sum of the errors' squares, rad²; with a larger sum the covariance is scaled down.
 
     Returns:
         Rotation at the requested time.
@@ -568,7 +568,7 @@ def propagate_by_rates(
         steps_s: intervals between these samples, s, shape (N, k - 1).
         ahead_s: time by which each sample is propagated, s, shape (N,).
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the error's squares, rad²; a larger covariance is scaled down to it.
+        largest: maximum of the sum of the error's squares, rad²; with a larger sum the covariance is scaled down.
 
     Returns:
         The propagated attitudes, their rates, and the covariance of the propagation error, rad².

@@ -92,7 +92,7 @@ class DeckMasks:
         return reaches
 
     def covering_masks(self, directions_d: FloatArray) -> list[str]:
-        """Return the names of the masks if they hide all directions, shape (n, 3); an empty list otherwise."""
+        """Return the names of the masks that hide directions, shape (n, 3); an empty list if any direction is free."""
         hiding = self.hidden_by_mask(directions_d)
         if not hiding.any(axis=0).all():
             return []
@@ -113,7 +113,7 @@ class SensorMasks:
         rotation_ds: orientation of the sensor (deck from sensor), shape (3, 3).
 
     Example:
-        A sensor that looks over the port side, and a crane there:
+        A sensor looks over the port side, where a crane stands:
 
         >>> crane = np.deg2rad([[265.0, 0.0], [275.0, 0.0], [275.0, 60.0], [265.0, 60.0]])
         >>> port = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

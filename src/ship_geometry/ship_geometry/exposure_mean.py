@@ -1,13 +1,13 @@
 """Mean over an exposure of a rotating camera, from attitudes of the body that carries the camera.
 
-The image of a star moves over the detector during the exposure. The centroid of the image is the mean of its positions
-p(t) over the exposure T. It differs from the position p(0) at the middle, and the light is spread along the path:
+The image of a star moves over the detector during the exposure. The measured centroid is the mean of the positions
+p(t) over the exposure T. The mean differs from the position p(0) at the middle, and the light is spread along the path:
 
     mean of p - p(0) = p̈ T²/24 + p⁗ T⁴/1920 + ...          spread of p about its mean = ṗ ṗᵀ T²/12 + ...
 
 Mean and spread are computed from p at a few times, the nodes. A short exposure has the middle and two outer nodes; a
-long exposure has the nodes of Simpson's rule. The outer nodes are a tenth of a second from the middle even if the
-exposure is shorter, because with closer nodes the noise of the samples would dominate p̈.
+long exposure has the nodes of Simpson's rule. The outer nodes of a short exposure are a tenth of a second from the
+middle, whatever its length, because with closer nodes the noise of the samples would dominate p̈.
 """
 
 import math

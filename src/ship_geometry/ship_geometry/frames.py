@@ -95,7 +95,7 @@ def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: fl
 def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
     """Return the inverse of the matrix B of :func:`rotation_vector_from_angle_errors`, shape (..., 3, 3).
 
-    It is NaN beyond :data:`SINGULAR_ELEVATION`.
+    The result is NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
         A sensor looks North at 60° elevation. A tilt by 20″ about North changes its azimuth by 35″ (20″ tan 60°):
@@ -147,7 +147,8 @@ def rotation_vector_covariance(
     The order of the angles is azimuth, elevation, roll.
 
     Example:
-        A level ship heading North has sigmas of 72″ in heading, 10″ in pitch and roll; about (North, Up, East):
+        A level ship heading North has sigmas of 72″ in heading and of 10″ in pitch and roll. The sigmas of the rotation
+        vector about (North, Up, East) are:
 
         >>> covariance_n = rotation_vector_covariance(np.diag([72.0, 10.0, 10.0]) ** 2, 0.0, 0.0)  # arcsec²
         >>> print(np.sqrt(np.diagonal(covariance_n)).round(1))

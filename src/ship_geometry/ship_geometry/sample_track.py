@@ -26,7 +26,7 @@ Sample = TypeVar("Sample", bound=Stamped)
 
 
 def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
-    """Return the weights in a cubic on [0, 1], at a fraction: of value and slope at 0, and of value and slope at 1.
+    """Return the weights of value and slope at 0, and of value and slope at 1, in a cubic on [0, 1] at a fraction.
 
     Example:
         >>> print(hermite_weights(0.5))
@@ -98,7 +98,7 @@ class SampleTrack(Generic[Sample]):
         return max((cut_ns for cut_ns in self._cuts_ns if cut_ns <= until_ns), default=None)
 
     def insert(self, sample: Sample) -> int | None:
-        """Insert a sample in time order, in place of a sample with the same stamp.
+        """Insert a sample in time order, or replace the sample with the same stamp.
 
         Returns:
             The stamp after which interpolated values may have changed. None if the sample is the newest one, which

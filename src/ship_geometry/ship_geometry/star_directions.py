@@ -225,7 +225,7 @@ class RefreshedSky:
     def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
         """Return the rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
 
-        It is for the axes of a body. Aberration is not included, because it shifts directions of stars and not axes.
+        The rotation is for the axes of a body. It does not include aberration, which shifts directions of stars only.
 
         Raises:
             OutsideEarthOrientation: the table has no value for this time.

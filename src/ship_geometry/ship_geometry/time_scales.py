@@ -93,8 +93,8 @@ def read_leap_seconds(path: Path) -> LeapSeconds:
 def julian_date(time_ns: TimeNs, offset_s: FloatArray | float = 0.0) -> JulianDate:
     """Return the two-part Julian date of a time plus an offset.
 
-    With the offset S − UTC it is the date in the time scale S. Day and fraction are split in integer nanoseconds,
-    because a Julian date in one double has a resolution of 40 µs, which is 0.6 mas of Earth rotation.
+    With the offset S − UTC the result is the date in the time scale S. Day and fraction are split in integer
+    nanoseconds, because a Julian date in one double has a resolution of 40 µs, which is 0.6 mas of Earth rotation.
 
     Args:
         time_ns: time, or array of times.

@@ -71,7 +71,7 @@ class VectorTrack(SampleTrack[Sample]):
         self._period = period
 
     def at(self, time_ns: int) -> InterpolatedVector | None:
-        """Return the vector at a time; None outside the track or in a gap."""
+        """Return the vector at a time; None outside the track, in a gap or across a cut."""
         interval = self._interval(time_ns)
         if interval is None:
             return None

@@ -1,7 +1,7 @@
 """Wahba's problem: the rotation between two frames from directions known in both, with its covariance.
 
 The rotation R minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²,  where vᵢ are reference directions (n) and uᵢ measured directions (d).
-It is computed by the singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). If each direction has one error
+R is computed by the singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). If each direction has one error
 σᵢ in both axes across the line of sight, R is the maximum-likelihood attitude with covariance (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
 
 All functions accept leading dimensions: many attitudes at once, with the same number of directions each.

@@ -1,4 +1,4 @@
-"""Displacement of a source, or of several together, to find out whether an inconsistent source has moved back.
+"""Displacement of a source or of several sources, to find out whether an inconsistent source has moved back.
 
 Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. The residual
 changes slowly due to the drift of the INS, and in a step if a source or the INS moves. Only steps count as
@@ -24,7 +24,7 @@ _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
 """Maximum share of the largest displacement that remains when a source has moved back, and the maximum share if the
 measurements do not determine the displacement more precisely."""
 _DECISIVE_SIGMAS = 5.0
-"""Size of a displacement, in standard deviations of the stored state, from which that state alone can show a return."""
+"""Minimum size of a return, in standard deviations of the stored state, for this state alone to show the return."""
 _STEP_LASTS = 4
 """Duration of a step, s; further significant changes in this time belong to the step."""
 _AT_REST, _DISPLACED = 0, 1
@@ -51,7 +51,7 @@ class MemoryResidual(NamedTuple):
 
 
 class Displacement:
-    """The displacement of a source, or of several together, which is the change of their residual by steps.
+    """The displacement of a source, or of several sources together: the change of their residual by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -92,10 +92,10 @@ class Displacement:
             self._pending.append(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Add the covariance of a jump of the INS that its own rates showed in this second, rad², shape (k, k).
+        """Add the covariance of an INS jump that the INS's own rates showed in this second, rad², shape (k, k).
 
         The measurements of this second, before and after the jump, are dropped. A displacement that is not larger than
-        the jump may be a displacement of the INS, so it is reset.
+        the jump may be a displacement of the INS, so the displacement is reset to zero.
         """
         self._pending.clear()
         if self._newest is None:
@@ -214,7 +214,7 @@ class Displacement:
         return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
 
     def has_not_moved_as(self, other: "Displacement") -> bool:
-        """True if this source has not moved with another source; the same displacement would show here as a step."""
+        """True if this source is not displaced and would show the displacement of ``other`` as a clear step."""
         if self._newest is None or self.is_displaced:
             return False
         covariance = self._residual_covariance + other._residual_covariance

@@ -24,7 +24,7 @@ class Displacements:
             displacement.add(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Add the covariance of a jump of the INS that its own rates showed, rad², shape (k, k)."""
+        """Add the covariance of an INS jump that the INS's own rates showed, rad², shape (k, k)."""
         for displacement in (*self._by_source.values(), self._together):
             displacement.inflate(covariance)
 
@@ -37,7 +37,8 @@ class Displacements:
     def displaced(self) -> dict[str, float]:
         """Sources that have moved and not moved back, with their largest displacement, rad; :data:`TOGETHER` for all.
 
-        A source has moved by itself only if another source has not moved with it.
+        A source has moved by itself only if another source has not moved with it. The result is empty if the weighted
+        mean of all sources is not displaced.
         """
         if not self._together.is_displaced:
             return {}

@@ -78,7 +78,10 @@ class RecoverableCore(Protocol):
         ...
 
     def propagate_memory(self, memory: Any, jumps: Sequence[Any]) -> Any:
-        """Return a stored state propagated to the oldest time that measurements may still have."""
+        """Return a stored state propagated to the oldest time that measurements may still have.
+
+        The covariance of the state is inflated for the jumps.
+        """
         ...
 
     def memory_residuals(self, decision: Any, memory: Any) -> Mapping[str, MemoryResidual]:
@@ -191,7 +194,7 @@ class EstimatorRecovery:
         Args:
             waiting_ns: time by the timeout clock, ns.
             live: the estimator whose outputs are published.
-            is_as_expected: True if its status is no worse than its inputs allow.
+            is_as_expected: True if the status of ``live`` is no worse than the inputs of ``live`` allow.
             available_sources: sources with usable messages that arrived recently.
 
         Returns:
@@ -277,7 +280,8 @@ class EstimatorRecovery:
     def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, available_sources: Set[str]) -> bool:
         """True if the second estimator meets all conditions of the module's docstring.
 
-        If only condition 2 fails, another one starts, from the prior instead of the stored state or the reverse.
+        If only condition 2 fails, another second estimator starts: from the prior instead of the stored state, or the
+        reverse.
         """
         candidate = self.candidate
         if candidate is None or candidate.valid_since_ns is None:

@@ -10,7 +10,7 @@ class TroubleDetector:
     """Start and end of trouble, from signs that are checked once a second.
 
     Args:
-        after_s: duration of signs after which trouble begins, s.
+        after_s: duration of uninterrupted signs after which trouble begins, s.
 
     Attributes:
         first_sign_ns: time of the first sign; None without a sign in the last 30 s.

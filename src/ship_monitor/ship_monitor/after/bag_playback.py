@@ -4,8 +4,8 @@ The full state at a time needs the messages of the ten minutes before that time;
 A new time is therefore first displayed from the messages of the last minute. The minute is enough for safety and NIS
 consistency. Plots, events and the times since which sources are OUT need all ten minutes. Each update reads a part of
 the ten minutes; when all parts are read, they replace the minute.
-Only latched alerts and states are read from before the ten minutes. A source that has been OUT for longer is shown as
-OUT for ten minutes.
+From before the ten minutes, only alerts, alignment and calibration are read. A source that has been OUT for longer is
+shown as OUT for ten minutes.
 """
 
 import math
@@ -54,7 +54,7 @@ class _Replay:
 class BagPlayback:
     """Playback of a recorded suite in one browser (:class:`ship_monitor.page.page_source.PageSource`).
 
-    It starts at the end of the bag.
+    The displayed time is at first the end of the bag.
 
     Args:
         suite: the recorded suite.

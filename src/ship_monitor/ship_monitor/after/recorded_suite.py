@@ -77,8 +77,8 @@ class RecordedSuite:
     def messages(self, since_ns: int) -> Iterator[RecordedMessage]:
         """Yield the alerts, alignment and calibration valid at a log time, then the monitored messages from then on.
 
-        Before them come the first alignment and calibration of the bag, for the nominal values. Messages that cannot be
-        decoded are skipped.
+        The first alignment and calibration of the bag precede these messages, because they give the nominal values.
+        Messages that cannot be decoded are skipped.
 
         Args:
             since_ns: the log time, ns; messages before it are yielded with this log time.

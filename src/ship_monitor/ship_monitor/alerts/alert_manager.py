@@ -109,7 +109,7 @@ class AlertManager:
         return change, text
 
     def silence(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
-        """Silence all sounding alerts for a while; return the changes."""
+        """Silence all sounding alerts for the time ``silence_s`` of the limits; return the changes."""
         return self._save_changes(self._alert_list.silence(now_ns, self._utc_ns(clock_ns)))
 
     def diagnostic_entries(self) -> tuple[DiagnosticEntry, ...]:

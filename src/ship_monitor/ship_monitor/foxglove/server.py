@@ -3,8 +3,8 @@
 Messages are forwarded as bytes, with the definition of their type; the viewer decodes them. The oldest messages for a
 slow client are dropped, so that a slow client delays no other client and needs no more memory.
 
-The server uses the protocol of foxglove-sdk (``foxglove.sdk.v1``). The server of foxglove-sdk answers every web page;
-this server answers only the viewers and pages of this machine.
+The server uses the protocol of foxglove-sdk (``foxglove.sdk.v1``). The server of foxglove-sdk answers every web page.
+This server answers only known viewers, programs that state no origin, and pages of its own hosts.
 """
 
 import asyncio

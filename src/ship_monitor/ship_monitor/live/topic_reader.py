@@ -113,7 +113,7 @@ class TopicReader:
         self._open()
 
     def fetch(self) -> ReceivedBatch:
-        """Subscribe to new topics; return messages since the last call, the newest of each up to its queue depth."""
+        """Subscribe to new topics; return the newest messages since the last call, at most a queue depth per topic."""
         asleep_ns = _sleep_time_ns()
         if asleep_ns - self._sleep_time_ns > _MIN_SLEEP_NS:
             self.close()
@@ -125,7 +125,7 @@ class TopicReader:
         alerts_ended = ALERTS_TOPIC in present - self._published_topics
         received = sorted(self._decode_waiting(now_ns), key=lambda each: each.arrival_ns)
         self._last_fetch_ns = now_ns
-        # The topic of a received message exists, also if the next discovery is still pending.
+        # The alerts topic exists if a message was received, also if the next discovery is still pending.
         self._published_topics |= {each.topic for each in received if each.topic == ALERTS_TOPIC}
         self._output_ns = max([self._output_ns, *(each.arrival_ns for each in received if each.topic in _OUTPUTS)])
         jump_ns = max(filter(None, map(self._jump_ns, received)), default=None)
@@ -149,7 +149,7 @@ class TopicReader:
 
     @property
     def is_played(self) -> bool:
-        """True if a /clock is published, as by the player of a bag, or was at the time of the last output."""
+        """True if a /clock is published, as by a bag player, or was published at the time of the last output."""
         return self._output_ns - self._clock_ns < _CLOCK_MEMORY_NS
 
     @property
@@ -233,7 +233,7 @@ class TopicReader:
             self._truth_ns = steady_ns()
 
     def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
-        """Return the topic of the suite's clock: a clock in the namespace, as of a bag played into it, else /clock.
+        """Return the topic of the suite's clock: the clock in the namespace if one is published there, else /clock.
 
         If the topic changes, the latest time of the former topic is dropped: the change does not count as a step back.
         """
