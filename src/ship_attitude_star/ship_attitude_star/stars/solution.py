@@ -182,8 +182,8 @@ def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[S
 def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
     """Return an attitude (horizon from b) at which stars can be linearised, shape (3, 3).
 
-    A wide prior may be too far from the truth for a linearisation. The returned attitude is from the stars alone if they
-    verify one another; else it is the most likely attitude given the prior and all stars.
+    A wide prior may be too far from the truth for a linearisation. The returned attitude is from the stars alone if
+    they verify one another; else it is the most likely attitude given the prior and all stars.
 
     Args:
         stars: all measured stars that have a sky direction.
