@@ -1,4 +1,4 @@
-"""Units of message fields and names of their values: by comments of ship_msgs' definitions, or by tables in this module.
+"""Units of message fields and names of their values: from comments of ship_msgs' definitions, or from tables below.
 
 A field with an uncertain unit gets no unit, because a wrong unit is worse than no unit. The same holds for the names of
 values.

@@ -26,7 +26,8 @@ _CLOCK_LEAD_S = 0.1
 # Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. Sending
 # the /clock messages of one minute takes about _CLOCK_LEAD_S.
 _LONGEST_LEAD_S = 60.0
-# Maximum rate at which all ticks of /clock are sent; above it they would be more than 100 000 per second of steady time.
+# Maximum rate at which all ticks of /clock are sent. At a higher rate more than 100 000 ticks per second of steady time
+# would be needed.
 _FASTEST_WITH_ALL_TICKS = 1000.0
 # Time without a new match after which no subscribers are expected for the topics that have none. Discovery on one
 # computer takes 0.06 s to 1.6 s.
