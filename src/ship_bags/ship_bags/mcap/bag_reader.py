@@ -319,7 +319,7 @@ class Bag:
 
 
 def read_bag(path: Path | str) -> Bag:
-    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml, also of sqlite3 or compressed files.
+    """Open a bag: one .mcap or .db3 file, or a rosbag2 folder with metadata.yaml (MCAP, sqlite3 or compressed files).
 
     Raises:
         BadInput: the bag is missing, unreadable, empty, not MCAP, of an unknown compression, a folder without
