@@ -60,7 +60,7 @@ _NODE_NAME_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True)
 class Publisher:
-    """A publisher of a topic: full name of its node, type of the topic, and offered stronger qualities of service."""
+    """A publisher of a topic: full name of its node, type of the topic, and the qualities of STRONGER_QOS it offers."""
 
     node: str
     type_name: str
