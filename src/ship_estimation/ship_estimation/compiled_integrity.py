@@ -183,7 +183,7 @@ def coverage(
     most_growth: cython.double,
     tiny: cython.double,
 ):
-    """Return whether published levels cover an output, and how far they cover later outputs from the same state.
+    """Return the coverage of an output by published levels, and their limits for later outputs from the same state.
 
     Args:
         level: protection levels of the output, shape (3,).

@@ -23,7 +23,7 @@ MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
 """Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
 _CHI2_MARGIN = 0.6
-"""Least amount by which the largest excess of each other subfilter exceeds that of the subfilter that isolates a fault.
+"""Minimum margin of an isolation: the largest excess of every other subfilter must be larger by at least this margin.
 
 The excess is the ratio of chi² of an innovation mean to its limit. With the usual limits the margin is a likelihood
 ratio of 75 000. A drifting source is tested at hundreds of measurements before it is isolated. With a likelihood ratio

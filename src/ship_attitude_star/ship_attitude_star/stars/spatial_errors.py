@@ -115,7 +115,8 @@ class SpatialErrors:
         """Return the pixel dwell up to an exposure: the previous dwell if it continues, else a new dwell.
 
         Let ρ = exp(-2 d) be the correlation of the pixel errors of successive exposures. Each further exposure has
-        (1 - ρ)/(1 + ρ) of the information of the first. Its variance is multiplied by (1 + ρ)/(1 - ρ) = coth d.
+        (1 - ρ)/(1 + ρ) of the information of the first. The variance of a further exposure is multiplied by
+        (1 + ρ)/(1 - ρ) = coth d.
 
         All stars move together, by a shift and a rotation about their mean. The distance d is the root mean square of
         the stars' movements since the start of the dwell, divided by the number of exposures since the start. The

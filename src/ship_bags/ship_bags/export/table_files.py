@@ -32,7 +32,7 @@ class TableHead(NamedTuple):
 
     @property
     def title(self) -> str:
-        """One line for the user."""
+        """Title of the table for the user, one line."""
         of = f"{self.array} of " if self.array else ""
         return f"{of}topic {self.topic} ({self.type_name}) of {self.bag}"
 

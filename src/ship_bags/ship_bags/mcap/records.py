@@ -76,7 +76,7 @@ class RecordFile:
     size: int
 
     def record_at(self, offset: int) -> tuple[int, bytes] | None:
-        """Return opcode and body of the record at an offset; None if no record begins there or ends within the file."""
+        """Return opcode and body of the record at an offset; None if no complete record begins there."""
         self.stream.seek(offset)
         header = self.stream.read(HEADER.size)
         if len(header) < HEADER.size:

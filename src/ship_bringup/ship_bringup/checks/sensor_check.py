@@ -1,4 +1,4 @@
-"""Check that every sensor of the suite file is received: type, rate, and stamps by the clock of this computer."""
+"""Check that every sensor of the suite file is received: type, rate, and stamps that fit this computer's clock."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
