@@ -55,7 +55,7 @@ _PADDING_BYTES = 4
 
 @dataclass(slots=True)
 class BagRecord:
-    """Message of a bag; without MCAP the sequence number is 0, and the publish time is the log time."""
+    """Message of a bag; if `rosbags` reads the bag, the sequence number is 0 and the publish time is the log time."""
 
     topic: str
     type_name: str

@@ -85,7 +85,7 @@ class InstrumentRole:
     Attributes:
         becomes: kind of output: :data:`INS`, :data:`REFERENCE`, :data:`GYRO`, :data:`GNSS` or :data:`WEATHER`.
         by_instrument: True to stamp attitudes and fixes by the instrument's time, False by the receive time.
-        transducers: names of the XDR transducers that are used; empty if there is one of each kind.
+        transducers: names of the XDR transducers that are used; empty to use the only transducer of each kind.
         has_fix: True if the positions of an INS are used, too.
         quality_9_is_fix: True if a GGA of quality 9 is a fix with SBAS, False if it is not a fix.
     """

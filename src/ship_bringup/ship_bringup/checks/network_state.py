@@ -94,7 +94,7 @@ class NetworkState:
 
     Attributes:
         rmw: the middleware.
-        nodes: full names of all nodes except our own; a name used by two nodes is listed twice.
+        nodes: full names of all nodes except our own and hidden nodes; a name used by two nodes is listed twice.
         inputs: the inputs of the suite.
         already_published: topics that only the suite publishes → nodes that publish them already.
         has_clock: True if /clock is published.
