@@ -60,7 +60,7 @@ class CdrEncoder:
     def _flatten(
         self, type_name: str, fields: Mapping[str, Any], numbers: list[Any], many: bool
     ) -> CdrTemplate:
-        """Append the numbers of one or many messages, and return the layout."""
+        """Append the numbers of one or many messages to ``numbers``, and return the template of the messages."""
         flattener = self._flatteners.get((type_name, many))
         if flattener is None:
             flattener = self._flatteners[type_name, many] = _Flattener(type_name, self._definitions, many)
@@ -78,7 +78,7 @@ class CdrEncoder:
 
 
 class _Flattener:
-    """Function that splits the fields of a type into numbers and the parts that determine the layout.
+    """Splits the fields of a type into the numbers, and the texts and lengths that determine the layout.
 
     Args:
         type_name: the type.

@@ -21,11 +21,11 @@ class CdrReader:
         self._templates: dict[int, CdrTemplate] = {}
 
     def message(self, data: bytes) -> CdrMessage | None:
-        """Return the message; None if no template fits (other encapsulation, damaged message).
+        """Return the message; None if no template fits.
 
-        Neither does one if the texts differ from those in the first message of the same length.
-
-        No template is used for types with sequences, because their layout changes from message to message.
+        A template does not fit if the encapsulation differs, the message is damaged, or its texts differ from those in
+        the first message of the same length. Types with sequences have no template, because their layout changes from
+        message to message.
         """
         template = self._templates.get(len(data)) or self._add_template(data)
         return template.message(data) if template is not None and template.matches(data) else None

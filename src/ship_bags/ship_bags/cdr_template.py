@@ -46,10 +46,10 @@ Variable = str | int
 
 
 class CdrMessage:
-    """Message as its bytes, whose fields are decoded on access, as attributes.
+    """Message kept as bytes; a field is decoded when its attribute is read.
 
-    Texts are str, arrays and sequences of numbers are read-only numpy arrays, all others are lists; a nested message
-    is decoded as a whole. All other attributes begin with an underscore, which no field does.
+    Texts are str. Arrays and sequences of numbers are read-only numpy arrays, all other arrays and sequences are lists.
+    A nested message is decoded as a whole. Attributes that are not fields begin with an underscore; no field does.
 
     Attributes:
         __msgtype__: name of the type, as in the message objects of rosbags.
@@ -228,7 +228,7 @@ class _LayoutBuilder:
         names, formats, offsets: names, formats and offsets of the numbers, for numpy.
         codes: codes of all parts, for struct.
         constants: offset and bytes of texts and lengths.
-        arguments: index among the arguments of struct, and bytes, of the header, texts and lengths.
+        arguments: for the header and each text and length, its index among the arguments of struct and its bytes.
     """
 
     def __init__(self, definitions: Definitions, variable: "_VariablePart") -> None:

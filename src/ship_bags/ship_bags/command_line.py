@@ -43,7 +43,7 @@ class CommandParser(argparse.ArgumentParser):
     added.
 
     Args:
-        prog: name of the command, before its error texts.
+        prog: name of the command; error texts begin with this name.
         package: package of the executable; empty for a tool that is not an executable of the suite.
         example: arguments of an example; for a tool the whole command line.
         options: options of argparse.ArgumentParser.
@@ -55,7 +55,7 @@ class CommandParser(argparse.ArgumentParser):
         self._example = f"{self._command} {example}" if package else example
 
     def format_help(self) -> str:
-        """Return the help with the whole command and the example, whose long lines are not wrapped.
+        """Return the help with the whole command and the example; long lines of both are not wrapped.
 
         Arguments that do not fit next to the command are below it.
         """

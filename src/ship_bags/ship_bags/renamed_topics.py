@@ -64,7 +64,10 @@ class TopicNames:
         return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
 
     def unmatched_remaps(self, topics: Collection[str]) -> list[str]:
-        """Note the topics of a bag; return the old name of each remap that has matched no bag so far by either name."""
+        """Record the topics of a bag; return the old names of the remaps that have matched no bag so far.
+
+        A remap matches a bag that has a topic with the old or the new name.
+        """
         there = {f"/{relative_topic(topic)}" for topic in topics}
         self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
         return [old for old, _ in self.remaps if old not in self._matched]
@@ -225,7 +228,7 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
 
 
 def _attached_names(text: str) -> dict[str, str]:
-    """Return the map of an attached file; empty if the file is unusable, as reported by a command that needs it."""
+    """Return the map of an attached file; empty if the file is unusable. A command that needs the file reports this."""
     if TOPICS_PARAMETER not in text:
         return {}
     try:

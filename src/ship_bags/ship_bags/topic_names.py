@@ -36,7 +36,8 @@ def namespace_of_outputs(names: Iterable[str], namespace: str, outputs: Iterable
     Args:
         names: names of the bag's topics.
         namespace: namespace of the ship.
-        outputs: relative names of outputs; if the ship's namespace has one of these outputs, it is returned.
+        outputs: relative names of outputs; if one of these outputs is in the ship's namespace, this namespace is
+            returned.
     """
     found = relative_topics(names, namespace)
     return namespace if any(topic in found for topic in outputs) else ""

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled checks of streams, such as of an INS against its own rates, for single values and for blocks.
+"""Compiled checks of streams, for example of an INS against its own rates, for single values and blocks of values.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
 are documented where they are called, in :mod:`ship_estimation.integrated_rates`,
@@ -305,8 +305,8 @@ def accepted_on_line(
         last_ns: stamp of the last kept sample.
         longest_ns: maximum gap that the line spans.
         last_error_rad: bound of the integration error up to the last kept sample.
-        last_apparent_step_rad: growth of that bound in the last step.
-        apparent_step_rad: part of the bounds due to a change of that growth.
+        last_apparent_step_rad: growth of the bound of the integration error in the last step.
+        apparent_step_rad: part of the step bounds due to a change of this growth.
         weights: as for :func:`set_bounds`.
         least_rad: as for :func:`set_bounds`.
         shares: as for :func:`set_bounds`.
@@ -367,7 +367,7 @@ def accepted_on_line(
 
 
 def changes(before: cython.const[cython.double][:, :], values: cython.const[cython.double][:, :, :]):
-    """Return a list of the changes of N values from the value before, each the largest length of a row's change.
+    """Return a list of N changes, each from the value before; a change is the largest length of a row's change.
 
     Args:
         before: value before the first value, shape (k, l).

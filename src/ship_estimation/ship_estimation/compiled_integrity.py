@@ -183,7 +183,7 @@ def coverage(
     most_growth: cython.double,
     tiny: cython.double,
 ):
-    """Return the coverage by published levels of an output, and of later outputs from the same state.
+    """Return the coverage of an output by published levels, and their limits for later outputs from the same state.
 
     Args:
         level: protection levels of the output, shape (3,).
@@ -285,7 +285,10 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
 
 
 def square_root(matrix: cython.const[cython.double][:, :]):
-    """Return L, for which L Lᵀ is a covariance, shape (3, 3), perhaps singular; only its lower triangle is read."""
+    """Return L, for which L Lᵀ is a covariance, shape (3, 3); the covariance may be singular.
+
+    Only the lower triangle of the covariance is read.
+    """
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
     vectors = cython.declare(cython.double[9])

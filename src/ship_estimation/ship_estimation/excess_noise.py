@@ -157,7 +157,10 @@ class ExcessNoise:
         self._usual_rad = self._fastest2 = 0.0
 
     def reconfigure(self, stated_rad: float) -> ExtraNoise | None:
-        """Set another stated noise; return the excess over it, zero if the excess ends, or None without a change."""
+        """Set another stated noise; return the changed excess, zero if the excess ends.
+
+        None is returned if there is no excess, or if the stated noise is the same as before.
+        """
         changed, self._stated_rad = stated_rad != self._stated_rad, stated_rad
         found = self.found
         if found is None or not changed:
@@ -179,10 +182,10 @@ class ExcessNoise:
         return self._last_failure_ns is not None or self.found is not None
 
     def start_collecting(self, time_ns: int, usual_rad: float) -> None:
-        """Start to collect samples with the first sample, after a failed step check, or if the means showed a step.
+        """Start to collect samples: at the first sample, after a failed step check, or after a detected step.
 
         Args:
-            time_ns: stamp of that sample.
+            time_ns: stamp of the sample that is the first, failed the check, or revealed the step.
             usual_rad: root mean square of the earlier differences.
         """
         if self._last_failure_ns is None:
@@ -197,7 +200,10 @@ class ExcessNoise:
         return max(self._stated_rad, self.found.sigma_rad(self._fastest2))
 
     def add(self, sums: NoiseSums) -> ExtraNoise | None:
-        """Add noise of samples that passed the step check; return a newly detected excess. Ignored during an excess."""
+        """Add noise of samples that passed the step check; return a newly detected excess.
+
+        The noise is ignored during an excess.
+        """
         if self.found is not None:
             return None
         while self._sums and self._sums[0].first_ns < sums.last_ns - _LONG_NS:
@@ -295,7 +301,7 @@ class ExcessNoise:
         return ExtraNoise(measured.first_ns, white_rad2, more * measured.jitter_s2, clock_sigma_s)
 
     def _end_excess(self, found: MeasuredNoise, time_ns: int) -> ExtraNoise:
-        """End the excess; return an excess of zero from a stamp on, which is known to a second or two."""
+        """End the excess; return an excess of zero from a stamp on. The true end differs by a second or two."""
         self.found = None
         self.reset()
         return ExtraNoise(time_ns, 0.0, 0.0, _DELAY_SIGMAS * math.sqrt(found.jitter_s2))

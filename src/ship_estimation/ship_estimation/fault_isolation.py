@@ -3,7 +3,7 @@
 Every subfilter (:mod:`ship_estimation.subfilters`) computes innovations for the measurements of every source. Windowed
 innovation means (:mod:`ship_estimation.innovation_means`) show how consistent a filter is with each source. A fault is
 detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold. A source
-is isolated as faulty if the subfilter without it is consistent with all sources that it uses.
+is isolated as faulty if the subfilter without this source is consistent with all sources that the subfilter uses.
 
 An excluded source is monitored by the subfilter without it. The source is reinstated after a time of consistency. By
 then the mounting is known, because it is unchanged or was estimated again after a mounting shift.
@@ -23,7 +23,7 @@ MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
 """Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
 _CHI2_MARGIN = 0.6
-"""Least amount by which the largest excess of each other subfilter exceeds that of the subfilter that isolates a fault.
+"""Minimum margin of an isolation: the largest excess of every other subfilter must be larger by at least this margin.
 
 The excess is the ratio of chi² of an innovation mean to its limit. With the usual limits the margin is a likelihood
 ratio of 75 000. A drifting source is tested at hundreds of measurements before it is isolated. With a likelihood ratio
@@ -54,7 +54,8 @@ class ExcludedSource:
 
     Attributes:
         since_ns: stamp of the measurement that led to the exclusion.
-        exclusion_count: number of exclusions of this source, this one included; each doubles the reinstatement time.
+        exclusion_count: number of exclusions of this source, this one included. Each exclusion after the first doubles
+            the reinstatement time, up to a factor of 64.
         consistent_since_ns: stamp since which the source has been consistent with the other sources; None if it is
             inconsistent.
         offset: rotation vector from the attitude by the other sources to the measured attitude at the exclusion, rad,
@@ -135,7 +136,7 @@ def isolate_fault(
     """
     is_main_consistent = _is_main_filter_consistent(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
     sigmas = separations.tolist()
-    if is_main_consistent and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
+    if is_main_consistent and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN exceeds
         return _NO_FAULT
     is_recent = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
     counts = uses & is_recent

@@ -181,7 +181,7 @@ def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArra
 def cleared_means(
     means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice
 ) -> InnovationMeans:
-    """Return the means after those of some filters and sources, and their rejections, are set to zero; stamps stay.
+    """Return the means with all values of some filters and sources set to zero; the stamps stay.
 
     Example:
         >>> means = replace(initial_means(2, 2), rejection_counts=np.array([[1, 2], [3, 4]]))

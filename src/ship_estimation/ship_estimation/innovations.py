@@ -278,7 +278,7 @@ class PartStatistics:
 
     @property
     def is_misidentified(self) -> bool:
-        """True if there are many outliers, and the other parts, if enough, are as predicted."""
+        """True if there are many outliers, and the other parts, if enough, are not larger than predicted."""
         return self._has_many_outliers and not self._bulk_factor > TOLERATED_FACTOR
 
     @property

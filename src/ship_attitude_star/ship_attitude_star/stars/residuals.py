@@ -30,7 +30,7 @@ from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
 SOURCE_STAR_NOISE = "star_noise"
-"""Error source of the stars' noise, errors of the catalogue included."""
+"""Error source of the stars' noise; this noise includes the errors of the catalogue."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ def star_residuals(
         camera_indices: state indices of the correlated errors of the sensor's camera; None without such states.
 
     Returns:
-        The residuals, or the rejection of the whole exposure: the sky model gives no directions at its time, no star
-        can be used, or the stars contradict the focal length of the camera.
+        The residuals, or the rejection of the whole exposure: the sky model gives no directions at the exposure's time,
+        no star can be used, or the stars contradict the focal length of the camera.
     """
     found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, initial_ns, camera_indices)
     used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2

@@ -38,7 +38,7 @@ def check_focal_length(
     Args:
         exposure: all detections.
         sky_model: the sky model.
-        prior: attitude of the sensor known without these stars, or None.
+        prior: attitude of the sensor known without these stars; None if no such attitude is known.
         used_count: number of detections that fit one attitude with the configured optics. The field is not solved again
             if all detections fit, or at least ``_ENOUGH_STARS``.
     """

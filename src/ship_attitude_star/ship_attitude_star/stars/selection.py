@@ -119,7 +119,7 @@ def select_stars(
     Args:
         stars: all measured stars that have a sky direction.
         prior: attitude used to select among sets and to accept a single star. The attitude of the selected stars does
-            not depend on it.
+            not depend on the prior.
         initial_nb: attitude within a degree of the truth, shape (3, 3); None if the prior is that near.
     """
     if prior is None:
@@ -223,7 +223,7 @@ def _pair_trials(stars: MatchedStars) -> list[Trial]:
 def _common_variance(stars: MatchedStars) -> FloatArray:
     """Return the variance that mounting, time transfer and shared errors add to each direction, rad², shape (k,).
 
-    It is the mean over the two axes perpendicular to the direction.
+    The variance is the mean over the two axes perpendicular to the direction.
     """
     variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
     if len(stars.mounting_b):

@@ -83,7 +83,7 @@ class StarSolution:
             (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
-        rejected: rejections of the stars with a wrong identity, which are not used, by row.
+        rejected: rejection of each star that is not used because its identity is wrong, by the row of the star.
     """
 
     status: SolutionStatus
@@ -125,12 +125,12 @@ class StarSolution:
 
 
 def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolution:
-    """Return the attitude of frame b, with its covariance by error source and the stars that are inconsistent with it.
+    """Return the attitude (horizon from b), its covariance by error source, and the rejected stars.
 
     Args:
         stars: all measured stars that have a sky direction.
-        prior: attitude used to select the stars, and to verify fewer than three stars. The solution does not depend on
-            it otherwise.
+        prior: attitude used to select the stars, and to verify fewer than three stars. The attitude of the selected
+            stars does not depend on the prior.
     """
     initial_nb = initial_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
     choice = select_stars(stars, prior, initial_nb)
@@ -182,8 +182,8 @@ def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[S
 def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
     """Return an attitude (horizon from b) at which stars can be linearised, shape (3, 3).
 
-    A wide prior may be too far from the truth for this. The returned attitude is from the stars alone if they verify
-    one another; else it is the most likely attitude given the prior and all stars.
+    A wide prior may be too far from the truth for a linearisation. The returned attitude is from the stars alone if
+    they verify one another; else it is the most likely attitude given the prior and all stars.
 
     Args:
         stars: all measured stars that have a sky direction.

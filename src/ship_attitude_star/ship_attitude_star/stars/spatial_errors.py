@@ -112,10 +112,11 @@ class SpatialErrors:
         return equivalent_sigma(self.camera.direction_covariance(pixels, self.pixel_sigma_px))
 
     def pixel_dwell(self, directions_s: FloatArray, sigma: FloatArray, before: PixelDwell | None) -> PixelDwell:
-        """Return the pixel dwell of an exposure after the previous one.
+        """Return the pixel dwell up to an exposure: the previous dwell if it continues, else a new dwell.
 
         Let ρ = exp(-2 d) be the correlation of the pixel errors of successive exposures. Each further exposure has
-        (1 - ρ)/(1 + ρ) of the information of the first. Its variance is multiplied by (1 + ρ)/(1 - ρ) = coth d.
+        (1 - ρ)/(1 + ρ) of the information of the first. The variance of a further exposure is multiplied by
+        (1 + ρ)/(1 - ρ) = coth d.
 
         All stars move together, by a shift and a rotation about their mean. The distance d is the root mean square of
         the stars' movements since the start of the dwell, divided by the number of exposures since the start. The
@@ -125,7 +126,7 @@ class SpatialErrors:
         Args:
             directions_s: directions of the stars, shape (k, 3).
             sigma: noise of each direction, rad, shape (k,).
-            before: dwell up to the last exposure used, or None.
+            before: dwell up to the last exposure used; None for the first exposure.
         """
         here = PixelDwell(directions_s, 0, 0.0)
         if before is None or not (len(directions_s) and len(before.directions_s)):

@@ -72,7 +72,8 @@ class GravityConfig:
         """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: the table is incomplete, or a value is missing or not finite.
+            ParameterError: the columns of the table differ in length or contain a value that is not finite, a table has
+                fewer than two rows, or unknown_sigma_arcsec is 0 although the deflection is a state.
         """
         rows = len(self.table_latitude_deg)
         for name in _TABLE_COLUMNS:

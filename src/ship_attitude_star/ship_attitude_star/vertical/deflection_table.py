@@ -12,6 +12,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 class DeflectionTable:
     """Deflections near the straight segments between successive rows of a table.
 
+    Segments longer than the reach of the table are not used.
+
     Args:
         config: rows and reach of the table.
     """
@@ -25,7 +27,7 @@ class DeflectionTable:
     def at(self, place: GeodeticPosition) -> FloatArray | None:
         """Return the deflection (xi, eta) at a position, rad, shape (2,); None beyond the reach of the table.
 
-        The deflection is interpolated linearly between two rows to the nearest point of the segments.
+        The deflection is that of the nearest point on the segments, interpolated linearly between two rows.
         """
         starts_m, ways_m = self._segments_from(place)
         lengths_m = np.hypot(*ways_m.T)

@@ -114,7 +114,7 @@ def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
 def _open_bag(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
     if parsed.out.suffix == ".mcap":
         check_file(parsed.out, parsed.force)
-        # Programs that read the former file keep it.
+        # A program that has opened the former file can continue to read this file.
         parsed.out.unlink(missing_ok=True)
         bag: BagWriter | FolderWriter = BagWriter(parsed.out, atomic=False)
     else:

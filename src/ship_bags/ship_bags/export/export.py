@@ -1,4 +1,4 @@
-"""Export of topics of a bag, which is read once in order of log time; all tables are written in parallel."""
+"""Export of topics of a bag: the bag is read once in order of log time, and all tables are written meanwhile."""
 
 import difflib
 import errno
@@ -40,7 +40,7 @@ class ExportRequest:
         bag: a .mcap file or a rosbag2 folder.
         out: a folder, or for a single topic the file of its messages.
         topics: names, with or without leading slash; empty for all readable topics.
-        format: a key of FORMATS; None for the format of the suffix of ``out``, else csv.
+        format: a key of FORMATS; None means the format by the suffix of ``out``, or csv if ``out`` is a folder.
         since_ns: earliest log time, ns.
         until_ns: log time from which on messages are left out, ns.
         force: True to overwrite existing files.
@@ -79,7 +79,7 @@ class _Topic:
 
 
 def export(order: ExportRequest) -> ExportResult:
-    """Write the topics of a bag as tables; if this fails, no table is written.
+    """Write the topics of a bag as tables; if the export fails, no table is written.
 
     Raises:
         BadInput: bag, topics or names of files cannot be used; the text gives the reason.
@@ -171,7 +171,7 @@ def _records_until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagR
 
 
 def _file_kind(order: ExportRequest) -> type[TableFile]:
-    """Return the kind of file, on which ``--format`` and the suffix must agree."""
+    """Return the kind of file; ``--format`` and the suffix of ``--out`` must not contradict each other."""
     by_name = None
     if _names_a_file(order.out):
         suffix = order.out.suffix.lower()
@@ -213,7 +213,7 @@ def _selected_topics(bag: Bag, names: tuple[str, ...]) -> list[str]:
 
 
 def _hint(name: str, known: Collection[str]) -> str:
-    """Return a text with the topic that the user may have meant, without leading slash.
+    """Return a text with the similar topic that the user may have meant; without a similar topic, list the topics.
 
     A truth topic of a simulation is suggested only if no other topic is similar, because truth/attitude would mislead
     for a missing ship/attitude.

@@ -1,4 +1,4 @@
-"""Fields of a message down to numbers, texts, times and arrays, by the definition, and getters of their values.
+"""Fields of a message type (numbers, texts, times and arrays), and getters of their values.
 
 Nested messages and short fixed-length arrays of messages are expanded.
 """
@@ -36,15 +36,17 @@ _PARALLEL_ARRAYS: dict[str, tuple[dict[str, int], ...]] = {
     ),
     "sensor_msgs/msg/JointState": ({"name": 1, "position": 1, "velocity": 1, "effort": 1},),
 }
-"""Type → arrays whose elements belong together by the definition → number of elements of an array in a row."""
+"""Message type → groups of arrays whose elements belong together → number of elements of each array in one row."""
 
 Path = tuple[str | int, ...]
 Get = Callable[[Any], Any]
 
 
 class MessageField(NamedTuple):
-    """Number, text or array in a message: path and type, meaning of its numbers, and the array or type around it.
+    """Number, text, time or array in a message: path and type, and the meaning of its numbers.
 
+    ``array`` names the array if the field is an element of a table's array; else it is empty. ``owner`` is the message
+    type that contains the field.
     ``value_names`` are the names of the field's values, if these are constants of the message type.
     """
 
@@ -100,7 +102,7 @@ def _expanded_fields(field: MessageField, store: Typestore) -> Iterator[MessageF
 
 
 def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
-    """Return arrays that share a table, each with the number of its elements in a row."""
+    """Return the groups of arrays that share a table; each array has the number of its elements in one row."""
     groups: dict[tuple[Path, str], dict[MessageField, int]] = {}
     for field in fields:
         known = next((group for group in _PARALLEL_ARRAYS.get(field.owner, ()) if field.path[-1] in group), {})
@@ -111,7 +113,10 @@ def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
 
 
 def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]]:
-    """Return the getter of a table's elements from a message; several arrays give one or more elements each."""
+    """Return the getter of a table's rows from a message: elements of the only array, or tuples with an item per array.
+
+    The item is one element, or the list of elements that belong to the row.
+    """
     gets = [(getter(field.path), width) for field, width in group.items()]
     if len(gets) == 1:
         get, _ = gets[0]

@@ -38,7 +38,7 @@ _CODES = {
     "float64": "d", "float32": "f", "int32": "i", "int16": "h", "int8": "b",
     # NetCDF-3 has no unsigned integers: the next wider type is used.
     "bool": "b", "uint8": "h", "uint16": "i", "uint32": "d",
-    # It has no integers of 64 bits either: the nearest double is used, and a second variable with the remainder.
+    # NetCDF-3 has no 64-bit integers either: the nearest double is used, and a second variable with the remainder.
     "int64": "d", "uint64": "d",
 }
 _SPLIT = ("int64", "uint64")
@@ -180,7 +180,7 @@ class NetcdfFile(TableFile):
             made = file.createVariable(variable.name, variable.code, dimensions)
             for name, value in variable.attributes.items():
                 setattr(made, name, _ascii(value) if isinstance(value, str) else value)
-            # One record, from which the library derives sizes and offsets. It is removed again.
+            # The library derives sizes and offsets from one record, which is removed below.
             made[0] = b" " * width if width else 0
         file.flush()
         one_row = buffer.getvalue()

@@ -19,7 +19,7 @@ _ROW_GROUP_BYTES = 8_000_000
 
 
 class TableHead(NamedTuple):
-    """Description of a table: file name of the bag, topic, type of the messages, array (empty for the messages).
+    """Description of a table: file name of the bag, topic, message type, array (empty for the table of the messages).
 
     ``epoch_ns`` is the zero of the time axis of a NetCDF file.
     """
@@ -32,7 +32,7 @@ class TableHead(NamedTuple):
 
     @property
     def title(self) -> str:
-        """One line for the user."""
+        """Title of the table for the user, one line."""
         of = f"{self.array} of " if self.array else ""
         return f"{of}topic {self.topic} ({self.type_name}) of {self.bag}"
 

@@ -1,9 +1,10 @@
-"""Messages of one type as rows of tables: one table of the messages, and one per array of variable length.
+"""Messages of one type as rows of tables: one table of the messages, and one per array of variable or great length.
 
-A nested message becomes columns with its name as prefix; an array of fixed length becomes numbered columns. An array of
-variable length becomes a table of its own with a row per element: index of the message, index of the element, values.
-The table of the messages has the lengths of the arrays. Arrays whose elements belong together share a table; beyond the
-end of a shorter array the values are None.
+A nested message becomes columns with its name as prefix; a short array of fixed length becomes numbered columns. Other
+arrays of bytes become a column of hexadecimal text. Any other array of variable or great length becomes a table of its
+own with a row per element: index of the message, index of the element, values. The table of the messages has the
+lengths of the arrays. Arrays whose elements belong together share a table; beyond the end of a shorter array the values
+are None.
 """
 
 from collections.abc import Callable, Iterable
@@ -113,7 +114,7 @@ class MessageTable:
             if field.path[-1:] != (NO_FIELD,) and not self._add_field(field):
                 varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
-        # Columns that identify the rows in the tables of the arrays.
+        # These columns identify a row of this table in the tables of its arrays.
         self._identity = sorted({*range(len(keys)), *stamps})
         own_keys = [self.columns[place] for place in self._identity]
         self.arrays = [
@@ -143,7 +144,7 @@ class MessageTable:
         return taken or [[] for _ in self.columns]
 
     def _add_field(self, field: MessageField) -> bool:
-        """Add the columns of a field; for an array of variable length only add its length, and return False."""
+        """Add the columns of a field; for an array that needs its own table, add only its length and return False."""
         get = getter(field.path)
         if field.node == Nodetype.NAME:
             self._add_column(field.base, Column("", "int64", NANOSECONDS, field.origin))
@@ -208,7 +209,7 @@ def _array_table(
     store: Typestore,
     made: list[MessageTable],
 ) -> MessageTable:
-    """Return the table of an array, with a row per element, or of several arrays in the same order."""
+    """Return the table of an array, or of several arrays whose elements belong together, with a row per element."""
     field = next(iter(group))
     index = _free_name(f"{field.base}_index", outer_keys)
     keys = [*outer_keys, Column(index, "int32", None, f"place in {field.origin}, from 0")]

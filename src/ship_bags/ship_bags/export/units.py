@@ -1,4 +1,4 @@
-"""Units of message fields and names of their values, from ship_msgs' definitions or tables of ROS messages.
+"""Units of message fields and names of their values: from comments of ship_msgs' definitions, or from tables below.
 
 A field with an uncertain unit gets no unit, because a wrong unit is worse than no unit. The same holds for the names of
 values.
@@ -162,7 +162,7 @@ def cf_units(unit: Unit, name: str | None) -> str:
 
 
 def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, Any]]) -> dict[str, int]:
-    """Return name → value of the constants of a type that a field may have; empty for any other field.
+    """Return the constants that are possible values of a field, name → value; empty if the field has no such constants.
 
     Args:
         type_name: type of the message.

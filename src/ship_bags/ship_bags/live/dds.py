@@ -25,7 +25,8 @@ DDS_PROFILE = Path(__file__).with_name("dds_profile.xml")
 """Fast DDS profile of every program of the suite, for discovery and retransmission; the file gives the reasons."""
 
 PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"
-"""Environment variable that names a profile, and variable that applies it to writers and readers, too."""
+"""Environment variable that names a profile, and the variable by which the profile applies to writers and readers too.
+"""
 
 
 def prepare_dds() -> None:

@@ -24,11 +24,12 @@ CLOCK_PERIOD_NS = 10_000_000
 # back, in a loop) when the first message arrives.
 _CLOCK_LEAD_S = 0.1
 # Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. Sending
-# one minute of /clock takes about as long as the lead.
+# the /clock messages of one minute takes about _CLOCK_LEAD_S.
 _LONGEST_LEAD_S = 60.0
-# Maximum rate with all ticks; a higher rate would need more than a hundred thousand ticks per second of steady time.
+# Maximum rate at which all ticks of /clock are sent. At a higher rate more than 100 000 ticks per second of steady time
+# would be needed.
 _FASTEST_WITH_ALL_TICKS = 1000.0
-# Time after the last match after which no more subscribers are expected if some topics have none. Discovery on one
+# Time without a new match after which no subscribers are expected for the topics that have none. Discovery on one
 # computer takes 0.06 s to 1.6 s.
 _SETTLING_TIME_S = 2.0
 _POLL_S = 0.01
@@ -209,13 +210,13 @@ class Player:
     def _wait_for_subscribers(self) -> None:
         """Return when every topic has its subscribers, or no more are expected.
 
-        A topic has its subscribers when it has the requested number (by default one; none for truth topics) and every
-        subscriber in the graph is matched. No more subscribers are expected after the timeout. Unless topics were
-        requested by name, the end of the wait is also some time after the last match, if at least one topic has
-        subscribers.
+        A topic has its subscribers when it has the requested number and every subscriber in the graph is matched. If no
+        topic is requested by name, the number is one for each topic, but zero for /clock and truth topics. No more
+        subscribers are expected after the timeout. If no topic is requested by name and at least one topic has
+        subscribers, no more are expected either when _SETTLING_TIME_S have passed since the last match.
 
         Raises:
-            BadInput: a topic requested by name has too few subscribers.
+            BadInput: a topic requested by name is not played or has too few subscribers.
         """
         by_name = {p.topic_name: p for p in (self._clock_publisher, *self._publishers.values())}
         requested = {self._node.resolve_topic_name(name): count for name, count in self._options.wait_for.items()}
@@ -257,7 +258,7 @@ class Player:
 def add_ticks(
     records: Iterable[BagRecord], first_tick_ns: int, stride: Callable[[], int] = lambda: 1
 ) -> Iterator[tuple[int, BagRecord | None]]:
-    """Yield records with their log times, and ticks (None) of /clock on its grid, in order.
+    """Yield records with their log times, and ticks (None) of /clock on a regular grid, in order of time.
 
     The tick before a record is less than a period older; one more tick follows the last record.
 

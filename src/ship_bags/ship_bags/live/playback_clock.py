@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.stamps import NS_PER_S
 
-# Maximum duration of one wait, because a lock cannot wait for years, as at a tiny rate or over a long gap.
+# Maximum duration of one wait, because a lock cannot wait for years. A tiny rate or a long gap may need such a wait.
 _MAX_WAIT_S = 3600.0
 # Maximum rate; a higher rate plays no faster, and its product with a time may overflow.
 _MAX_RATE = 1e9

@@ -33,7 +33,8 @@ _PARAMETER_WAIT_S = 1.0
 _FLUSH_SHARE = 0.7
 # Maximum number of messages kept before the first /clock; above it the oldest are lost.
 _MAX_BEFORE_CLOCK = 50_000
-# A slewed clock (500 ppm at most) changes by less between two readings; a smaller step disturbs no filter.
+# Minimum clock step that is recorded. A slewed clock (at most 500 ppm) changes by less between two readings, and a
+# smaller step disturbs no filter.
 MIN_STEP_NS = 50_000_000
 # Maximum time between the readings of both clocks for a valid comparison.
 _MAX_READING_NS = 5_000_000
@@ -161,7 +162,7 @@ class Recorder:
                 executor.spin_once(timeout_sec=0.0)
 
     def _wait_for_parameters(self, executor: SingleThreadedExecutor) -> None:
-        """Wait a moment for the parameters of nodes that were requested."""
+        """Wait at most _PARAMETER_WAIT_S for the parameters that were requested from nodes."""
         deadline_s = time.monotonic() + _PARAMETER_WAIT_S
         while self._parameters.is_pending and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)

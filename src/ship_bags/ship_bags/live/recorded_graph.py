@@ -43,7 +43,7 @@ _RESULTS = ("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/AttitudeDeg", "ship_msg
 """Types of results: a node without input continues to publish them, as INVALID."""
 
 ANSWER_TIMEOUT_S = 5.0
-"""Timeout of a node's answer after it was discovered, s."""
+"""Timeout of a node's answers, from the discovery of the node, s."""
 
 MAX_NODES = 200
 MAX_PARAMETERS = 5000

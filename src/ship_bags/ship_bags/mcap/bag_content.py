@@ -93,7 +93,7 @@ def bag_content(path: Path) -> BagContent:
 
 
 def attached_suite(path: Path) -> bytes:
-    """Return the suite file attached to a bag; if a folder has several, the last one.
+    """Return the suite file attached to a bag, or the last one if several are attached.
 
     Raises:
         BadInput: no suite file is attached, or the bag cannot be opened.

@@ -280,7 +280,7 @@ def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
 
 
 def _take_chunk(file: McapFile, chunk: ScannedRecord) -> int:
-    """Add a chunk found by the scan and its channels; return its number of messages."""
+    """Add a chunk that the scan has found, and the chunk's channels; return the number of messages in the chunk."""
     announced = ChunkPlace(chunk.offset, chunk.length, *_CHUNK_TIMES.unpack_from(chunk.body))
     try:
         records = file.data.records_of(announced, check_times=False)

@@ -38,7 +38,8 @@ MAX_MEMORY_MB = 512
 overlap these in time."""
 
 _PLACE_BITS = 32
-"""Number of lower bits for the order of a message in its place; the upper bits are the order of the place."""
+"""Number of lower bits in a message's order in the bag; they count the messages of a place, the upper bits the places.
+"""
 
 _RECORD_BYTES = 250
 """Memory of a message in addition to its data, bytes."""
@@ -54,7 +55,7 @@ _PADDING_BYTES = 4
 
 @dataclass(slots=True)
 class BagRecord:
-    """Message of a bag; sequence number and publish time are as stored in MCAP, else 0 and the log time."""
+    """Message of a bag; if `rosbags` reads the bag, the sequence number is 0 and the publish time is the log time."""
 
     topic: str
     type_name: str
@@ -74,7 +75,7 @@ class BagRecord:
             try:
                 return self.store.deserialize_cdr(self.data, self.type_name)
             except SerdeError:
-                # rclpy pads a message that ends with an empty sequence of 8-byte elements as for a first element.
+                # If a message ends with an empty sequence of 8-byte elements, rclpy pads as if an element followed.
                 return self.store.deserialize_cdr(self.data[:-_PADDING_BYTES], self.type_name)
         except Exception as problem:
             # The generated decoder may raise anything for bytes of another type.
@@ -166,6 +167,9 @@ class Bag:
         Args:
             topics: names of the topics wanted; None for all readable topics.
             since_ns: earliest log time of the messages; chunks that end before it are not read.
+
+        Raises:
+            BadInput: chunks that overlap in time hold more than MAX_MEMORY_MB.
         """
         channels = self._channels_with(topics)
         places = self._places(None if topics is None else channels)
@@ -192,7 +196,7 @@ class Bag:
             del waiting[:ready]
 
     def last_before(self, topic: str, before_ns: int) -> BagRecord | None:
-        """Return the last message of a topic before a log time, or None; few chunks are read."""
+        """Return the last message of a topic before a log time; None without such a message. Few chunks are read."""
         channels = self._channels_with({topic})
         found: tuple[int, int, BagRecord] | None = None
         for entry in sorted(self._places(channels), key=lambda entry: -entry.place.end_ns):
@@ -315,7 +319,7 @@ class Bag:
 
 
 def read_bag(path: Path | str) -> Bag:
-    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml, also of sqlite3 or compressed files.
+    """Open a bag: one .mcap or .db3 file, or a rosbag2 folder with metadata.yaml (MCAP, sqlite3 or compressed files).
 
     Raises:
         BadInput: the bag is missing, unreadable, empty, not MCAP, of an unknown compression, a folder without

@@ -88,8 +88,8 @@ class BagWriter:
 
     Args:
         path: file to write, ending in .mcap.
-        atomic: True to write to ``<path>.part`` and rename it at the end, so that a file of this name is always
-            complete. False for a recorder, whose file must survive a crash.
+        atomic: True to write to ``<path>.part`` and rename this file at the end, so that a file named ``path`` is
+            always complete. False for a recorder, whose file must survive a crash.
         define: returns the definition of a message type by its name, or raises any exception.
         library: name of the program, for the header of the file. The default must not change: the same scenario and
             seed give the same bytes in every version.

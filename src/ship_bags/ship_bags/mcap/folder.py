@@ -47,7 +47,7 @@ class FileInformation:
 
 @dataclass
 class TopicInformation:
-    """Entry of the information file for one topic; `qos_profiles` is the text of its channels."""
+    """Entry of the information file for one topic; `qos_profiles` is the text that the topic's channels contain."""
 
     name: str
     type_name: str
@@ -57,17 +57,17 @@ class TopicInformation:
 
 
 class SplitLimits(NamedTuple):
-    """Limits at which a file with messages ends; None for no limit. The excess is one flush period at most."""
+    """Limits at which a file with messages ends; None for no limit. The limits are checked at each flush."""
 
     size_bytes: int | None = None
     time_s: float | None = None
 
 
 class FolderWriter:
-    """rosbag2 folder being written, with the methods of :class:`ship_bags.mcap.bag_writer.BagWriter`.
+    """rosbag2 folder being written; a recorder uses it as a :class:`ship_bags.mcap.bag_writer.BagWriter`.
 
-    The information file names the current file before its first message, so that every file is found after a crash;
-    until :meth:`close`, its counts are from its last update.
+    The information file names the current file before its first message, so that every file is found after a crash.
+    Until :meth:`close`, the counts in the information file are from its last update.
 
     Args:
         folder: folder to create; its files are named after it.
@@ -149,7 +149,7 @@ class FolderWriter:
         self._bag.add_attachment(name, content)
 
     def flush(self) -> None:
-        """Flush the current file as a :class:`BagWriter`, and begin a new file if a limit is reached."""
+        """Flush the current file as :meth:`BagWriter.flush` does, and begin a new file if a limit is reached."""
         self._bag.flush()
         if self._is_full():
             self._bag.close()
@@ -169,7 +169,7 @@ class FolderWriter:
     def _open_file(self) -> None:
         self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
         self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
-        # The information file names an existing file with the beginning of MCAP: a crash here loses no data.
+        # The information file names only files that exist and begin as MCAP: a crash here loses no data.
         self._bag.flush()
         self._write_information()
         self._file_start_s = time.monotonic()

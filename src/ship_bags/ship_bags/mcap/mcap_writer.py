@@ -71,7 +71,7 @@ class McapWriter:
 
     Args:
         stream: stream for the whole file; it stays open.
-        folder: folder for a nameless file with the index while the file is written.
+        folder: folder for a temporary file without a name, which contains the index until the end.
         profile: profile of the header, e.g. ``ros2``.
         library: library of the header.
     """
@@ -193,7 +193,7 @@ class McapWriter:
         entries = np.empty((len(times_ns), 2), dtype="<u8")
         entries[0, 1], entries[1:, 1] = len(self._chunk), len(self._chunk) + ends[some][:-1] - before
         entries[:, 0] = times_ns
-        # In the order of the channels' first messages, as when messages are added one by one.
+        # The channels are in the order of their first messages, as when messages are added one by one.
         for channel_id in dict.fromkeys(channels.tolist()):
             of_channel = channels == channel_id
             self._indexes.setdefault(channel_id, bytearray()).extend(entries[of_channel].tobytes())

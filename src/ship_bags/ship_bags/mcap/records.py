@@ -1,8 +1,9 @@
 """Reader of the records of an MCAP file; damaged records are detected, skipped and reported.
 
 :class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields the records
-in order. It accepts a record only if the body has the structure of the opcode. After a damaged record it continues at
-the next record that can stand between chunks. Therefore one wrong bit costs one record at most.
+in order. The scan accepts a record only if the body has the structure of the opcode. After a damaged record the scan
+continues at the next chunk, index, metadata, attachment or end of data. Therefore one wrong bit costs at most one
+record, and the schemas, channels and messages outside chunks up to that place.
 """
 
 import io
@@ -75,7 +76,7 @@ class RecordFile:
     size: int
 
     def record_at(self, offset: int) -> tuple[int, bytes] | None:
-        """Return opcode and body of the record at an offset; None if none begins there or it exceeds the file."""
+        """Return opcode and body of the record at an offset; None if no complete record begins there."""
         self.stream.seek(offset)
         header = self.stream.read(HEADER.size)
         if len(header) < HEADER.size:
@@ -93,8 +94,8 @@ class RecordFile:
             check_times: True if messages outside the times of the place mean damage.
 
         Raises:
-            DamagedChunk: the chunk cannot be decompressed or parsed, its checksum is wrong, or its times differ from
-                the stated times.
+            DamagedChunk: the chunk cannot be decompressed or parsed, its header or checksum is wrong, a message is
+                outside the stated times, or a stamp cannot represent a log time.
         """
         if place.is_outside_chunk:
             return _check_log_times(list(self._messages_outside_chunks(place)))

@@ -1,7 +1,8 @@
 """Recovery of damaged or unfinished bags: every readable message is written to a new file with an index.
 
-The original is only read. The result is renamed to its final name after two other readers have read back every message:
-the seeking reader of the `mcap` project, and `rosbags`.
+The original is only read. Each new file is renamed to its final name after two other readers have read back every
+message: the seeking reader of the `mcap` project, and `rosbags`. A new folder has its final name from the start;
+`rosbags` reads the whole folder back at the end.
 """
 
 import os

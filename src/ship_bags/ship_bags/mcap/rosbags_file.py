@@ -112,7 +112,7 @@ def _decompress_message(data: bytes) -> bytes:
 
 
 def _describe(connection: Connection) -> tuple[Schema, Channel]:
-    """Return definition and topic of a connection as MCAP records; an empty definition stands for the suite's."""
+    """Return definition and topic of a connection as MCAP records; if the definition is empty, the suite's is used."""
     form, text = connection.msgdef
     schema = Schema(connection.id, text.encode(), _ENCODINGS.get(form, "ros2msg"), connection.msgtype)
     offers = getattr(connection.ext, "offered_qos_profiles", ())

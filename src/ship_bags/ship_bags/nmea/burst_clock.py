@@ -76,7 +76,7 @@ class BurstClock:
         return None
 
     def pair_time(self, line: InstrumentLine) -> tuple[InstrumentLine, ZdaTime] | None:
-        """Return the waiting attitude with the ZDA in this line if both are of the same burst."""
+        """Return the pending attitude with the ZDA in this line if both are of the same burst."""
         zda = _zda_time(line)
         if zda is None:
             return None
@@ -91,7 +91,7 @@ class BurstClock:
         return None
 
     def _is_of_burst(self, attitude: InstrumentLine, zda: ZdaTime) -> bool:
-        """True if the attitude's delay by this ZDA equals the usual delay within half a period."""
+        """True if the attitude's delay after the time of this ZDA equals the usual delay within half a period."""
         attitude_gap_ns = int(median(self._attitude_gaps_ns)) if self._attitude_gaps_ns else self._zda_gap_ns
         period_ns = max(min(attitude_gap_ns, self._zda_gap_ns), _SHORTEST_PERIOD_NS)
         delay_ns, usual_ns = attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns), zda.delay_ns

@@ -1,4 +1,4 @@
-"""Import of ship logs into a bag: one attitude system as the INS, other systems as references, position and weather."""
+"""Import of ship logs into a bag: attitude of the INS and of references, position, gyrocompass heading and weather."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ from ship_bags.nmea.nmea_log import LogReport, LogRules, read_log
 from ship_bags.stamps import ns_from_stamp
 
 IMPORT_RECORD = "import_nmea"
-"""Name of the metadata record, and with .yaml of the attachment, of an imported bag."""
+"""Name of the metadata record of an imported bag; the bag's attachment has this name with .yaml."""
 
 GYRO_NAME = "gyro"
 RECEIVE_TIME = "receive"
@@ -79,7 +79,7 @@ def import_logs(order: ImportRequest, out_path: Path) -> list[LogReport]:
         Report on the lines of each file.
 
     Raises:
-        BadInput: a file is missing or empty, or lacks the sentences for its purpose.
+        BadInput: a file is missing or empty, or has no usable sentences for its purpose.
     """
     factory = RosbagsFactory()
     by_instrument = order.time == INSTRUMENT_TIME

@@ -85,7 +85,7 @@ class InstrumentRole:
     Attributes:
         becomes: kind of output: :data:`INS`, :data:`REFERENCE`, :data:`GYRO`, :data:`GNSS` or :data:`WEATHER`.
         by_instrument: True to stamp attitudes and fixes by the instrument's time, False by the receive time.
-        transducers: names of the XDR transducers that are used; empty if there is one of each kind.
+        transducers: names of the XDR transducers that are used; empty to use the only transducer of each kind.
         has_fix: True if the positions of an INS are used, too.
         quality_9_is_fix: True if a GGA of quality 9 is a fix with SBAS, False if it is not a fix.
     """
@@ -164,7 +164,10 @@ class Instrument:
         yield line.receive_ns, imu_topic(GYRO, self._name), message
 
     def _turn_rate(self, receive_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Return angular velocity (forward, left, up) and covariance by a ROT of the last second, else "not given"."""
+        """Return angular velocity (forward, left, up) and covariance from a ROT of the last second.
+
+        Without such a ROT the angular velocity is zero, and the covariance means "not given".
+        """
         if self._turn is None or not 0 <= receive_ns - self._turn.receive_ns <= NS_PER_S:
             return np.zeros(3), _NOT_GIVEN
         rate = np.deg2rad(self._turn.content.rate_of_turn) / _S_PER_MIN
@@ -249,7 +252,7 @@ def imu_topic(becomes: str, name: str) -> str:
 
 
 def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: LoggedAttitude) -> TimedMessage:
-    """Return a sensor_msgs/Imu, ENU ← FLU.
+    """Return a sensor_msgs/Imu (orientation: ENU from FLU) with its log time and topic.
 
     The covariance of the orientation is unknown unless an INS states it. The rate is "not given" if the instrument does
     not state it; otherwise its covariance is unknown.

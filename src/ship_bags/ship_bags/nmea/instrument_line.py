@@ -21,7 +21,8 @@ _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
 _AHEAD_NS = NS_PER_S // 20
 """Time ahead of the receive time above which an instrument's clock is reported, ns; estimators reject such stamps."""
 _BEHIND_NS = 5 * NS_PER_S
-"""Delay after the receive time above which a clock is reported, ns; slow lines and busy computers delay by less."""
+"""Time behind the receive time above which an instrument's clock is reported, ns; slow lines and computers delay less.
+"""
 _GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
 """GPS time minus UTC since 2017, and the tolerance of an offset that equals it, ns."""
 _DAY = timedelta(days=1)

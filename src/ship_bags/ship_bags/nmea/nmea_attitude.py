@@ -1,6 +1,7 @@
 """Attitudes in the lines of an instrument, stamped by its own time or by the receive time, unchanged or resampled.
 
-The attitude of a PSXN,23 is valid at the time in the ZDA of its burst. PASHR has its own time of day.
+An attitude without time (PSXN,23, PRDID, PTNTHPR) is valid at the time in the ZDA of its burst. PASHR and PSAT,HPR
+contain their own time of day.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ ATTITUDE_KINDS = ("PSXN23", "PASHR", *dialects.ATTITUDES)
 _INVALID_QUALITY = 2
 
 _PASHR_SIGMAS, _LARGEST_SIGMA_DEG = slice(7, 10), 180.0
-"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the limit of a valid one."""
+"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the limit of these values, degrees."""
 
 _PASHR_STATUS = slice(10, 12)
 """Fields of PASHR after the accuracies: aiding, and status of the IMU."""
@@ -143,7 +144,7 @@ def _pashr_sigmas(content: Any) -> FloatArray | None:
 
 
 def resample(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:
-    """Resample attitudes and rates by a rotation spline, at whole multiples of the period.
+    """Resample attitudes by a rotation spline, at whole multiples of the period; the rates are those of the spline.
 
     Linear interpolation of a ship's motion sampled at 1 Hz would cause errors of 0.14°. Gaps longer than
     :data:`MAX_GAP_S` remain. The log time is the stamp plus the median delay of the log.

@@ -56,7 +56,7 @@ def read_log(path: Path, rules: LogRules) -> tuple[list[InstrumentLine], LogRepo
     """Return all usable lines of a log, in order of the file.
 
     Raises:
-        BadInput: the file is missing, unreadable or empty, or no line begins with a time.
+        BadInput: the file is missing, unreadable or empty, or none of its lines can be read.
     """
     report, talkers = LogReport(path.name, path=path), TalkerComparison()
     lines = list(_lines(path, rules, report))

@@ -41,7 +41,10 @@ class TalkerComparison:
         self._last[line.kind, talker] = line.receive_ns, value
 
     def texts(self, since_ns: int = 0) -> list[str]:
-        """Return a line per kind of sentence of several talkers since a time, with the largest difference so far."""
+        """Return one line for each kind of sentence that several talkers have sent since a time.
+
+        The line states the largest difference so far.
+        """
         found = []
         for kind, counts in sorted(self._counts.items()):
             recent = [talker for talker in sorted(counts) if self._last[kind, talker][0] >= since_ns]

@@ -46,7 +46,7 @@ class ClockState:
 
 
 def read_clock_state() -> ClockState:
-    """Read the state of the clock from chrony or, without chrony, from PTP."""
+    """Read the state of the clock from chrony or, without a usable answer of chrony, from PTP."""
     details, is_unresponsive = [], False
     for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
         if shutil.which(command[0]) is None:
@@ -95,7 +95,8 @@ def ptp_state(text: str) -> ClockState | None:
 def check_clock(state: ClockState, limits: Limits) -> CheckLine:
     """Check the clock against the ship's limits: FAIL above the clock's limit, WARN above the heading's limit.
 
-    A clock that is not synchronised is a FAIL; a computer without chrony and PTP is a WARN.
+    A clock that is not synchronised, or a program without a usable answer, is a FAIL. A computer without chrony and PTP
+    is a WARN.
     """
     if state.is_unresponsive:
         found = f"no program synchronises the clock: {state.detail}"

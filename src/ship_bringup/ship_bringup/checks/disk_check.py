@@ -1,9 +1,9 @@
 """Check of the disk space for a voyage: a record of all topics and a black box of each node.
 
 Bytes per hour = 3600 s × (sum of the inputs from outside and the outputs of all nodes; with black boxes, also the sum
-of inputs and outputs of each node). An input has rate × (message length + 31), as received, or typical values. The
-outputs of a node are at most twice its inputs, plus :data:`REPORTS_BYTES_PER_S` of reports. Compression, which saves a
-quarter to two thirds, is not assumed.
+of inputs and outputs of each node). An input has rate × (message length + 31) bytes/s. Rate and length are those of the
+received messages, or typical values if none were received. The outputs of a node are at most twice its inputs, plus
+:data:`REPORTS_BYTES_PER_S` of reports. Compression, which saves a quarter to two thirds, is not assumed.
 """
 
 import shutil
@@ -20,7 +20,10 @@ ENTRY_BYTES = 31
 """Overhead of a message in MCAP: opcode, length, channel, sequence, two times."""
 
 REPORTS_BYTES_PER_S = 8000.0
-"""Bytes/s of diagnostics, health, alignment, budget and integrity of a node; 5600 and 7200 in the suites of bags/."""
+"""Assumed bytes/s of diagnostics, health, alignment, budget and integrity of a node.
+
+The nodes in the suites of bags/ write 5600 and 7200 bytes/s.
+"""
 
 _TICKS_BYTES_PER_S = 10 * 120.0
 _OUTPUT_RATIO = 2.0

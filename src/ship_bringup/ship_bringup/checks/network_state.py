@@ -60,7 +60,7 @@ _NODE_NAME_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True)
 class Publisher:
-    """A publisher of a topic: full name of its node, type of the topic, and offered stronger qualities of service."""
+    """A publisher of a topic: full name of its node, type of the topic, and the qualities of STRONGER_QOS it offers."""
 
     node: str
     type_name: str
@@ -94,7 +94,7 @@ class NetworkState:
 
     Attributes:
         rmw: the middleware.
-        nodes: full names of all nodes except our own; a name used by two nodes is listed twice.
+        nodes: full names of all nodes except our own and hidden nodes; a name used by two nodes is listed twice.
         inputs: the inputs of the suite.
         already_published: topics that only the suite publishes → nodes that publish them already.
         has_clock: True if /clock is published.

@@ -127,7 +127,7 @@ def _is_device(path: str) -> bool:
 
 
 def _sockets(place: MachineResource) -> set[str]:
-    """Return the names of sockets of a port in /proc/PID/fd, for any address."""
+    """Return the sockets that block a port at any address, by their names in /proc/PID/fd."""
     found = set()
     for table in _TABLES[place.kind]:
         try:

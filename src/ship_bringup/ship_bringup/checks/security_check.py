@@ -14,12 +14,14 @@ _SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
 def check_security(
     environment: Mapping[str, str], has_security: bool | None, is_required: bool
 ) -> Iterator[CheckLine]:
-    """Check that DDS security is available and enforced; if not, FAIL if profile or environment demand it, else WARN.
+    """Check that DDS security is available and enforced.
+
+    The result without security is FAIL if the ship's limits or the environment demand security, else WARN.
 
     Args:
         environment: environment of the process.
         has_security: True if DDS was built with security; None if unknown.
-        is_required: True if the ship's profile demands security.
+        is_required: True if the ship's limits demand security (machine.require_security).
     """
     found = security_problems(environment, has_security)
     if not found:
@@ -40,7 +42,7 @@ def check_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterat
     Args:
         keystore: folder of the keystore; empty if the environment names no keystore.
         use: requirements of the suite on the keystore.
-        is_required: True if profile or environment demand security; an impossible check is then a failure.
+        is_required: True if the ship's limits or the environment demand security; an impossible check is then a FAIL.
     """
     unchecked = Result.FAIL if is_required else Result.NOT_CHECKED
     if not keystore:

@@ -1,4 +1,4 @@
-"""Check that every sensor of the suite file is received: type, rate, and stamps that agree with this clock."""
+"""Check that every sensor of the suite file is received: type, rate, and stamps that fit this computer's clock."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ _OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 def find_requested_qos(
     path: Path, topics: Iterable[str], namespace: str, reliable_inputs: bool = False
 ) -> dict[str, dict[str, str]]:
-    """Return relative topic → quality of service that a node requires beyond its default → setting of this quality.
+    """Return relative topic → quality of service that a setting requires beyond a node's default → this setting.
 
     Args:
         path: the suite file.

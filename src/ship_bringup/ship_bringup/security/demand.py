@@ -1,4 +1,4 @@
-"""The demand for DDS security in a ship's profile, and the items that the process's environment lacks for it.
+"""The demand for DDS security in a ship's profile, and the items that the process's environment lacks for security.
 
 The profile is the file of the ship's limits, key ``machine.require_security``. The demand fails closed: an item that
 cannot be determined counts as absent.
@@ -48,7 +48,7 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
 
 
 def require_profile(limits: Limits, limits_path: Path | None, has_security: bool | None) -> None:
-    """Refuse to start if the ship's profile demands DDS security and it is not available.
+    """Refuse to start if the ship's profile demands DDS security and this security is not available.
 
     Args:
         limits: limits of the ship.

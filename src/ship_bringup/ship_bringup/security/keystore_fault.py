@@ -11,7 +11,7 @@ class KeystoreFault:
         text: one line with file, line, fault and what was expected.
         advice: what to do.
         is_error: True if the suite must not start with the fault; False for a warning.
-        is_weakness: True if the suite can run with the fault, less protected: to be corrected ashore, not at sea.
+        is_weakness: True if the suite can run with the fault, but is less protected; the fault is corrected ashore.
         of_policy: True if the fault concerns the permissions of an enclave, not its identity.
     """
 

@@ -1,8 +1,8 @@
 """Policies as files: the policy of SROS2, and governance and permissions of OMG DDS Security 1.1.
 
 Names are the names of ROS 2 in DDS: ``rt/`` before a topic; ``rq/`` and ``Request``, or ``rr/`` and ``Reply``, around a
-service. The files equal the files that ``ros2 security`` makes from the policy. Without ROS they are signed by
-hand.
+service. The files equal the files that ``ros2 security`` makes from the policy. Without ROS, governance and permissions
+are signed by hand.
 """
 
 import datetime

@@ -37,7 +37,7 @@ _KINDS_WITH_ID = "star", "reference", "beacon"
 """First words of topics whose second word is the id of a device."""
 
 _FRAMES = TF_TOPIC, TF_STATIC_TOPIC
-"""Topics of frames, which a suite in a namespace publishes there and not globally."""
+"""Topics of frames; a suite in a namespace publishes these topics inside the namespace, not globally."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def suite_rights(
         adapters: adapters of the nodes of the suite.
         namespace: namespace of the suite, without its outer slashes; empty for no namespace.
         is_locked: True if no parameter of a running node may be set.
-        is_played: True if a bag may be played into the suite (/clock and topics of sensors). Not for a voyage.
+        is_played: True if a bag may be played into the suite (/clock and topics of sensors); False for a voyage.
         companions: result of :func:`load_companions` for the suite file.
         ship_names: names of the inputs on the ship, see :func:`ship_bags.renamed_topics.ship_names`.
     """

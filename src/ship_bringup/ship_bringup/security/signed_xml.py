@@ -55,7 +55,7 @@ class SignedFile:
 
 @dataclass(frozen=True)
 class _Rule:
-    """One rule of permissions, in the order of evaluation."""
+    """One rule of permissions, which allows or denies topics in some domains."""
 
     allows: bool
     domains: ET.Element | None
@@ -74,7 +74,7 @@ class Permissions:
         subject: name that the certificate of the enclave must have, for example ``CN=/demo/ship_attitude``.
         not_before: begin of the validity, UTC.
         not_after: end of the validity, UTC.
-        fingerprint: fingerprint of the rights in the permissions; empty for permissions of other programs.
+        fingerprint: fingerprint of the rights in the permissions; empty if another program has made the permissions.
         rules: rules in order, of which the first that applies to a topic is decisive.
         allows_by_default: True if a topic without a rule is allowed.
     """
@@ -160,7 +160,7 @@ def signature_digest(path: Path) -> str:
 
 
 def read_permissions(file: SignedFile) -> Permissions:
-    """Return the permissions in a signed file; if it contains several grants, only the first.
+    """Return the permissions in the first grant of a signed file.
 
     Raises:
         BadInput: the permissions are invalid; the text contains file, line and key.

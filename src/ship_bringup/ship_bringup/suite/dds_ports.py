@@ -1,13 +1,13 @@
 """Reserve the ports of a killed program, so that DDS connects its successor at once.
 
-A killed program does not announce its end. For 20 s, the default lease of DDS, its peers continue to send to its ports.
-A successor on these ports receives the messages meant for the killed program, and is discovered later. Shared memory
-has the same defect, but no ports that could be reserved (see :data:`UDP_ONLY`).
+A killed program does not announce its end. For 20 s, the default lease of DDS, peers continue to send to the program's
+ports. A successor on these ports receives the messages meant for the killed program, and is discovered later. Shared
+memory has the same defect, but no ports that could be reserved (see :data:`UDP_ONLY`).
 
 On other ports the successor is discovered as soon as each peer announces itself: every 0.5 s with the suite's profile
 (:data:`ship_bags.live.dds.DDS_PROFILE`), every 3 s by default. The successor must wait for these announcements.
-The peers answer its own first announcement within 0.1 ms, before it listens, and do not answer repetitions (observed
-with Fast DDS 2.14).
+The peers answer the successor's own first announcement within 0.1 ms, before the successor listens, and do not answer
+repetitions (observed with Fast DDS 2.14).
 """
 
 import contextlib
@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 UDP_ONLY = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""Environment of a program that must be connected quickly after a kill, unless the user sets it otherwise."""
+"""Environment of a program that must be connected quickly after a kill, unless the user sets this variable."""
 
 _LEASE_S = 20.0
 _MARGIN_S = 5.0

@@ -158,7 +158,7 @@ def _companion_program(companion: Companion, path: Path, ros: tuple[str, ...], i
 
 
 def _playback_warnings(companions: Sequence[Companion], options: SuiteOptions) -> Iterator[str]:
-    """Yield a warning if a bag is played and its attitude would be sent to the bridge."""
+    """Yield a warning if a bag is played and ``nmea_out`` would send the bag's attitude to other equipment."""
     if options.bag is not None and any(companion.node_name == "nmea_out" for companion in companions):
         yield (
             f"nmea_out sends {options.bag} only as THS, with mode S (simulator): the other sentences are void and"

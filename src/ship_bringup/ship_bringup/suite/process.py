@@ -52,7 +52,7 @@ class Process:
                 os._exit(1)
 
         own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAIT_VARIABLE: "1"} if waits else {})
-        # A separate session: Ctrl-C on the terminal reaches only this process, which ends the other processes in order.
+        # A separate session: Ctrl-C on the terminal reaches only the supervisor, which ends all processes in order.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE if waits else subprocess.DEVNULL,

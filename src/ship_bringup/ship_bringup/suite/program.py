@@ -14,7 +14,7 @@ class Role(Enum):
     FEEDER = "feeder"
     """A program that publishes the instruments' data; the nodes run without it, but not for long."""
     PLAYER = "player"
-    """A program that plays a bag into the nodes, once. The suite ends with it, and it is not started again.
+    """A program that plays a bag into the nodes. The suite ends with this program, which is not started again.
 
     Only programs of this role send no heartbeats (:mod:`ship_bags.live.heartbeat`).
     """

@@ -213,7 +213,7 @@ class Supervisor:
                     self._log(_SUITE, f"{entry.program.name} in reserve cannot be started: {_reason(problem)}")
 
     def _unregister(self, process: Process) -> None:
-        """Stop waiting for a process; a program that it started may keep its output open."""
+        """Stop waiting for a process; a program that the process has started may keep the output open."""
         for descriptor in (process.pidfd, process.output.fileno()):
             if descriptor in self._selector.get_map():
                 self._selector.unregister(descriptor)
