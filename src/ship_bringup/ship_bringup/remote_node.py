@@ -73,8 +73,10 @@ def connect_node(own_name: str, name: str, timeout_s: float) -> Iterator["Remote
     with command_node(f"{own_name}_{os.getpid()}", []) as own_node:
         executor = SingleThreadedExecutor()
         executor.add_node(own_node)
-        yield RemoteNode(own_node, name, timeout_s, lambda seconds: executor.spin_once(timeout_sec=seconds))
-        executor.shutdown()
+        try:
+            yield RemoteNode(own_node, name, timeout_s, lambda seconds: executor.spin_once(timeout_sec=seconds))
+        finally:
+            executor.shutdown()
 
 
 class RemoteNode:

@@ -81,7 +81,7 @@ def solution_separation(
         means.shape[1] == parts.shape[1] == parts.shape[2] == m and subfilter_covariances.shape[0] == hypotheses,
     )
     check(
-        "left_out",
+        "subfilter_covariances",
         subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m
         and missed_detection.shape[0] == hypotheses,
     )

@@ -458,7 +458,7 @@ def filter_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cyth
     """Return the covariance of each filter; that of the main filter is the sum of its parts by error source."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
-    check("row_covariances", rows >= 1 and sources >= 1)
+    check("stack", rows >= 1 and sources >= 1)
     result = np.empty((rows, stack.shape[1], stack.shape[2]))
     out: cython.double[:, :, ::1] = result
     start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))

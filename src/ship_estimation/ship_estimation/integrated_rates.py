@@ -59,8 +59,8 @@ class RateIntegrator:
 
     >>> from ship_geometry.rotations import log_rotation
     >>> integrator = RateIntegrator()
-    >>> rotation_steps = [integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1])) for n in range(11)]
-    >>> print(log_rotation(rotation_steps[-1].rotation).round(6) + 0.0)
+    >>> integrated = [integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1])) for n in range(11)]
+    >>> print(log_rotation(integrated[-1].rotation).round(6) + 0.0)
     [0.  0.  0.1]
     """
 

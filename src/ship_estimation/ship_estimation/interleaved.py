@@ -63,7 +63,7 @@ class InterleavedStreams:
 
     >>> streams = InterleavedStreams(least=0.01)
     >>> for n in range(64):
-    ...     cumulative_rotations = streams.add(n * 50_000_000, np.array([0.001 * math.sin(0.7 * n) + n % 2]))
+    ...     added = streams.add(n * 50_000_000, np.array([0.001 * math.sin(0.7 * n) + n % 2]))
     >>> round(streams.distance, 1)
     1.0
     """

@@ -329,8 +329,8 @@ class PredictionBound:
 class JumpDecision(enum.Enum):
     """Decision about a value."""
 
-    ACCEPTED = "taken"
-    REJECTED = "refused"
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
     JUMPED = "jumped"
 
 

@@ -125,7 +125,7 @@ def test_least_eigenvalue_of_equal_and_of_nan_variances() -> None:
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
     k = SigmaMultipliers(6.0, 5.0, np.full(2, 2.0))
-    with pytest.raises(ValueError, match="left_out"):
+    with pytest.raises(ValueError, match="subfilter_covariances"):
         solution_separations(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), SigmaMultipliers(6.0, 5.0, np.full(3, 2.0)))
     with pytest.raises(ValueError, match="means"):
         solution_separations(np.zeros((2, 4)), np.ones((2, 3)), np.ones(3), k)

@@ -456,8 +456,8 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
         >>> rotations_nd, rates_d = exp_rotation(np.outer(times_ns / SECOND_NS, rate_d)), np.tile(rate_d, (4, 1))
         >>> block = SampleBlock(times_ns[3:], rotations_nd[3:], rates_d[3:])
 
-        >>> propagate_by_rates = propagate_block(RecentRates(times_ns[:3], rates_d[:3]), block, np.array([1.0]))
-        >>> print(log_rotation(rotations_nd[3].T @ propagate_by_rates.rotation_nd[0]).round(6) + 0.0)
+        >>> propagated = propagate_block(RecentRates(times_ns[:3], rates_d[:3]), block, np.array([1.0]))
+        >>> print(log_rotation(rotations_nd[3].T @ propagated.rotation_nd[0]).round(6) + 0.0)
         [ 0.  -0.1  0. ]
     """
     count = len(ahead_s)

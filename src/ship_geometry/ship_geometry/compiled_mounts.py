@@ -168,7 +168,7 @@ def axis_geometries(
         Derivative of the main frame with respect to the encoder angles, shape (N, 3, 2).
     """
     count: cython.Py_ssize_t = errors.shape[0]
-    check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
+    check("times", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
     check("errors", errors.shape[1] == _ERRORS)
     check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
     check("angles", angles.shape[1] == 2)
@@ -423,7 +423,7 @@ def totals(
     sources: cython.Py_ssize_t = parts.shape[1]
     size: cython.Py_ssize_t = by_error.shape[2]
     check("covariances", parts.shape[2] == parts.shape[3] == by_error.shape[1] == 3)
-    check("moments", by_error.shape[0] == added.shape[0] == count)
+    check("times", by_error.shape[0] == added.shape[0] == count)
     check("further_covariance", further_covariance.shape[0] == further_covariance.shape[1] == size)
     check("errors", 0 < size <= _ERRORS)
     check("source", 0 <= source < sources)

@@ -45,5 +45,5 @@ def test_mismatched_shapes_are_refused() -> None:
     for count, rows in ((8, 7), (5, 5)):
         with pytest.raises(ValueError, match="vectors"):
             compiled_cubics.clearest_step(times_before(count), np.zeros((rows, 3)), BEFORE)
-    with pytest.raises(ValueError, match="moments"):
+    with pytest.raises(ValueError, match="times"):
         compiled_cubics.weights_at_zero(times_before(3))

@@ -62,7 +62,7 @@ def weights_at_zero(since: cython.double[::1]) -> FloatArray:
     weights: cython.double[::1] = found
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    check("moments", count >= 4)
+    check("times", count >= 4)
     _orthonormal(cython.address(since[0]), count, cython.address(basis[0, 0]), cython.address(at_zero[0]))
     for j in range(4):
         for i in range(count):
