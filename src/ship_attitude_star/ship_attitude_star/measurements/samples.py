@@ -94,7 +94,8 @@ ATTITUDE_COMPONENTS = ("forward", "up", "right")
 class AttitudeDecision(MeasurementDecision[Measurement]):
     """Decision about a measurement of the ship filter.
 
-    ``components`` are ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.
+    ``components`` are ATTITUDE_COMPONENTS, BASELINE_COMPONENTS, or for each star used "HIP 92420 up" and
+    "HIP 92420 right".
 
     Attributes:
         ins_time_ns: latest INS stamp that the decision depends on.

@@ -137,7 +137,7 @@ class StarAttitudeAdapter(BatchAdapter):
     # -- results of the core --------------------------------------------------------------------------------
 
     def report_outcome(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Return solutions, their rejected stars, and exposures too late for the joint solution of their time."""
+        """Return the messages of solutions, of rejected stars, and of exposures too late for a joint solution."""
         published: list[OutputMessage] = []
         for solved in outcome.solved:
             self._last_solutions[solved.sensor_id] = solved, waiting_ns
@@ -225,7 +225,7 @@ def _topic(source: str) -> str:
 
 
 def star_horizon_attitude(factory: MessageFactory, solved: AttitudeSolution, frame_id: str) -> Any:
-    """Return ship_msgs/StarHorizonAttitude of a solution; all NaN without an attitude."""
+    """Return ship_msgs/StarHorizonAttitude of a solution; angles and covariances are NaN without an attitude."""
     solution = solved.solution
     covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
     star_count = solution.star_count

@@ -1,8 +1,8 @@
 """Reader of star observation messages: checks, directions and identities; shared by all adapters of cameras.
 
-Only attributes of messages are read, so any message class can be used. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.MessageRejected`. A star that cannot be used is rejected with its reason, and the
-other stars of the message are used.
+Only attributes of messages are read, so any message class can be used. For a message that cannot be used the reader
+raises :class:`ship_node.edge.messages_in.MessageRejected`. A star that cannot be used is rejected with its reason, and
+the other stars of the message are used.
 """
 
 import math

@@ -288,7 +288,8 @@ class ShipAttitudeCore:
             return outcome
         if not self._estimator.add_sample(INS, self._track, checked.sample, outcome):
             return outcome
-        # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
+        # Propagation by a clock offset needs the rate. Without a rate an attitude is published only before the first
+        # measurement.
         if self._track.newest is checked.sample and (self._track.has_newest_rate or self.state.time_ns is None):
             self._ins_arrival_ns = arrival_ns
             if estimate:
@@ -326,7 +327,7 @@ class ShipAttitudeCore:
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        """Record that two publishers send as a source; an empty text removes the record."""
+        """Record that two publishers send messages of one source; an empty text removes the record."""
         self._estimator.stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
@@ -348,7 +349,9 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Apply delayed measurements; publish from stars alone after an INS timeout, or INVALID once a second.
+        """Apply delayed measurements, and publish from stars alone after an INS timeout.
+
+        After a timeout of all outputs an INVALID estimate is published once a second.
 
         Args:
             now_ns: current time.
@@ -388,7 +391,7 @@ class ShipAttitudeCore:
         return installation_rotation(self.filter, self.state, f"star.{id_}")
 
     def deflection(self, time_ns: int) -> DeflectionReading | None:
-        """Return the estimated deflection of the vertical at a time; None if the deflection is not a state."""
+        """Return the estimated deflection of the vertical at a time; None without ``gravity.deflection``."""
         if self.vertical is None or not self.config.gravity.is_modelled:
             return None
         errors = self._corrected_by(self.state).errors([time_ns])

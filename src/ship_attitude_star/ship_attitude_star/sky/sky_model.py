@@ -77,7 +77,7 @@ class BrightStars:
     magnitudes: FloatArray
 
     def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
-        """Return the number of candidates per steradian within a magnitude tolerance; NaN fits all candidates.
+        """Return the number of candidates per steradian within a magnitude tolerance; all candidates match a NaN.
 
         One candidate is added, so that the density is never zero.
         """

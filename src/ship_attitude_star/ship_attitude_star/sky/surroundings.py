@@ -84,7 +84,7 @@ class _Quantity:
         changed_ns = self.readings.insert(reading.time_ns, self.value_of(reading))
         if changed_ns is None:
             return None
-        # If an earlier reading is used until the delay has passed, no result before that depends on the new reading.
+        # If an earlier reading is used during the delay, no result within the delay depends on the new reading.
         recent = self._recent_reading_index(changed_ns - self._delay_ns, changed_ns + self._delay_ns)
         return changed_ns - 1 + (0 if recent is None else self._delay_ns)
 
@@ -117,7 +117,7 @@ class _Quantity:
 
 
 _MAX_CACHED_RESULTS = 256
-"""Number of times with cached results; exposures that are applied again need up to 28 times in each of the last 2 s."""
+"""Number of cached results; exposures that are applied again need results at up to 28 times in each of the last 2 s."""
 
 
 class Surroundings:

@@ -3,8 +3,8 @@
 The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure;
 exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the
 attitude of the deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered
-estimator, only its :class:`ship_estimation.time_ordered_estimator.LagWindow`. Timeouts are measured by the timeout
-clock.
+estimator, only its :class:`ship_estimation.time_ordered_estimator.LagWindow`. The timeout clock is described at
+:class:`ship_node.edge.adapter.Adapter`.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -289,7 +289,7 @@ class StarCore:
         conflict = resolve_same_stamp(known, exposure)[1]
         if conflict.reason is Reason.DUPLICATE:
             return False, conflict
-        # Both exposures are not solved; a solution that was already published is replaced by an INVALID solution.
+        # Neither exposure is solved; a solution that was already published is replaced by an INVALID solution.
         self._stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
         text = "the same stamp with different content: do two sensors publish on one topic?"
         return True, replace(conflict, text=text)

@@ -96,8 +96,8 @@ class PlacedExposure:
         exposure: the usable stars.
         stars: the usable stars with measured and apparent directions; None if no apparent direction is known.
         rejected_stars: stars rejected in the solution of the sensor.
-        turn_variance: variance of an error that rotates all directions equally, each axis, rad². It remains after the
-            correction for the motion during the exposure; the INS noise is not included.
+        turn_variance: variance of an error that rotates all directions equally, each axis, rad². This error remains
+            after the correction for the motion during the exposure; the INS noise is not included.
     """
 
     source: str

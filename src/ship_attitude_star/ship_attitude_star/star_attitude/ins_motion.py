@@ -6,8 +6,8 @@ several sensors to one time.
 A rotation is the difference of two INS attitudes, its ends, and has the noise of both. An interpolated attitude is a
 weighted mean of the samples around it, so attitudes close together share the noise of the same samples. A sample with
 the weight w1 at one end and w2 at the other end adds (w1 - w2)² times its variance to the variance of the rotation. The
-variance of the rotation is zero if the ends coincide. If the ends have no sample in common, it is the sum of their
-variances. Several rotations to one time share the noise at that time.
+variance of the rotation is zero if the ends coincide. If the ends have no sample in common, the variance is the sum of
+the variances of the ends. Several rotations to one time share the noise at that time.
 """
 
 from collections.abc import Sequence

@@ -9,7 +9,7 @@ displacement d_i of the star is linear in small unknowns:
 - δ is the error of the attitude.
 - m_s is the mounting error of the star's sensor s.
 - t are the errors of the rotations that transfer the exposures to one time. The columns of T_s are the rotations of the
-  sensor by one sigma of each of these errors; sensors may share them.
+  sensor by one sigma of each of these errors; sensors may share these errors.
 - f are the coefficients of the cameras' errors (:mod:`ship_attitude_star.stars.optics_errors`,
   :mod:`ship_attitude_star.stars.spatial_errors`). The columns of F_i are the displacements of the measured direction by
   one sigma of each.

@@ -108,7 +108,7 @@ def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPri
 
 
 def _is_masked(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
-    """Return True for each star that is masked for any probable error of the predicted attitude, shape (c,)."""
+    """Return True for each star that is masked for every probable error of the predicted attitude, shape (c,)."""
     return masks.is_hidden(
         reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n)))
     )
