@@ -84,7 +84,7 @@ def diagnosis_hint(
 
 
 def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
-    """Return a hint if the headings differ by a common mistake of marine drivers, else an empty text.
+    """Return a hint if the headings differ by a common mistake of marine drivers; otherwise return an empty text.
 
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).

@@ -35,7 +35,7 @@ class PlausibilityChecks:
         self._latest_ns: dict[str, int] = {}
 
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
-        """Return the rejection of a measurement that is constant while other sources rotate, or None.
+        """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
 
         An attitude that passes becomes a motion reference. A measurement is checked only if it is newer than the last
         measurement of the same source that passed.

@@ -50,7 +50,7 @@ class GaussMarkovIns:
         self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical
     ) -> Propagation:
         """See :class:`InsProcess`."""
-        # Times within one interval of the vertical share its object.
+        # Times within one interval of the vertical share one vertical object.
         distinct, index_of = _distinct_verticals([vertical.at(time_ns) for time_ns in times_ns])
         terms = [self._propagation_terms(before, here) for here in distinct]
         turn, left, shift, fresh = (np.array(column)[index_of] for column in zip(*terms, strict=True))

@@ -253,7 +253,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def _star_readers(
         self, id_: str, star: StarSensorConfig
     ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
-        """Return the reader of a star sensor's messages, and the reader of blocks of messages or None."""
+        """Return the reader of a star sensor's messages, and the reader of blocks; None without a reader of blocks."""
         if star.input == "observations":
             assert self._sky_model is not None
             exposure = functools.partial(

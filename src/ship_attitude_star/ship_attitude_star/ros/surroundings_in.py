@@ -112,7 +112,7 @@ def _reading(
     if message.variance > (allowed[1] - allowed[0]) ** 2:
         raise MessageRejected(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: too large")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
-    # The humidity error is not used anywhere, so no configured value replaces it.
+    # The humidity error is not used anywhere, so a message without variance needs no configured value.
     known = sigma is not None or quantity == "humidity"
     return ReadMessage(AirReading(quantity, time_ns, scale * value, sigma), known)
 

@@ -251,7 +251,7 @@ class ShipAttitudeCore:
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
-        """Finish a batch; return the outcome of the sample that needs separate handling, or None."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None without such a sample."""
         values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
         self._plausibility.ins.commit_block(values, batch.checked, self._plausibility.motion_references)
         if last is None:
@@ -410,7 +410,10 @@ class ShipAttitudeCore:
         return integrity_of(self.filter, self.config, estimate)
 
     def alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment to save for the next voyage; before any measurement the saved alignment or None."""
+        """Return the alignment to save for the next voyage.
+
+        Before any measurement this is the alignment loaded at the start, or None if none was loaded.
+        """
         if self.state.time_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -438,7 +441,7 @@ class ShipAttitudeCore:
         return self.state.unresolved_fault is not None or self.state.utc_step is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
-        """Return another estimator that starts from a stored state, else from the saved alignment or the prior.
+        """Return another estimator that starts from a stored state; without one, from the saved alignment or the prior.
 
         With a stored state the estimator also starts with the current position and air data.
         """

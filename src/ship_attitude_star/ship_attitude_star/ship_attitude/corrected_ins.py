@@ -299,6 +299,6 @@ def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
-    """Return the stamp of the last accepted star measurement, or None."""
+    """Return the stamp of the last accepted star measurement; None without such a measurement."""
     stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

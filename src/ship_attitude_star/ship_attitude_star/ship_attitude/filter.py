@@ -255,7 +255,7 @@ class ShipFilter:
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
     ) -> Rejection | None:
-        """Return the rejection of an exposure that implies a focal length far from the configured one, or None."""
+        """Return the rejection of an exposure that contradicts the configured focal length; None for any other."""
         if exposure.optics is None:
             return None
         variance = float(state.covariance_by_source[:, optics.start, optics.start].sum())

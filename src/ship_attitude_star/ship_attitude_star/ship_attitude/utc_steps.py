@@ -104,7 +104,8 @@ def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[
     The pole is in the meridian. The latitude is estimated from the measurement, which costs one degree of freedom.
 
     Returns:
-        The ratio, or None if neither hypothesis is consistent, and a rotation vector, horizon frame, rad, shape (3,).
+        The ratio, which is None if neither hypothesis is consistent.
+        The rotation vector, horizon frame, rad, shape (3,).
     """
     whitened_of_n = np.linalg.solve(innovation.root, innovation.predicted_nv.T)
     sign = -math.copysign(1.0, step_s)

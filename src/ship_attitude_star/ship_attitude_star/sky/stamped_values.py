@@ -149,7 +149,7 @@ class StampedValues(Generic[Value]):
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, time_ns: int, value: Value) -> Rejection | None:
-        """Return the rejection of a value, or None.
+        """Return the rejection of a value; None if the value is accepted.
 
         DUPLICATE or CONFLICT: a value with this stamp exists. LATE: all stored stamps are later. JUMP: the value has
         jumped.

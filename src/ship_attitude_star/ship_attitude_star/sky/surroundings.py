@@ -93,7 +93,7 @@ class _Quantity:
         self.readings.drop_before(time_ns - self._delay_ns)
 
     def reading_index(self, time_ns: int) -> int | None:
-        """Return the index of the reading used at a time, or None."""
+        """Return the index of the reading used at a time; None if the default is used."""
         delayed = self._recent_reading_index(time_ns - self._delay_ns, time_ns)
         return self._recent_reading_index(time_ns, time_ns) if delayed is None else delayed
 
@@ -148,7 +148,7 @@ class Surroundings:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, sky_input: SkyInput) -> Rejection | None:
-        """Return the rejection or remark for an input, or None; call it before :meth:`insert`.
+        """Return the rejection of an input, or a remark; None without both. Call this method before :meth:`insert`.
 
         DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of its kind are
         later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp the

@@ -229,7 +229,7 @@ class StarCore:
         return []
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
-        """Add a position fix or an air reading; return the rejection or remark, or None."""
+        """Add a position fix or an air reading; return the rejection or a remark, None without both."""
         rejection = self._sky_model.surroundings.rejection(given)
         self._sky_model.surroundings.insert(given)
         return rejection
@@ -278,7 +278,12 @@ class StarCore:
     # -- checks ---------------------------------------------------------------------------------------------
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
-        """Return True if an exposure gives a solution, which may be INVALID, and the rejection or remark, or None."""
+        """Evaluate an exposure before its solution.
+
+        Returns:
+            True if the exposure gives a solution, which may be INVALID.
+            The rejection or a remark; None without both.
+        """
         rejection = self._arrivals.late_rejection(exposure.time_ns)
         if rejection is not None:
             return False, rejection
@@ -385,7 +390,7 @@ class StarCore:
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
     def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
-        """Return the rejection of an exposure because of conflicting data of sensor, position or air, or None."""
+        """Return the rejection for conflicting data of the sensor, the position or the air; None without a conflict."""
         contested = [
             name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources
         ]

@@ -203,7 +203,7 @@ class StarExposure:
 
     @cached_property
     def pixel_sigma(self) -> FloatArray | None:
-        """Standard deviation of each direction's pixel-spatial error, rad per axis, shape (k,); None without it."""
+        """Standard deviation of each direction's pixel-spatial error, rad per axis, shape (k,); None if unmodelled."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)
