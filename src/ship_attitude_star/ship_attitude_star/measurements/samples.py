@@ -15,7 +15,7 @@ StampArray = NDArray[np.int64]
 
 
 class Horizon(enum.IntEnum):
-    """Horizon of an attitude: geodetic (Up is the ellipsoid normal, from stars) or of local gravity (INS alone)."""
+    """Horizon of an attitude: geodetic (Up is the ellipsoid normal) or of local gravity (Up is opposite to gravity)."""
 
     GEODETIC = 0
     GRAVITY = 1

@@ -148,7 +148,7 @@ class Surroundings:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, sky_input: SkyInput) -> Rejection | None:
-        """Return the rejection of an input, or a remark; None without both. Call this method before :meth:`insert`.
+        """Return the rejection or a remark for an input, None without either; call this method before :meth:`insert`.
 
         DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of its kind are
         later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp the

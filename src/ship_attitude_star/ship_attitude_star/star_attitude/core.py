@@ -229,7 +229,7 @@ class StarCore:
         return []
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
-        """Add a position fix or an air reading; return the rejection or a remark, None without both."""
+        """Add a position fix or an air reading; return the rejection or a remark, None without either."""
         rejection = self._sky_model.surroundings.rejection(given)
         self._sky_model.surroundings.insert(given)
         return rejection
@@ -282,7 +282,7 @@ class StarCore:
 
         Returns:
             True if the exposure gives a solution, which may be INVALID.
-            The rejection or a remark; None without both.
+            The rejection or a remark; None without either.
         """
         rejection = self._arrivals.late_rejection(exposure.time_ns)
         if rejection is not None:

@@ -111,7 +111,7 @@ class InsMotion:
         self._plausibility.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Rejection | None:
-        """Add a sample; return its rejection or a remark, None without both."""
+        """Add a sample; return its rejection or a remark, None without either."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
@@ -148,7 +148,7 @@ class InsMotion:
         batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
 
     def finish_batch(self, batch: MotionBatch) -> Rejection | None:
-        """Finish a batch: use the sample that needs separate handling, and return its rejection; None without one."""
+        """Finish a batch with the sample that needs separate handling, if any; the result is as for :meth:`add`."""
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)
 

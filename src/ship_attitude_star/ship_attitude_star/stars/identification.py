@@ -33,7 +33,7 @@ _MAX_PRIOR_SIGMAS = 5.0
 _MAX_STEPS, _SMALL_TURN = 8, 1e-5
 
 MAX_PRIOR_SIGMA = np.deg2rad(5.0)
-"""Maximum standard deviation of a predicted attitude for identification, rad; if it is larger, too many stars match."""
+"""Maximum root of the summed variances of a predicted attitude, rad; beyond this, too many catalogue stars match."""
 
 _MAX_STARS_IN_GATE = 5.0
 """Maximum expected number of catalogue stars in a gate for which candidates are compared."""
