@@ -41,7 +41,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
 _WHOLE_EXPOSURE_REASONS = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
-"""Reasons for which an exposure is rejected as a whole."""
+"""Reasons of rejected exposures that do not count as used in the input health."""
 
 _STATUS_TEXTS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),
@@ -151,7 +151,7 @@ class StarAttitudeAdapter(BatchAdapter):
         return published
 
     def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[OutputMessage]:
-        """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
+        """Return the messages of a sensor's solution; count the exposure as used or rejected in the input health."""
         id_, rejection = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
         if rejection is not None and rejection.reason in _WHOLE_EXPOSURE_REASONS:
