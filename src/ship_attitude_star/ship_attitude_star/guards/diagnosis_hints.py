@@ -84,19 +84,20 @@ def diagnosis_hint(
 
 
 def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
-    """Return a hint if the headings differ by a common mistake of marine drivers, else an empty text.
+    """Return a hint if the headings differ by a common mistake of marine drivers; otherwise return an empty text.
 
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the other source, shape (3, 3).
         source: the other source, ``star.<id>`` or ``reference.<name>``.
-        ins_confirmed: True if other sources are consistent with the INS, which is then not the cause.
+        ins_confirmed: True if other sources are consistent with the INS and only ``source`` is not; then the INS is not
+            the cause.
     """
     by_ins, measured = angles_from_rotation(ins_nd)[0], angles_from_rotation(measured_nd)[0]
     difference = abs(float(wrap_pi(measured - by_ins)))
     # Row 1 is the direction Up in the deck frame.
     tilt = float(angle_between(ins_nd[1], measured_nd[1]))
-    # Written so that NaN gives no hint.
+    # With the condition in this form, NaN gives no hint.
     if not (difference > _MIN_HEADING_ERROR_RAD and tilt < _SAME_TILT_RAD):
         return ""
     parameter = _heading_parameter(source)

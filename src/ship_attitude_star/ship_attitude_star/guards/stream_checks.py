@@ -24,7 +24,8 @@ class PlausibilityChecks:
 
     Attributes:
         ins: check of the INS samples.
-        motion_references: last attitude by source that passed the check or was accepted, for the checks of others.
+        motion_references: last attitude of each source that passed the check or was accepted, for the checks of other
+            sources.
     """
 
     def __init__(self, config: CheckedInsConfig) -> None:
@@ -34,10 +35,10 @@ class PlausibilityChecks:
         self._latest_ns: dict[str, int] = {}
 
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
-        """Return the rejection of a measurement that is constant while other sources rotate, or None.
+        """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
 
-        An attitude that passes becomes a motion reference. A measurement is not checked if a measurement of the same
-        source with its stamp or a later stamp was checked.
+        An attitude that passes becomes a motion reference. A measurement is checked only if it is newer than the last
+        measurement of the same source that passed.
 
         Args:
             measurement: measurement of any kind.

@@ -1,15 +1,15 @@
 """Gauss-Markov error process of the INS attitude with the deflection of the vertical as a state.
 
-The INS is levelled by gravity, stars refer to the ellipsoid. The attitude error relative to the geodetic horizon is
-u = a + G d. Here a is the correlated error of the INS, which decays with time, d = (xi, eta) the deflection, which
-changes with the distance over ground, and G the rotation due to d (:attr:`LocalVertical.deflection_jacobian`). The
-state ``ins.attitude`` is u, the state ``gravity.deflection`` is d.
+The INS is levelled by gravity, and stars refer to the ellipsoid. The attitude error relative to the geodetic horizon is
+u = a + G d. The correlated error a of the INS decays with time. The deflection d = (xi, eta) changes with the distance
+over ground. G is the Jacobian of the horizon's rotation with respect to d (:attr:`LocalVertical.deflection_jacobian`).
+The state ``ins.attitude`` is u, the state ``gravity.deflection`` is d.
 
 Over the time t and the distance s, with the known deflection before (g) and after (g'):
 
     a' = exp(-t / T) a + noise        d' = g' + exp(-s / L) (d - g) + noise        u' = a' + G d'
 
-The noise of d keeps the covariance of its error at :attr:`LocalVertical.covariance` (docs/explanation/vertical.md).
+The noise of d keeps the covariance of d - g at :attr:`LocalVertical.covariance` (docs/explanation/vertical.md).
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ class GaussMarkovIns:
         self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical
     ) -> Propagation:
         """See :class:`InsProcess`."""
-        # Times within one interval of the vertical share its object.
+        # Times within one interval of the vertical share one vertical object.
         distinct, index_of = _distinct_verticals([vertical.at(time_ns) for time_ns in times_ns])
         terms = [self._propagation_terms(before, here) for here in distinct]
         turn, left, shift, fresh = (np.array(column)[index_of] for column in zip(*terms, strict=True))

@@ -25,7 +25,8 @@ class InsErrors(NamedTuple):
         covariance_by_source: covariance of attitude error and time offset by error source, shape (N, n_sources, 4, 4).
         deflection: deflection (xi, eta), rad, shape (N, 2); (N, 0) if it is not modelled.
         deflection_covariance: covariance of the deflection, rad², shape (N, 2, 2), or (N, 0, 0).
-        vertical_known: True if the deflection is known, or estimated better than half its prior, shape (N,).
+        vertical_known: True if the deflection is modelled, and is known or estimated to half its prior standard
+            deviation or better, shape (N,).
     """
 
     error_n: FloatArray
@@ -108,10 +109,10 @@ class InsErrorPropagation:
         )
 
     def _is_vertical_known(self, covariance: FloatArray, verticals: Sequence[LocalVertical]) -> NDArray[np.bool_]:
-        """Return True if the deflection is known, or estimated better than half its prior, shape (N,)."""
+        """Return :attr:`InsErrors.vertical_known`, shape (N,)."""
         if not self._models_deflection:
             return np.zeros(len(verticals), dtype=bool)
-        # A NaN covariance compares as false: the deflection is not known.
+        # A NaN covariance compares as false: the deflection then counts as not estimated.
         known: NDArray[np.bool_] = np.array([here.given_deflection is not None for here in verticals])
         known |= 4.0 * np.trace(covariance, axis1=1, axis2=2) <= 2.0 * self._unknown_variance
         return known

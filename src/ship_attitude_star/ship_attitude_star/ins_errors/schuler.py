@@ -44,7 +44,7 @@ _VELOCITY, _LATITUDE, _DRIFT, _BIAS = slice(5, 7), 7, slice(8, 11), slice(11, 13
 _ALL = 13
 
 _SERIES_TERMS = 4
-"""Number of terms of the power series over a step of 2 s; the next term is 1e-14 of the first."""
+"""Highest power of time in the power series over a step of 2 s; the next term is below 1e-14 of the first term."""
 
 _MAX_CHECKPOINTS = 64
 """Maximum number of stored steps; a late position fix changes only the last few steps."""

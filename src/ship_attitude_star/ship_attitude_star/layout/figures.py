@@ -1,4 +1,4 @@
-"""Figures of a layout study; only the command imports this module, because matplotlib loads slowly."""
+"""Figures of a layout study; the command imports this module only when it draws, because matplotlib loads slowly."""
 
 from collections.abc import Iterator
 from pathlib import Path

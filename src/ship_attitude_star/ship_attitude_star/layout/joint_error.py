@@ -148,7 +148,10 @@ class Layout:
 
 
 def _common_effects(rotations_ns: FloatArray) -> FloatArray:
-    """Return rotation vectors due to rotations of the horizon about N, U, E and refraction at 45°, (..., N, 3, 4)."""
+    """Return the rotation vectors due to unit common errors, in the order of ``common_sigmas``, shape (..., N, 3, 4).
+
+    The effect of refraction is NaN for a boresight below the minimum elevation.
+    """
     star = angles_from_rotation(rotations_ns)
     azimuth, elevation = star[..., 0], star[..., 1]
     seen = np.rad2deg(elevation) >= MIN_ELEVATION_DEG - 1e-9

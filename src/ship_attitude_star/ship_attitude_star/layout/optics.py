@@ -94,7 +94,8 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
     """Return sigma about (forward, up, right) by Liebe's formulas, shape (3,), rad.
 
     Args:
-        optics: optics of the sensor. For Liebe's square field, the pixel count is the root of columns times rows.
+        optics: optics of the sensor. The pixel count of the formula about the boresight is the root of columns times
+            rows.
         stars: number of stars in the field.
     """
     with np.errstate(divide="ignore"):

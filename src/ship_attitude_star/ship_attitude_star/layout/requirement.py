@@ -1,7 +1,7 @@
 """Evaluation of layouts by the required accuracy: admissible layouts, their ranking, and the effect of elevation.
 
 The requirement use of a layout is sigma / requirement of its worst angle. The layout is admissible if the use is at
-most 1, no mask is in a field of view, and all fields stay above the horizon while the ship moves.
+most 1, no mask is in a field of view, and all fields keep the required clearance above the horizon on the moving ship.
 
 The evaluated layouts are those of the file, the recommended azimuths, each sensor moved alone over all azimuths and
 elevations, and all sensors moved together. A search moves two sensors at a time over a coarse grid, then one sensor at
@@ -66,7 +66,7 @@ class AdmissibleMap:
         sensor: sensor that is moved.
         requirement_use: requirement use, shape (e, a); NaN where the boresight is too low.
         is_clear: True where the sensor's field is clear of masks, shape (e, a).
-        is_above_horizon: True where the sensor's field stays above the horizon, shape (e, a).
+        is_above_horizon: True where the sensor's field keeps the required clearance above the horizon, shape (e, a).
     """
 
     sensor: str
@@ -100,7 +100,8 @@ class RequirementResult:
 
     Attributes:
         limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite for an angle without requirement.
-        ranking: evaluated layouts, admissible ones first and obstructed ones last, each in order of requirement use.
+        ranking: evaluated layouts; admissible layouts first, obstructed layouts last, each group in order of
+            requirement use.
         maps: admissible directions of each sensor, in the order of the sensors.
         trade: layouts with all sensors at one elevation, in order of elevation.
         allocations: name of a layout → maximum error sizes, for the layout as given and the first in the ranking.
@@ -148,7 +149,7 @@ def evaluate_layouts(
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
         candidates += evaluator.best_of_map(layout, number, moved, allowed)
     candidates.append(evaluator.search(candidates, layout))
-    # The sort is stable, so that of equal layouts the layout nearest to the given layout comes first.
+    # The sort is stable: of equally good layouts the earlier candidate comes first. The first candidate is as given.
     ranking = sorted(
         candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use))
     )

@@ -1,6 +1,6 @@
 """Figures of the requirement: admissible directions of sensors, effect of elevation, obstructions.
 
-Only the command imports this module, because matplotlib loads slowly.
+Only ``figures`` imports this module, because matplotlib loads slowly.
 """
 
 from typing import Any
@@ -107,7 +107,7 @@ def _shade_blocked(axes: Axes, elevations_deg: FloatArray, blocked: FloatArray) 
 
 
 def draw_masks(axes: Axes, masks: DeckMasks) -> None:
-    """Draw masks into a map over azimuth and elevation (deg), repeated across the bow."""
+    """Draw masks into a map over azimuth and elevation (deg), repeated at azimuths shifted by 360°."""
     look: dict[str, Any] = {"facecolor": "none", "edgecolor": _MASK, "hatch": "////", "lw": 1.2, "zorder": 3}
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     for name, corners in zip(masks.names, masks.corners, strict=True):

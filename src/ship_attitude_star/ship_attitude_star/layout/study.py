@@ -20,7 +20,7 @@ from ship_geometry.rotations import FloatArray, wrap_pi
 
 _STEP_DEG = 1.0
 _EQUAL_RATIO = 1e-9
-"""Relative difference of total errors treated as equal; of equal azimuths, the nearest to the given one is taken."""
+"""Relative difference below which total errors are equal; then the azimuth nearest to the present azimuth is taken."""
 _MIN_GAIN_RATIO = 0.02
 """Minimum relative gain of another arrangement over the arrangement near the given azimuths."""
 _ALLOWED_LOSS_RATIO = 0.1
@@ -57,7 +57,7 @@ class LayoutStudy:
         joint_arcsec: sigma of heading, pitch, roll of all sensors of ``layout`` together, shape (3,).
         best: layout at the recommended azimuths.
         best_arcsec: sigma of heading, pitch, roll of all sensors of ``best``, shape (3,).
-        scans: error over the azimuth of each sensor of ``best`` except the first, or of a single sensor.
+        scans: error over the azimuth of each sensor of ``best`` except the first, or of the only sensor.
         maps: error of ``layout`` over the mounting direction of each sensor.
         budget: joint error of ``layout`` by source.
         curves: curves of the six figures of [Z14].
@@ -190,7 +190,7 @@ def recommend_azimuths(layout: Layout, obstructions: Obstructions | None = None)
 
 
 def scan_azimuth(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
-    """Return the error over all azimuths of the sensor with a number; NaN where a mask is in its field."""
+    """Return the error over all azimuths of the sensor with index ``number``; NaN where a mask is in its field."""
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     angles = np.tile(layout.angles, (azimuths_deg.size, 1, 1))
     angles[:, number, 0] = np.deg2rad(azimuths_deg)

@@ -10,7 +10,7 @@ BASELINE = "baseline"
 """Source name of the baseline."""
 
 BASELINE_COMPONENTS = ("baseline up", "baseline right")
-"""Components of the residual of a baseline: direction to the rover antenna, perpendicular to the baseline, rad."""
+"""Components of the residual of a baseline: measured minus predicted direction, in the up and right axes, rad."""
 
 
 @dataclass(frozen=True)

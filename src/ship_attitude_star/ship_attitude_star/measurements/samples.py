@@ -15,7 +15,7 @@ StampArray = NDArray[np.int64]
 
 
 class Horizon(enum.IntEnum):
-    """Horizon of an attitude: geodetic (Up is the ellipsoid normal, from stars) or of local gravity (INS alone)."""
+    """Horizon of an attitude: geodetic (Up is the ellipsoid normal) or of local gravity (Up is opposite to gravity)."""
 
     GEODETIC = 0
     GRAVITY = 1
@@ -94,7 +94,8 @@ ATTITUDE_COMPONENTS = ("forward", "up", "right")
 class AttitudeDecision(MeasurementDecision[Measurement]):
     """Decision about a measurement of the ship filter.
 
-    ``components`` are ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.
+    ``components`` are ATTITUDE_COMPONENTS, BASELINE_COMPONENTS, or for each star used "HIP 92420 up" and
+    "HIP 92420 right".
 
     Attributes:
         ins_time_ns: latest INS stamp that the decision depends on.

@@ -97,7 +97,7 @@ def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames
 def attitude_rows(
     factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames = FRAME_NAMES
 ) -> Iterator[OutputRows]:
-    """Yield the messages of N attitudes; each attitude has them in the order of :func:`attitude_messages`."""
+    """Yield the messages of N attitudes, for each attitude in the order of :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)

@@ -167,7 +167,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment to save, of the current estimator."""
+        """Return the alignment of the current estimator, for the alignment file; None without any alignment."""
         core: ShipAttitudeCore = self.core
         return core.alignment_to_save()
 
@@ -253,7 +253,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def _star_readers(
         self, id_: str, star: StarSensorConfig
     ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
-        """Return the reader of a star sensor's messages, and the reader of blocks of messages or None."""
+        """Return the reader of a star sensor's messages, and the reader of blocks; None without a reader of blocks."""
         if star.input == "observations":
             assert self._sky_model is not None
             exposure = functools.partial(
@@ -277,7 +277,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
-        """Return alignment and installation, and for a new attitude error budget, predicted errors and deflection."""
+        """Return alignment and installation; for a new attitude also error budget, predicted errors and deflection."""
         factory, estimate, published = self.factory, self.pending_budget, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
@@ -347,7 +347,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [self._last_observability[1]]
 
     def _noise_status(self) -> DiagnosticStatus:
-        """Return a diagnostic of sigmas in INS messages far above the configured ones; else of excess INS noise."""
+        """Return a diagnostic of INS message sigmas far above the configured sigmas, otherwise of excess INS noise."""
         if self._stated_covariance is not None:
             covariance = np.reshape(self._stated_covariance, (3, 3))
             if contradicted := sigma_mismatch_text(covariance, self.config.ins):
@@ -408,7 +408,7 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading, horizo
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """Return a diagnostic of the vertical at the last attitude; empty if it is not needed, or without an attitude."""
+    """Return a diagnostic of the vertical at the last attitude; empty without a vertical or a valid attitude."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)

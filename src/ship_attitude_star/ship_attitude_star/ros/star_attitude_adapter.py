@@ -41,7 +41,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
 _WHOLE_EXPOSURE_REASONS = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
-"""Reasons for which an exposure is rejected as a whole."""
+"""Reasons of rejected exposures that do not count as used in the input health."""
 
 _STATUS_TEXTS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),
@@ -137,7 +137,7 @@ class StarAttitudeAdapter(BatchAdapter):
     # -- results of the core --------------------------------------------------------------------------------
 
     def report_outcome(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Return solutions, their rejected stars, and exposures too late for the joint solution of their time."""
+        """Return the messages of solutions, of rejected stars, and of exposures too late for a joint solution."""
         published: list[OutputMessage] = []
         for solved in outcome.solved:
             self._last_solutions[solved.sensor_id] = solved, waiting_ns
@@ -151,7 +151,7 @@ class StarAttitudeAdapter(BatchAdapter):
         return published
 
     def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[OutputMessage]:
-        """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
+        """Return the messages of a sensor's solution; count the exposure as used or rejected in the input health."""
         id_, rejection = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
         if rejection is not None and rejection.reason in _WHOLE_EXPOSURE_REASONS:
@@ -225,7 +225,7 @@ def _topic(source: str) -> str:
 
 
 def star_horizon_attitude(factory: MessageFactory, solved: AttitudeSolution, frame_id: str) -> Any:
-    """Return ship_msgs/StarHorizonAttitude of a solution; all NaN without an attitude."""
+    """Return ship_msgs/StarHorizonAttitude of a solution; angles and covariances are NaN without an attitude."""
     solution = solved.solution
     covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
     star_count = solution.star_count

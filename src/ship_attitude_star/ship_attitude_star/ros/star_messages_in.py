@@ -1,8 +1,8 @@
 """Reader of star observation messages: checks, directions and identities; shared by all adapters of cameras.
 
-Only attributes of messages are read, so any message class can be used. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.MessageRejected`. A star that cannot be used is rejected with its reason, and the
-other stars of the message are used.
+Only attributes of messages are read, so any message class can be used. For a message that cannot be used the reader
+raises :class:`ship_node.edge.messages_in.MessageRejected`. A star that cannot be used is rejected with its reason, and
+the other stars of the message are used.
 """
 
 import math
@@ -206,7 +206,7 @@ def _number_rejection(hip: int, row: int, catalogue: StarCatalogue) -> Rejection
 
 
 def _direction_rejection(hip: int, right_ascension: float, declination: float) -> Rejection | None:
-    """Return the rejection of a star without number for its right ascension and declination, or None."""
+    """Return the rejection of an unnumbered star with a bad right ascension or declination; None for other stars."""
     if hip != 0 or (math.isnan(right_ascension) and math.isnan(declination)):
         return None
     where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
@@ -227,7 +227,7 @@ def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
 def _duplicate_rejection(
     identity: Hashable, pixel: list[float], first_pixels: dict[Hashable, list[float]]
 ) -> Rejection | None:
-    """Return the rejection of a star with the identity of an earlier star of the message, or None."""
+    """Return the rejection of a star with the identity of an earlier star of the message; None for other stars."""
     first = pixel if identity is None else first_pixels.setdefault(identity, pixel)
     if first is pixel:
         return None

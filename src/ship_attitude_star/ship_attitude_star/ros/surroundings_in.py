@@ -1,7 +1,7 @@
 """Readers of position and air messages for the sky model of all nodes: checks and conversion.
 
-The readers use only attributes of messages, so any message class can be used. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.MessageRejected`.
+The readers use only attributes of messages, so any message class can be used. For a message that cannot be used they
+raise :class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
 import functools
@@ -30,7 +30,7 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
     """Read ``gnss/fix``: position of the ship.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     if message.status.status <= _NO_FIX:
@@ -63,7 +63,7 @@ def pressure(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
     """Read ``met/pressure``: air pressure, converted from Pa to hPa.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     pascal = float(message.fluid_pressure)
     hint = ": hPa, not Pa?" if 800.0 <= pascal <= 1100.0 else ""
@@ -75,7 +75,7 @@ def temperature(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
     """Read ``met/temperature``: air temperature, °C.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     celsius = float(message.temperature)
     hint = ": kelvin, not °C?" if 213.0 <= celsius <= 333.0 else ""
@@ -86,7 +86,7 @@ def humidity(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
     """Read ``met/humidity``: relative humidity, 0 to 1.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     fraction = float(message.relative_humidity)
     hint = ": percent?" if 1.0 < fraction <= 100.0 else ""
@@ -112,7 +112,7 @@ def _reading(
     if message.variance > (allowed[1] - allowed[0]) ** 2:
         raise MessageRejected(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: too large")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
-    # The humidity error is not used anywhere, so no configured value replaces it.
+    # The humidity error is not used anywhere, so a message without variance needs no configured value.
     known = sigma is not None or quantity == "humidity"
     return ReadMessage(AirReading(quantity, time_ns, scale * value, sigma), known)
 

@@ -1,8 +1,8 @@
 """Core of the node ``ship_attitude``: ship attitude with error budget from INS and star measurements.
 
 - ``core`` runs ``filter`` in a time-ordered estimator.
-- ``model`` defines devices and states, ``comparison`` predicts measurements and computes residuals, and
-  ``linearisation`` does so at the estimate.
+- ``model`` defines devices and states. ``comparison`` predicts measurements and computes residuals.
+  ``linearisation`` calls ``comparison``, iteratively for an uncertain state.
 - ``fault_detection`` excludes faulty sources.
 - ``corrected_ins`` and ``output`` compute the published attitude; ``alignment`` is saved for the next voyage.
 

@@ -58,7 +58,10 @@ class AlignmentPrior:
     covariance: FloatArray
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations, rad or s, shape (3,) or (1,), by block name, with the sensor's serial number."""
+        """Return standard deviations by block name, rad or s, shape (3,) or (1,).
+
+        A known serial number of the sensor is part of the name.
+        """
         sigmas, first = {}, 0
         for name in self.names:
             serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")

@@ -298,7 +298,10 @@ class ShipAttitudeConfig(StarSensorsById):
 
     @property
     def models_deflection(self) -> bool:
-        """True if the deflection of the vertical is a state, due to gravity.deflection or ins.model schuler."""
+        """True if the deflection of the vertical is a state.
+
+        This is due to gravity.deflection, or to ins.model schuler with gravity.unknown_sigma_arcsec above 0.
+        """
         drives_ins = self.ins.model == SCHULER and self.gravity.unknown_sigma_arcsec > 0.0
         return self.gravity.is_modelled or drives_ins
 

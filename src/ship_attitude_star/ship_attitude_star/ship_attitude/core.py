@@ -251,7 +251,7 @@ class ShipAttitudeCore:
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
-        """Finish a batch; return the outcome of the sample that needs separate handling, or None."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None without such a sample."""
         values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
         self._plausibility.ins.commit_block(values, batch.checked, self._plausibility.motion_references)
         if last is None:
@@ -288,7 +288,8 @@ class ShipAttitudeCore:
             return outcome
         if not self._estimator.add_sample(INS, self._track, checked.sample, outcome):
             return outcome
-        # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
+        # Propagation by a clock offset needs the rate. Without a rate an attitude is published only before the first
+        # measurement.
         if self._track.newest is checked.sample and (self._track.has_newest_rate or self.state.time_ns is None):
             self._ins_arrival_ns = arrival_ns
             if estimate:
@@ -326,7 +327,7 @@ class ShipAttitudeCore:
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        """Record that two publishers send as a source; an empty text removes the record."""
+        """Record that two publishers send messages of one source; an empty text removes the record."""
         self._estimator.stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
@@ -348,7 +349,9 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Apply delayed measurements; publish from stars alone after an INS timeout, or INVALID once a second.
+        """Apply delayed measurements, and publish from stars alone after an INS timeout.
+
+        After a timeout of all outputs an INVALID estimate is published once a second.
 
         Args:
             now_ns: current time.
@@ -388,7 +391,7 @@ class ShipAttitudeCore:
         return installation_rotation(self.filter, self.state, f"star.{id_}")
 
     def deflection(self, time_ns: int) -> DeflectionReading | None:
-        """Return the estimated deflection of the vertical at a time; None if the deflection is not a state."""
+        """Return the estimated deflection of the vertical at a time; None without ``gravity.deflection``."""
         if self.vertical is None or not self.config.gravity.is_modelled:
             return None
         errors = self._corrected_by(self.state).errors([time_ns])
@@ -407,7 +410,10 @@ class ShipAttitudeCore:
         return integrity_of(self.filter, self.config, estimate)
 
     def alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment to save for the next voyage; before any measurement the saved alignment or None."""
+        """Return the alignment to save for the next voyage.
+
+        Before any measurement this is the alignment loaded at the start, or None if none was loaded.
+        """
         if self.state.time_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
@@ -435,7 +441,7 @@ class ShipAttitudeCore:
         return self.state.unresolved_fault is not None or self.state.utc_step is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
-        """Return another estimator that starts from a stored state, else from the saved alignment or the prior.
+        """Return another estimator that starts from a stored state; without one, from the saved alignment or the prior.
 
         With a stored state the estimator also starts with the current position and air data.
         """

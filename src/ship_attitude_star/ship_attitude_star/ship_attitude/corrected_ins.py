@@ -25,7 +25,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
-"""Indices of the states that correct an INS attitude, the correlated error (north, up, east) and the time offset."""
+"""Indices of the states that correct an INS attitude: the correlated error (north, up, east) and the time offset."""
 
 _AFTER_ALL_SAMPLES_NS = np.iinfo(np.int64).max
 """Stamp later than every sample."""
@@ -128,7 +128,7 @@ class CorrectedIns:
         return [status for status, _ in statuses], [text for _, text in statuses]
 
     def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
-        """Return the sources of each attitude, the INS and sources with a measurement accepted within recent_ns."""
+        """Return the sources of each attitude: the INS, and sources with a measurement accepted within recent_ns."""
 
         def at(stamp_ns: int) -> tuple[str, ...]:
             used = [source for source, used_ns in self.state.last_used_ns.items() if used_ns >= stamp_ns - recent_ns]
@@ -139,7 +139,7 @@ class CorrectedIns:
         return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
-        """Set attitudes DEGRADED whose protection level exceeds the alert limit or is missing."""
+        """Set the status DEGRADED of attitudes whose protection level exceeds the alert limit or is missing."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
@@ -299,6 +299,6 @@ def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
-    """Return the stamp of the last accepted star measurement, or None."""
+    """Return the stamp of the last accepted star measurement; None without such a measurement."""
     stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

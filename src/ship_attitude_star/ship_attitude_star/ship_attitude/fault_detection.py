@@ -266,7 +266,7 @@ class FaultDetector:
                 [row for row in rows if row not in subfilters.ins_subfilters] for rows in (candidates, pairs)
             )
         elif stepped and len(in_use) <= MIN_SOURCES_FOR_PAIRS:
-            # The pair of the INS and one source explains a fault as well as the pair of the two other sources.
+            # The pair of the INS and one source and the pair of the two other sources explain a fault equally well.
             pairs = []
         threshold, after = subfilters.k.false_exclusion, self._degraded_after
         isolation = isolate_fault(
@@ -322,9 +322,9 @@ class FaultDetector:
     ) -> FilterState:
         """Return the state if no fault is detected, with a covariance that covers large solution separations.
 
-        A drifting source separates the main filter from the subfilter without it long before it is excluded. A mounting
-        shift of a few standard deviations separates these filters within a second. Even earlier the recent innovations
-        of the source are inconsistent, so the covariance is inflated for these innovations too.
+        A drifting source separates the main filter from the subfilter without the source long before the exclusion. A
+        mounting shift of a few standard deviations separates these filters within a second. Even earlier the recent
+        innovations of the source are inconsistent, so the covariance is inflated for these innovations too.
         """
         if INS not in state.excluded and self.ins_fault.can_be_excluded(in_use):
             separation_sigmas = separation_sigmas.copy()
@@ -579,7 +579,7 @@ class FaultDetector:
 
     @staticmethod
     def _reinstated_with(state: FilterState, source: str) -> list[str]:
-        """Return the sources to reinstate, a source and consistent sources that were excluded together with it.
+        """Return the sources to reinstate: ``source``, and consistent sources that were excluded together with it.
 
         Star sensors that were excluded together check one another. The offset of a single sensor cannot be
         distinguished from a drift of the INS.

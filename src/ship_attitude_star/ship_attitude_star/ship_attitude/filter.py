@@ -40,11 +40,11 @@ _MAX_CLOCK_STEP_SIGMAS = 8.0
 """Maximum clock step of the INS that can be estimated, in standard deviations of the configured clock offset."""
 
 _AGAINST_PREDICTION = (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED)
-"""Reasons for a rejection that another predicted state might have accepted."""
+"""Reasons of rejections after which a measurement may still be accepted with another predicted state."""
 
 
 class ShipFilter:
-    """Kalman filter for a configuration, which stores no state; each step receives a state and returns the next state.
+    """Kalman filter for a configuration, without a stored state: each step receives a state and returns the next state.
 
     Args:
         config: configuration of the node.
@@ -255,7 +255,7 @@ class ShipFilter:
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
     ) -> Rejection | None:
-        """Return the rejection of an exposure whose estimated focal length is far from the configured, or None."""
+        """Return the rejection of an exposure that contradicts the configured focal length; None for any other."""
         if exposure.optics is None:
             return None
         variance = float(state.covariance_by_source[:, optics.start, optics.start].sum())
@@ -331,7 +331,7 @@ class ShipFilter:
         return math.isnan(self.vertical.at(time_ns).latitude)
 
     def _is_ins_confirmed(self, state: FilterState, linearised: LinearisedMeasurement) -> bool:
-        """True if the rates of the INS exclude a step, because rates are available and no recent jump was reported."""
+        """True if the rates of the INS rule out a step: rates are available, and no jump was reported recently."""
         if linearised.ins.sample is None or linearised.ins.sample.rate_d is None:
             return False
         return not self.fault_detector.ins_fault.has_reported_jump(state, linearised.ins_time_ns)

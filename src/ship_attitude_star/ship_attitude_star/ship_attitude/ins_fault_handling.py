@@ -95,7 +95,7 @@ class InsFaultHandling:
     def propagate(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Add the random walk of an unknown INS error, in place.
 
-        It is added in the subfilters without the INS; if the INS is excluded, in all filters.
+        The random walk is added in the subfilters without the INS, or in all filters while the INS is excluded.
         """
         walk = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _IDENTITY
         for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:
@@ -185,7 +185,7 @@ class InsFaultHandling:
     def monitor(
         self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int
     ) -> FilterState:
-        """Restart the reinstatement timer of an INS that the stars have excluded if a measurement contradicts it.
+        """Restart the reinstatement timer if a measurement contradicts the INS that the stars have excluded.
 
         Args:
             state: state after the measurement.
@@ -205,8 +205,8 @@ class InsFaultHandling:
         """Reinstate an excluded INS after its reinstatement time, but not while another fault is unresolved.
 
         If the stars have excluded the INS, the INS must have been consistent for that time. An INS excluded for a drift
-        is reinstated without a test, because no measurement shows the end of a drift. It is excluded again if it still
-        drifts, and each exclusion doubles the time.
+        is reinstated without a test, because no measurement shows the end of a drift. An INS that still drifts is
+        excluded again, and each exclusion doubles the reinstatement time.
         """
         exclusion = state.excluded.get(INS)
         if exclusion is None:

@@ -22,7 +22,7 @@ _CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
 """Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
 
 _OBSERVABLE_RAD = 0.02
-"""Maximum standard deviation of a device rotation that a measurement observes, rad."""
+"""Maximum standard deviation about any axis for a measurement to observe the rotation of its device, rad."""
 
 
 def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterState) -> FilterState:

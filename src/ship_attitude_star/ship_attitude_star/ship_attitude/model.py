@@ -7,7 +7,8 @@ state                           frame    meaning
 ==============================  =======  ====================================================================
 ins.attitude (3)                horizon  correlated error a: R_true = exp(a) exp(w) R_ins
 gravity.deflection (2)                   deflection of the vertical, which is then part of a; only with
-                                         gravity.deflection or if ins.model is schuler
+                                         gravity.deflection, or if ins.model is schuler and
+                                         gravity.unknown_sigma_arcsec is above 0
 ins.velocity (2)                horizon  velocity error of the INS (North, East), m/s; this and the next three states
                                          only if ins.model is schuler
 ins.latitude (1)                         latitude error of the INS, rad
@@ -152,7 +153,7 @@ class ShipStateModel(StateModel):
             :attr:`AttitudeMeasurement.shared_by`.
         ins_attitude_block: standard deviation and correlation time of the INS attitude error.
         ins_process: error process of the INS; None if each axis is a first-order Gauss-Markov process.
-        process_indices: indices of the states of that process, or of ``ins.attitude`` without a process.
+        process_indices: indices of the states of ``ins_process``, or of ``ins.attitude`` without a process.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:

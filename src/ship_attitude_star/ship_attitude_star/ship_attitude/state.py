@@ -155,7 +155,8 @@ class FilterState:
             (3, 3).
         consecutive_rejections: number of consecutive rejections of each source.
         last_used_ns: stamp of each source's last accepted measurement, ns.
-        pixel_dwells: pixel dwell of the stars in each camera; empty after the covariance was inflated.
+        pixel_dwells: pixel dwell of the stars in each camera; emptied if the covariance is inflated for an INS jump or
+            for consecutive rejections.
         unconfirmed_step: INS jump, possible INS jump, reinstatement of the INS or first star measurement that other
             stars have not confirmed; None if all are confirmed.
         rejected_residuals: residual of each source's last rejected measurement.
@@ -163,7 +164,8 @@ class FilterState:
             jump.
         ins_fault_ns: time of the last reported jump, a later contradiction, or a reinstatement of the INS; None before
             these.
-        vertical: vertical at the time of the state; None if the deflection is not modelled.
+        vertical: vertical at the time of the state; None before the first measurement, or if the filter needs no
+            vertical.
         utc_step: step of the time base after which UTC is not verified yet; None otherwise.
         correction_sums: sums of the recent corrections by the star sensors, which show an error that all star sensors
             share.

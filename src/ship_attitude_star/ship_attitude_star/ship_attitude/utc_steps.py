@@ -40,7 +40,7 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
         step_ns: step of the time base, ns.
     """
     step_s = step_ns / SECOND_NS + (0.0 if state.utc_step is None else state.utc_step.step_s)
-    # An unresolved fault from before belongs to the earlier UTC.
+    # An unresolved fault that was detected while UTC was not verified belongs to the earlier step, and is dropped.
     unresolved_fault = None if state.utc_step is not None else state.unresolved_fault
     return with_changes(
         state,
@@ -62,9 +62,10 @@ def with_utc_evaluated(
         decision: decision about the measurement.
 
     Returns:
-        The state before the measurement, without the step, if UTC is right or the propagated attitude is not accurate
-        enough any more. The state before the measurement, and a rejection, while undecided and if UTC is wrong.
-        ``after`` and ``decision`` if the measurement was not compared, or is consistent with neither hypothesis.
+        - UTC is right, or the propagated attitude is no longer accurate enough: the state before the measurement
+          without ``utc_step``, and ``decision``.
+        - UTC is undecided or wrong: the state before the measurement with the new likelihood ratio, and a rejection.
+        - The measurement was not compared, or is consistent with neither hypothesis: ``after`` and ``decision``.
     """
     innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc_step
     assert utc is not None
@@ -103,7 +104,8 @@ def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[
     The pole is in the meridian. The latitude is estimated from the measurement, which costs one degree of freedom.
 
     Returns:
-        The ratio, or None if neither hypothesis is consistent, and a rotation vector, horizon frame, rad, shape (3,).
+        The ratio, which is None if neither hypothesis is consistent.
+        The rotation vector, horizon frame, rad, shape (3,).
     """
     whitened_of_n = np.linalg.solve(innovation.root, innovation.predicted_nv.T)
     sign = -math.copysign(1.0, step_s)

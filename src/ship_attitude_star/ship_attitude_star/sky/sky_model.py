@@ -77,9 +77,9 @@ class BrightStars:
     magnitudes: FloatArray
 
     def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
-        """Return the number of candidates per steradian within a magnitude tolerance; NaN fits all candidates.
+        """Return the number of candidates per steradian within a magnitude tolerance.
 
-        One candidate is added, so that the density is never zero.
+        A magnitude of NaN matches all candidates. One candidate is added, so that the density is never zero.
         """
         faintest = np.where(np.isfinite(magnitude), magnitude + tolerance, np.inf)
         brightest = np.where(np.isfinite(magnitude), magnitude - tolerance, -np.inf)

@@ -149,7 +149,7 @@ class StampedValues(Generic[Value]):
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, time_ns: int, value: Value) -> Rejection | None:
-        """Return the rejection of a value, or None.
+        """Return the rejection of a value; None if the value is accepted.
 
         DUPLICATE or CONFLICT: a value with this stamp exists. LATE: all stored stamps are later. JUMP: the value has
         jumped.
@@ -213,7 +213,7 @@ class StampedValues(Generic[Value]):
     def with_shifted_stamps(self, step_ns: int) -> "StampedValues[Value]":
         """Return the accepted values of the last ten seconds before the last value, with stamps later by a step.
 
-        They are provisional only if the last value is.
+        The returned values are provisional only if the last value is provisional.
         """
         shifted: StampedValues[Value] = StampedValues(self._limits)
         for time_ns, value in zip(self.times, self.values, strict=True):
@@ -232,7 +232,7 @@ class StampedValues(Generic[Value]):
         return bisect.bisect_right(self.times, time_ns) - 1
 
     def has_conflict_at(self, time_ns: int) -> bool:
-        """True if one value contradicts a single provisional value at a time, or two values contradict several."""
+        """True if, at a time, one value contradicts the only provisional value, or two values contradict several."""
         return self._has_conflict(self._state_before(bisect.bisect_right(self._stamps, time_ns)))
 
     # -- decisions ------------------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ class StampedValues(Generic[Value]):
         if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(
             last_rejected.value, new.value, step_s
         ):
-            # Written so that a NaN distance leads to a rejection.
+            # With the comparison in this form, a NaN distance leads to a rejection.
             is_near = distance <= self._max_distance(before, new.time_ns, new.value)
             rejected_state = replace(
                 before, last_rejected=new, rejected_since_ns=new.time_ns, follows_jump=False, rejected_count=1
@@ -317,7 +317,7 @@ class StampedValues(Generic[Value]):
         return state.consistent_count < self._limits.min_consistent
 
     def _has_conflict(self, state: _AcceptanceState[Value]) -> bool:
-        """True if one value contradicts a single provisional value, or two values contradict several."""
+        """True if one value contradicts the only provisional value, or two values contradict several."""
         rejected_count = 0 if state.last_rejected is None else state.rejected_count
         return rejected_count >= min(2, state.consistent_count) and self._is_provisional(state)
 

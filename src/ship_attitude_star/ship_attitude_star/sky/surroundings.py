@@ -84,7 +84,7 @@ class _Quantity:
         changed_ns = self.readings.insert(reading.time_ns, self.value_of(reading))
         if changed_ns is None:
             return None
-        # If an earlier reading is used until the delay has passed, no result before that depends on the new reading.
+        # If an earlier reading is used during the delay, no result within the delay depends on the new reading.
         recent = self._recent_reading_index(changed_ns - self._delay_ns, changed_ns + self._delay_ns)
         return changed_ns - 1 + (0 if recent is None else self._delay_ns)
 
@@ -93,7 +93,7 @@ class _Quantity:
         self.readings.drop_before(time_ns - self._delay_ns)
 
     def reading_index(self, time_ns: int) -> int | None:
-        """Return the index of the reading used at a time, or None."""
+        """Return the index of the reading used at a time; None if the default is used."""
         delayed = self._recent_reading_index(time_ns - self._delay_ns, time_ns)
         return self._recent_reading_index(time_ns, time_ns) if delayed is None else delayed
 
@@ -117,7 +117,7 @@ class _Quantity:
 
 
 _MAX_CACHED_RESULTS = 256
-"""Number of times with cached results; exposures that are applied again need up to 28 times in each of the last 2 s."""
+"""Number of cached results; exposures that are applied again need results at up to 28 times in each of the last 2 s."""
 
 
 class Surroundings:
@@ -148,7 +148,7 @@ class Surroundings:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, sky_input: SkyInput) -> Rejection | None:
-        """Return the rejection or remark for an input, or None; call it before :meth:`insert`.
+        """Return the rejection or a remark for an input, None without either; call this method before :meth:`insert`.
 
         DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of its kind are
         later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp the

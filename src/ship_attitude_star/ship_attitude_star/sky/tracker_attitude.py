@@ -36,8 +36,8 @@ def to_horizon_attitude(
         sky_model: the sky model.
 
     Returns:
-        The attitude, or a rejection if the sky model gives no directions at its time, or if the boresight is below the
-        elevation range of the refraction model.
+        The attitude, or a rejection if the sky model gives no directions at the time of the attitude, or if the
+        boresight is below the elevation range of the refraction model.
     """
     local_sky = sky_model.sky_at(attitude.time_ns)
     if isinstance(local_sky, Rejection):

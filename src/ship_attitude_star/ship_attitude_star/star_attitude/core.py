@@ -3,8 +3,8 @@
 The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure;
 exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the
 attitude of the deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered
-estimator, only its :class:`ship_estimation.time_ordered_estimator.LagWindow`. Timeouts are measured by the timeout
-clock.
+estimator, only its :class:`ship_estimation.time_ordered_estimator.LagWindow`. The timeout clock is described at
+:class:`ship_node.edge.adapter.Adapter`.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -229,7 +229,7 @@ class StarCore:
         return []
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:
-        """Add a position fix or an air reading; return the rejection or remark, or None."""
+        """Add a position fix or an air reading; return the rejection or a remark, None without either."""
         rejection = self._sky_model.surroundings.rejection(given)
         self._sky_model.surroundings.insert(given)
         return rejection
@@ -278,7 +278,12 @@ class StarCore:
     # -- checks ---------------------------------------------------------------------------------------------
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
-        """Return True if an exposure gives a solution, which may be INVALID, and the rejection or remark, or None."""
+        """Evaluate an exposure before its solution.
+
+        Returns:
+            True if the exposure gives a solution, which may be INVALID.
+            The rejection or a remark; None without either.
+        """
         rejection = self._arrivals.late_rejection(exposure.time_ns)
         if rejection is not None:
             return False, rejection
@@ -289,7 +294,7 @@ class StarCore:
         conflict = resolve_same_stamp(known, exposure)[1]
         if conflict.reason is Reason.DUPLICATE:
             return False, conflict
-        # Both exposures are not solved; a solution that was already published is replaced by an INVALID solution.
+        # Neither exposure is solved; a solution that was already published is replaced by an INVALID solution.
         self._stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
         text = "the same stamp with different content: do two sensors publish on one topic?"
         return True, replace(conflict, text=text)
@@ -385,7 +390,7 @@ class StarCore:
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
     def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
-        """Return the rejection of an exposure because of conflicting data of sensor, position or air, or None."""
+        """Return the rejection for conflicting data of the sensor, the position or the air; None without a conflict."""
         contested = [
             name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources
         ]

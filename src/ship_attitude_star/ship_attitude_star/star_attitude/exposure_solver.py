@@ -96,8 +96,8 @@ class PlacedExposure:
         exposure: the usable stars.
         stars: the usable stars with measured and apparent directions; None if no apparent direction is known.
         rejected_stars: stars rejected in the solution of the sensor.
-        turn_variance: variance of an error that rotates all directions equally, each axis, rad². It remains after the
-            correction for the motion during the exposure; the INS noise is not included.
+        turn_variance: variance of an error that rotates all directions equally, each axis, rad². This error remains
+            after the correction for the motion during the exposure; the INS noise is not included.
     """
 
     source: str
@@ -145,7 +145,7 @@ def solve_exposure(
     Args:
         exposure: stars of the exposure.
         rejected_stars: stars that were already rejected.
-        prior: attitude of the sensor for the selection of stars, or None.
+        prior: attitude of the sensor for the selection of stars; None without a known attitude.
         sky_model: sky model.
         noise_variance: variance of a rotation of all directions due to INS noise, each axis, rad².
         turn_variance: variance of a rotation of all directions due to another error, each axis, rad²; this error is
@@ -191,7 +191,7 @@ def solve_deck(
         turn_covariance_d: error covariance of these rotations, rotation vectors in the deck frame, rad², shape
             (m, 3, m, 3).
         sensors: parameters of the sensors by id, with the standard deviations of their mountings.
-        prior: attitude of the deck for the selection of stars, or None.
+        prior: attitude of the deck for the selection of stars; None without a known attitude.
     """
     with_stars = [index for index, mounted in enumerate(group) if mounted.exposure.stars is not None]
     usable = group

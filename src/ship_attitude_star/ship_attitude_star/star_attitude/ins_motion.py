@@ -6,8 +6,8 @@ several sensors to one time.
 A rotation is the difference of two INS attitudes, its ends, and has the noise of both. An interpolated attitude is a
 weighted mean of the samples around it, so attitudes close together share the noise of the same samples. A sample with
 the weight w1 at one end and w2 at the other end adds (w1 - w2)² times its variance to the variance of the rotation. The
-variance of the rotation is zero if the ends coincide. If the ends have no sample in common, it is the sum of their
-variances. Several rotations to one time share the noise at that time.
+variance of the rotation is zero if the ends coincide. If the ends have no sample in common, the variance is the sum of
+the variances of the ends. Several rotations to one time share the noise at that time.
 """
 
 from collections.abc import Sequence
@@ -111,7 +111,7 @@ class InsMotion:
         self._plausibility.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Rejection | None:
-        """Add a sample; return its rejection, or None."""
+        """Add a sample; return its rejection or a remark, None without either."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
@@ -148,12 +148,12 @@ class InsMotion:
         batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
 
     def finish_batch(self, batch: MotionBatch) -> Rejection | None:
-        """Finish a batch; use the sample that needs separate handling, if any, and return its rejection, or None."""
+        """Finish a batch with the sample that needs separate handling, if any; the result is as for :meth:`add`."""
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)
 
     def _use(self, checked: CheckedInsSample) -> Rejection | None:
-        """Apply the results of the check of a sample, and insert the sample; return its rejection, or None."""
+        """Apply the results of the check of a sample, and insert the sample; the result is as for :meth:`add`."""
         if checked.rates_wrong_after_ns is not None:
             self.track.drop_rates(checked.rates_wrong_after_ns)
         for jump in checked.jumps:

@@ -58,7 +58,7 @@ class Distortion:
         return matrix
 
     def undistort(self, distorted: FloatArray) -> FloatArray:
-        """Return the ideal points of distorted points, shape (..., 2); NaN where the model folds over."""
+        """Return the ideal points of distorted points, shape (..., 2); NaN where the model is not invertible."""
         ideal = np.array(distorted, dtype=float)
         for _ in range(_NEWTON_STEPS):
             step = _solve_symmetric(self.jacobian(ideal), distorted - self.distort(ideal))
@@ -69,7 +69,7 @@ class Distortion:
 
 
 def _solve_symmetric(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive, as where the distortion folds over."""
+    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive: there the model is not invertible."""
     determinant = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] ** 2
     x, y = right_side[..., 0], right_side[..., 1]
     cofactors = np.stack(
@@ -215,8 +215,8 @@ def tangent_basis(directions_s: FloatArray) -> FloatArray:
 def equivalent_sigma(covariance: FloatArray) -> FloatArray:
     """Return the square root of the mean variance, rad per axis, shape (...), of a covariance of shape (..., 2, 2).
 
-    Wahba's problem has one sigma per direction. The ratio of the sigmas up and right is the cosine of the angle from
-    the boresight, a difference of 3 % at 14°.
+    Wahba's problem has one sigma per direction. The ratio of the radial to the tangential sigma is the cosine of the
+    angle from the boresight, a difference of 3 % at 14°.
     """
     sigma: FloatArray = np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1]))
     return sigma

@@ -39,7 +39,7 @@ def linearise_stars(
     time_transfer_b: cython.const[cython.double][:, :, :],
     rotation_nb: cython.const[cython.double][:, :],
 ):
-    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars without streaks and camera errors.
+    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a star fit; streaks and camera errors are left out.
 
     Args:
         measured_b: as in :class:`ship_attitude_star.stars.fit.MatchedStars`, shape (k, 3).
@@ -176,7 +176,8 @@ def solve_normal_equations(
         jacobian: as in :func:`normal_equations`.
         displacement: as in :func:`normal_equations`.
         members: as in :func:`normal_equations`.
-        free_count: number of the first unknowns without a prior; the prior information of the others is the identity.
+        free_count: number of unknowns without a prior, which come first; the prior information of the others is the
+            identity.
 
     Returns:
         Information from the stars alone, shape (q, q).
@@ -281,19 +282,20 @@ def attitude_covariances(
     term_of: cython.const[cython.Py_ssize_t][:],
     terms: cython.Py_ssize_t,
 ):
-    """Return the covariance of an attitude by error source, and the part of its noise due to given errors of stars.
+    """Return the covariance of an attitude by error source, and the part of its noise due to one kind of star errors.
 
     Args:
         white_n: covariance of the attitude due to independent errors of the stars, rad², shape (3, 3). These errors
             determine the weights of the stars.
         information: information about all unknowns from the stars, shape (q, q); the first three are the attitude.
         jacobian: Jacobian of the stars, shape (k, 3, q).
-        share: given error of each star divided by its white error, shape (k,); 0 for a star without a given error.
+        share: sigma of this kind of error divided by the white sigma, for each star, shape (k,); 0 for a star that is
+            not used.
         term_of: index of the error source of each of the other unknowns, which are in units of sigma, shape (q - 3,).
         terms: number of error sources.
 
     Returns:
-        Covariance by error source, rad², shape (terms, 3, 3), and covariance due to the given errors, shape (3, 3).
+        Covariance by error source, rad², shape (terms, 3, 3), and covariance due to this kind of error, shape (3, 3).
     """
     q: cython.Py_ssize_t = information.shape[0]
     check("unknowns", information.shape[1] == jacobian.shape[2] == term_of.shape[0] + 3 == q)

@@ -2,12 +2,12 @@
 
 A ship rotates while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
 The centroid differs from the pixel at mid-exposure because of the angular and the centripetal acceleration. This
-difference is computed from the rotation of the sensor, which the INS measures. The variance of the light is s² for an
-image at rest and s² + L²/12 along a streak of L pixels. The variance σ² of the centroid grows by the same factor along
+difference is computed from the rotation of the sensor, which the INS measures. The light of an image at rest has the
+variance s², and along a streak of L pixels s² + L²/12. The variance σ² of the centroid grows by the same factor along
 the streak, to σ² (1 + L²/(12 s²)), and is unchanged across the streak (docs/explanation/star_camera.md).
 
-A detection without an identity is identified as the only catalogue star within its gate around the direction that the
-predicted attitude of the sensor gives. A detection with two possible stars stays unidentified.
+The gate of a detection without an identity is centred on the direction that the predicted attitude of the sensor gives.
+The detection is identified if exactly one catalogue star is within the gate, and no other detection matches this star.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ class StarExposure:
 
     @cached_property
     def pixel_sigma(self) -> FloatArray | None:
-        """Standard deviation of each direction's pixel-spatial error, rad per axis, shape (k,); None without it."""
+        """Standard deviation of each direction's pixel-spatial error, rad per axis, shape (k,); None if unmodelled."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)

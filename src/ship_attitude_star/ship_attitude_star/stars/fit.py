@@ -9,7 +9,7 @@ displacement d_i of the star is linear in small unknowns:
 - δ is the error of the attitude.
 - m_s is the mounting error of the star's sensor s.
 - t are the errors of the rotations that transfer the exposures to one time. The columns of T_s are the rotations of the
-  sensor by one sigma of each of these errors; sensors may share them.
+  sensor by one sigma of each of these errors; sensors may share these errors.
 - f are the coefficients of the cameras' errors (:mod:`ship_attitude_star.stars.optics_errors`,
   :mod:`ship_attitude_star.stars.spatial_errors`). The columns of F_i are the displacements of the measured direction by
   one sigma of each.
@@ -161,7 +161,7 @@ class StarFit:
         return StarFitSolution(information, constrained, solution, chi_square, 2 * count - self.free_count)
 
     def _member_mask(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
-        """Return the members in the type of the compiled loops; all stars for None."""
+        """Return the members in the type of the compiled loops; ``members`` None means all stars."""
         return np.ones(len(self.displacement), dtype=np.uint8) if members is None else members.view(np.uint8)
 
     def chi_square_reduction(self, solution: "StarFitSolution", members: NDArray[np.bool_]) -> FloatArray:
@@ -250,7 +250,10 @@ class AttitudeFit:
 
 
 def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) -> AttitudeFit | None:
-    """Return the attitude from the members (None: all stars); None if these stars do not determine an attitude."""
+    """Return the attitude from the members; None if the members do not determine an attitude.
+
+    ``members`` None means all stars.
+    """
     sigma = stars.white_sigma if members is None else np.where(members, stars.white_sigma, np.inf)
     solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
     if not solution.solved:

@@ -33,7 +33,7 @@ _MAX_PRIOR_SIGMAS = 5.0
 _MAX_STEPS, _SMALL_TURN = 8, 1e-5
 
 MAX_PRIOR_SIGMA = np.deg2rad(5.0)
-"""Maximum standard deviation of a predicted attitude for identification, rad; if it is larger, too many stars match."""
+"""Maximum root of the summed variances of a predicted attitude, rad; beyond this, too many catalogue stars match."""
 
 _MAX_STARS_IN_GATE = 5.0
 """Maximum expected number of catalogue stars in a gate for which candidates are compared."""
@@ -76,7 +76,8 @@ def find_candidates(
         smear_s: covariance of the errors due to motion during the exposure, rad², shape (k, 3, 3); None without motion.
         prior: attitude of the sensor.
         local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
-        masks: deck masks in the sensor's view, or None. A masked star is no candidate, and a masked detection has none.
+        masks: deck masks in the sensor's view; None without masks. A masked star is no candidate, and a masked
+            detection has no candidates.
     """
     rows, catalogue = _rows_in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
     apparent = local_sky.apparent_stars(catalogue.at_j2000[rows])
@@ -108,7 +109,7 @@ def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPri
 
 
 def _is_masked(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
-    """Return True for each star that is masked for any probable error of the predicted attitude, shape (c,)."""
+    """Return True for each star that is masked for every probable error of the predicted attitude, shape (c,)."""
     return masks.is_hidden(
         reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n)))
     )
