@@ -171,7 +171,7 @@ class Surroundings:
             changed_after_ns = self._air[sky_input.quantity].insert(sky_input)
         if changed_after_ns is not None:
             self._results = {
-                local_sky: result for local_sky, result in self._results.items() if local_sky <= changed_after_ns
+                time_ns: result for time_ns, result in self._results.items() if time_ns <= changed_after_ns
             }
         return changed_after_ns
 
