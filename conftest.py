@@ -15,11 +15,13 @@ import pytest
 LIVE = "live"
 """Group of the live tests."""
 YIELDING = 10
-"""Added to the niceness of workers that compute: where both want a core, live tests get nine tenths of it."""
+"""Increment of the niceness of workers that compute.
+
+If such a worker and a live test compete for a core, the live test gets nine tenths of the processor time."""
 _YIELDS = pytest.StashKey[bool]()
 
-# colcon test starts ``python -m pytest`` in the folder of a package. Where that was built elsewhere, its modules are
-# not compiled here, and those that colcon installed are tested.
+# colcon test starts ``python -m pytest`` in the folder of a package. If colcon built the package elsewhere, the modules
+# in this folder are not compiled. This folder is then removed from the path, and the installed modules are tested.
 _COMPILED = Path.cwd().glob(f"{Path.cwd().name}/**/compiled_*.py")
 if not all(any(path.parent.glob(f"{path.stem}.*.so")) for path in _COMPILED):
     sys.path[:] = [path for path in sys.path if path not in ("", os.getcwd())]
@@ -27,7 +29,7 @@ if not all(any(path.parent.glob(f"{path.stem}.*.so")) for path in _COMPILED):
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test the group of its file; live tests their own."""
+    """Assign each test to the group of its file, and all live tests to one group; sort the live tests to the front."""
     for item in items:
         is_live = item.get_closest_marker("live") is not None
         group = LIVE if is_live else item.nodeid.partition("::")[0]
@@ -36,7 +38,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Let a worker, and what it starts, yield from its first test on that is not live: no live one comes after it."""
+    """Increase the niceness of a worker, and of the processes that it starts, before its first test that is not live.
+
+    No live test follows on that worker, because live tests come first.
+    """
     yields = item.config.stash.get(_YIELDS, False) or item.get_closest_marker("live") is not None
     if hasattr(item.config, "workerinput") and not yields:
         item.config.stash[_YIELDS] = True
