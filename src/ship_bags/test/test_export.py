@@ -483,7 +483,7 @@ def test_a_topic_without_messages_in_the_time_range_is_reported(tmp_path, capsys
     arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
     for kind, suffix in SUFFIXES.items():
         assert main([*arguments, "--format", kind]) == 0
-        expected = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
+        expected = "no message was logged between --from and --to, so no file is written for 'early', 'first'"
         assert capsys.readouterr().err == f"export: {expected}\n"
         assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
     assert main([*arguments, "--topics", "early"]) == 2

@@ -430,7 +430,7 @@ def test_several_transducers_of_a_kind_are_not_used(import_texts, capsys):
     assert "met/temperature" not in found
     assert len(found["met/pressure"]) == 1
     assert counts["files"]["weather.log"]["rejected"] == {"several transducers": 2}
-    assert "temperature of WCHR, WCHT: list the one of the air in transducers" in capsys.readouterr().out
+    assert "temperature of WCHR, WCHT: name the transducer of the air in transducers" in capsys.readouterr().out
 
 
 def test_heading_with_its_status(import_texts):

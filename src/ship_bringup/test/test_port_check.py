@@ -49,7 +49,7 @@ def test_free_port_and_port_in_use(look, what):
         if kind is STREAM:
             other.listen()
         ((result, found, advice),) = look(node, text)
-        assert (result, advice) == (Result.FAIL, "end that one, or give another port")
+        assert (result, advice) == (Result.FAIL, "end that program, or configure another port")
         assert found.startswith(f"suite.yaml:4: {key}: {name} is in use by ")
         assert found.endswith(f"(process {os.getpid()})")
         # Started by hand, to check the instruments.
@@ -101,7 +101,7 @@ def test_device_in_use_by_another_program(look):
     try:
         text = f"kind: serial, device: {os.ttyname(second)}"
         ((result, found, advice),) = look("nmea_out", text)
-        assert (result, advice) == (Result.FAIL, "end that one, or give another device")
+        assert (result, advice) == (Result.FAIL, "end that program, or configure another device")
         assert f"sinks.a.device: path {os.ttyname(second)} is in use by " in found
         os.close(second)
         second = None

@@ -34,7 +34,7 @@ class InsInputConfig:
     heading_sigma_arcsec: float = arcsec(72.0, doc="correlated error in heading", live=True)
     white_sigma_arcsec: float = arcsec(1.0, doc="noise of each sample, each axis, quantisation included", live=True)
     time_offset_s: float = parameter(
-        0.0, doc="a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
+        0.0, doc="a sample is valid at its stamp plus this offset", unit="s", minimum=-1.0, maximum=1.0
     )
     time_offset_sigma_s: float = parameter(
         0.005, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=1.0

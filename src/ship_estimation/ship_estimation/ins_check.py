@@ -31,7 +31,7 @@ from ship_estimation.value_checks import JumpCheck, JumpDecision, PredictionMatc
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
 
-_STUCK = Rejection(Reason.STUCK, "orientation is constant while other sources rotate")
+_STUCK = Rejection(Reason.STUCK, "orientation is constant while other sources show a rotation")
 
 
 class CheckedInsSample(NamedTuple):

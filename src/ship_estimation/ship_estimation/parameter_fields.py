@@ -105,7 +105,7 @@ def accept_unset_covariance() -> Any:
     return parameter(
         False,
         doc="use orientations whose covariance begins with -1, which means in sensor_msgs/Imu that there is no"
-        " orientation: for drivers that set it although they give one",
+        " orientation: for drivers that set -1 although they give an orientation",
     )
 
 

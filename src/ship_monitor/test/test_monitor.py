@@ -56,7 +56,7 @@ def test_invalid_time_zone_is_one_line_with_option_and_value(name, capsys):
     assert ended.value.code == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert f"--time-zone: {name!r} is not a time zone: use an IANA name as Europe/Oslo" in error
+    assert f"--time-zone: {name!r} is not a time zone: use an IANA name like Europe/Oslo" in error
 
 
 @pytest.mark.parametrize(

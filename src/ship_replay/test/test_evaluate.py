@@ -11,8 +11,8 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.evaluate import main
-from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.evaluation.tables import innovation_table
+from ship_replay.evaluation.evaluate import alignment_values, evaluate
+from ship_replay.evaluation.tables import estimate_table, innovation_table, table_console
 from ship_testing.hand_made_bags import FACTORY, START_NS, imu, innovation, ship_attitude, star_message
 
 SECOND_NS = 1_000_000_000
@@ -411,3 +411,25 @@ def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angle
     found = evaluate(tmp_path / "with.mcap")
     assert found.quantities() == without.quantities()
     assert found.problems == [f"topic 'ship/attitude': messages excluded: 1, the first because non_finite: {text}"]
+
+
+def test_the_table_of_an_alignment_contains_all_units_of_its_states(capsys):
+    """Units of ship_attitude.alignment and of the theodolite's states; the values are chosen for exact texts."""
+    units = {"heading": "rad", "clock": "s", "lever": "m", "principal_u": "px", "focal_length": "1"}
+    message = FACTORY.make(
+        "ship_msgs/msg/AlignmentState",
+        header=make_header(FACTORY, START_NS),
+        names=list(units),
+        units=list(units.values()),
+        values=[ARCSEC, 0.002, 0.003, 1.25, 1e-4],
+        covariance=np.diag(np.array([ARCSEC, 0.001, 0.001, 0.25, 2e-5]) ** 2).ravel(),
+    )
+    table_console().print(estimate_table("alignment", alignment_values(message)))
+    rows = [line.replace("│", " ").split() for line in capsys.readouterr().out.splitlines()]
+    assert [row for row in rows if row and row[0] in units] == [
+        ["heading", "1.00", "1.00", "arcsec"],
+        ["clock", "2.000", "1.000", "ms"],
+        ["lever", "3.0000", "1.0000", "mm"],
+        ["principal_u", "1.250", "0.250", "px"],
+        ["focal_length", "0.0100", "0.0020", "%"],
+    ]

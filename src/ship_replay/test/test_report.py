@@ -29,6 +29,10 @@ def recording_path(tmp_path_factory):
     return write_bag(tmp_path_factory.mktemp("run") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
+def test_negative_numbers_have_a_minus_sign_of_any_size():
+    assert [number(value) for value in (-0.5, -999.4, -1234.0, 1234.0)] == ["−0.5", "−999", "−1234", "1234"]
+
+
 def test_every_section_in_its_order_and_nothing_of_the_network(recording_path):
     text = page(read_report_data(recording_path))
     places = [text.index(f'<h2 id="{name}">{title}</h2>') for name, title in SECTIONS]

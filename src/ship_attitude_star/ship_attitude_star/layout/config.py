@@ -263,7 +263,7 @@ def _check_alternatives(config: LayoutStudyConfig) -> None:
         key = f"alternatives.{name}"
         if not config.requirement.is_given:
             raise ParameterError(
-                f"parameter '{key}': there is no requirement to evaluate it by: add one, or remove it", key
+                f"parameter '{key}': there is no requirement for its evaluation: add a requirement, or remove it", key
             )
         for sensor in alternative.sensors:
             if sensor not in config.sensors:

@@ -74,7 +74,7 @@ def binding_error_text(allocations: list[Allocation]) -> str:
     first = allocations[0]
     text = f"{first.key} = {first.sigma_arcsec:.3g} arcsec dominates with {100.0 * first.share:.0f} % of the variance; "
     if np.isnan(first.alone_arcsec):
-        return text + "not met even without it"
+        return text + "not met without this error either"
     if np.isinf(first.alone_arcsec):
         return text + "alone it may have any size"
     return text + f"alone it may be up to {first.alone_arcsec:.3g} arcsec"

@@ -189,7 +189,8 @@ def _pixel_rejection(pixel: list[float], forward: float) -> Rejection | None:
     where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
     if not finite:
         return Rejection(Reason.NON_FINITE, where)
-    return Rejection(Reason.UNITS, f"{where} is outside this camera's field of view: expected pixels from its corner")
+    text = f"{where} is outside this camera's field of view: expected pixels counted from the corner of the detector"
+    return Rejection(Reason.UNITS, text)
 
 
 def _sigma_rejection(sigma_px: float) -> Rejection | None:

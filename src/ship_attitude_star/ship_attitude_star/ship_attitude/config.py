@@ -246,7 +246,8 @@ class ShipIntegrityConfig(IntegrityConfig):
 
     pairs: bool = parameter(
         False,
-        doc="detect two faulty sources at a time: subfilters without each pair of three or more sources and the INS",
+        doc="detect two faulty sources at a time: one subfilter more for each pair of sources, the INS included, if"
+        " three other sources are in use",
     )
 
 

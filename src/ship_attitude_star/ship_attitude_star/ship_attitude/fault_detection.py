@@ -530,7 +530,7 @@ class FaultDetector:
             if exclusion.consistent_since_ns is not None:
                 consistent_s = (time_ns - exclusion.consistent_since_ns) / SECOND_NS
                 consistency = f"consistent with the others for {consistent_s:.0f} s of {after_s:g} s"
-            return state, f"{source} is excluded since {since_s:.0f} s: {consistency}"
+            return state, f"{source} has been excluded for {since_s:.0f} s: {consistency}"
         reinstated = self._reinstated_with(state, source)
         means = cleared_means(state.innovation_means, slice(None), [self._indices[name] for name in reinstated])
         remaining = {name: one for name, one in state.excluded.items() if name not in reinstated}

@@ -168,7 +168,7 @@ class InsFaultHandling:
         """
         names = state.in_use(self._subfilters.sources, time_ns)
         excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], is_self_reported=False))
-        text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
+        text = f"the INS is excluded: its rates showed a jump, and {', '.join(names) or 'all sources'} contradicted it"
         return self._with_unresolved_fault(with_changes(state, excluded=excluded), time_ns, text)
 
     def with_not_evaluable(self, state: FilterState, time_ns: int) -> FilterState:

@@ -81,7 +81,7 @@ def with_utc_evaluated(
         return with_changes(state, utc_step=None, unresolved_fault=None), decision
     state = with_changes(state, utc_step=UtcStep(utc.step_s, total))
     if total < _DECISIVE_LOG_RATIO:
-        text = f"the clocks stepped by {utc.step_s:+.3f} s: not used until UTC is verified with the INS"
+        text = f"the clocks stepped by {utc.step_s:+.3f} s: the stars are not used until UTC is verified with the INS"
         return state, replace(decision, accepted=False, reason=Reason.CLOCK, text=text)
     text = (
         f"UTC differs by {utc.step_s:+.1f} s: since the clock step the stars are rotated about the pole by "

@@ -289,7 +289,7 @@ def visible_stars(
         if prior is not None:
             exposure, reasons = identify_stars(exposure, prior, local_sky)
             known = exposure.is_identified
-        unidentified = Rejection(Reason.UNIDENTIFIED, "no identity in the message, no attitude for an identification")
+        unidentified = Rejection(Reason.UNIDENTIFIED, "without identity in the message, and no attitude is known")
         rejected += [(exposure.name(row), reasons.get(row, unidentified)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
     apparent = local_sky.apparent_stars(exposure.positions)

@@ -57,7 +57,7 @@ def _parser() -> CommandParser:
         action="append",
         default=[],
         metavar="XX",
-        help="use only sentences of this talker, as GP or HE (any number of times); proprietary ones have none",
+        help="use only sentences of this talker, as GP (any number of times); proprietary sentences have no talker",
     )
     parser.add_argument(
         "--checksum",

@@ -59,7 +59,7 @@ def _parser() -> CommandParser:
         "--split-s", type=positive_number, metavar="S", help="folder: a new file after S seconds of real time (never)"
     )
     parser.add_argument(
-        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (all but hidden ones and /clock)"
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (all except hidden topics and /clock)"
     )
     parser.add_argument(
         "--flush-period-s",

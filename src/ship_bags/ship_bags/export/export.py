@@ -179,7 +179,7 @@ def _file_kind(order: ExportRequest) -> type[TableFile]:
         if by_name is None:
             known = ", ".join(kind.suffix for kind in FORMATS.values())
             raise BadInput(
-                f"--out ends in {order.out.suffix}: a file ends in one of {known}; a folder of that name must be there",
+                f"--out ends in {order.out.suffix}: a file ends in one of {known}; a folder of that name must exist",
                 file=order.out,
             )
     if order.format and by_name and order.format != by_name:

@@ -121,7 +121,7 @@ class NetcdfFile(TableFile):
         longest = max(map(len, encoded), default=0)
         if longest > MAX_TEXT_BYTES:
             raise BadInput(
-                f"topic '{self.head.topic}': a {column.name} of {longest} bytes; here NetCDF takes "
+                f"topic '{self.head.topic}': a {column.name} of {longest} bytes; the limit for NetCDF is "
                 f"{MAX_TEXT_BYTES}: take --format csv or parquet",
             )
         if any(text.endswith(b"\0") for text in encoded):

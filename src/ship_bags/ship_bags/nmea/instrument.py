@@ -240,7 +240,7 @@ class Instrument:
                 names.add(transducer.id)
         for field in [field for field, values in readings.items() if len(values) + len(self._transducers[field]) > 2]:
             several = ", ".join(sorted(self._transducers[field])[:_MAX_NAMED])
-            text = f"{field.partition('_')[0]} of {several}: list the one of the air in transducers"
+            text = f"{field.partition('_')[0]} of {several}: name the transducer of the air in transducers"
             self._report.reject("several transducers", line.number, text)
             del readings[field]
         return MetReading(**{field: values[0] for field, values in readings.items()})

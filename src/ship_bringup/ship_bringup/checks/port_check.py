@@ -93,7 +93,7 @@ def _problem(state: PlaceState) -> tuple[str, str]:
     if state.error == errno.EADDRINUSE:
         holder = state.holder or "another program, or by this suite if it already runs"
         other = "device" if state.place.kind is ResourceKind.PATH else "port"
-        return f"is in use by {holder}", f"end that one, or give another {other}"
+        return f"is in use by {holder}", f"end that program, or configure another {other}"
     if state.error == errno.EADDRNOTAVAIL:
         return "is not available: this machine has no such address", "use one of those that 'ip -4 address' shows"
     if state.error in (errno.EACCES, errno.EPERM):

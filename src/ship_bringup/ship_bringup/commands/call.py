@@ -13,7 +13,7 @@ from ship_msgs.srv import AcknowledgeAlert
 
 _DESCRIPTION = """\
 Calls a service of a running node and prints the response: save_alignment, reset, pause and similar (std_srvs/Trigger),
-and acknowledge of the alerts, which needs the alert's id and instance. Without SERVICE it lists those of the node.
+and acknowledge of the alerts, which needs the alert's id and instance. Without SERVICE it lists the node's services.
 """
 _EPILOG = "exit code: 0 done; 1 the node reports that it was not done; 2 bad input or usage, or no such node"
 _KINDS: dict[str, Any] = {"std_srvs/srv/Trigger": Trigger, "ship_msgs/srv/AcknowledgeAlert": AcknowledgeAlert}
@@ -23,7 +23,7 @@ _KINDS: dict[str, Any] = {"std_srvs/srv/Trigger": Trigger, "ship_msgs/srv/Acknow
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``call``; return the exit code."""
     parser = node_command_parser("call", "/ship_attitude save_alignment", _DESCRIPTION, _EPILOG)
-    parser.add_argument("service", metavar="SERVICE", nargs="?", help="name of the service, without that of the node")
+    parser.add_argument("service", metavar="SERVICE", nargs="?", help="name of the service, without the node's name")
     parser.add_argument(
         "fields", metavar="FIELD=VALUE", nargs="*", default=[], help="fields of the request: id=ins.out instance=1"
     )

@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``param``; return the exit code."""
     parser = node_command_parser("param", "/ship_attitude gate.probability 0.999", _DESCRIPTION, _EPILOG)
     parser.add_argument("name", metavar="NAME", nargs="?", help="dotted name of a parameter")
-    parser.add_argument("value", metavar="VALUE", nargs="?", help="its new value; a list has commas in it")
+    parser.add_argument("value", metavar="VALUE", nargs="?", help="new value; a list has commas between elements")
     return run_command(parser, _param, arguments)
 
 

@@ -98,7 +98,9 @@ def _parser() -> CommandParser:
         "--locked", action="store_true", help="no parameter of a running node may be set: policies must deny it"
     )
     parser.add_argument(
-        "--reliable-inputs", action="store_true", help="suite will be started with it: every driver must offer reliable"
+        "--reliable-inputs",
+        action="store_true",
+        help="suite will be started with this option: every driver must offer reliable",
     )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
     parser.add_argument(

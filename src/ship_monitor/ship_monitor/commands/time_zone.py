@@ -19,5 +19,5 @@ def _zone(name: str) -> ZoneInfo:
         return ZoneInfo(name)
     # KeyError: unknown zone. ValueError: a path or an empty name. OSError: the name of a folder of zones.
     except (KeyError, ValueError, OSError) as problem:
-        text = f"{name!r} is not a time zone: use an IANA name as Europe/Oslo; timedatectl list-timezones lists them"
+        text = f"{name!r} is not a time zone: use an IANA name like Europe/Oslo; timedatectl list-timezones lists them"
         raise argparse.ArgumentTypeError(text) from problem

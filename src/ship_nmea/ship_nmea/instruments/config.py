@@ -49,15 +49,15 @@ class NmeaSourceConfig:
         "tcp: name or address of the server",
     )
     port: int = parameter(
-        0, doc="of udp and tcp; sources with the same place share it", minimum=0, maximum=65535
+        0, doc="port of udp and tcp; sources with the same place share it", minimum=0, maximum=65535
     )
     interface: str = parameter(
         "", doc="udp of a group: own IPv4 address of the network to use; empty for the default"
     )
     from_: tuple[str, ...] = parameter(
         (),
-        doc="udp: IPv4 addresses whose datagrams are used; empty: that of the first sender, until it sends none for "
-        "10 s",
+        doc="udp: IPv4 addresses whose datagrams are used; if empty, the first sender is used until it sends nothing "
+        "for 10 s",
     )
     device: str = parameter("", doc="serial: the device, as /dev/ttyUSB0")
     baud: int = parameter(

@@ -42,8 +42,8 @@ class SinkConfig:
         maximum=1000.0,
     )  # fmt: skip
     decimals: int = parameter(
-        4, doc="decimals of angles in degrees and of °/min, an accuracy has one more; from 5 on a PASHR is longer than"
-        " the 82 bytes of the standard", minimum=1, maximum=7,
+        4, doc="decimals of angles in degrees and of rates in °/min, an accuracy has one more; from 5 on a PASHR is"
+        " longer than the 82 bytes of the standard", minimum=1, maximum=7,
     )  # fmt: skip
     address: str = parameter(
         "", doc="udp: IPv4 address of a host, a broadcast or a multicast group; tcp_server: own address, empty for all"
@@ -53,8 +53,8 @@ class SinkConfig:
         0, doc="udp: own port, to which the bridge sends its commands (ACN); 0 for none", minimum=0, maximum=65535
     )
     from_: tuple[str, ...] = parameter(
-        (), doc="udp and tcp_server: IPv4 addresses whose commands (ACN) are executed; empty: for udp that of address, "
-        "for tcp_server none",
+        (), doc="udp and tcp_server: IPv4 addresses whose commands (ACN) are executed; empty: for udp the host in "
+        "address, for tcp_server none",
     )  # fmt: skip
     interface: str = parameter("", doc="udp to a group: own IPv4 address of the network to use; empty for the default")
     device: str = parameter("", doc="serial: device, better by its name in /dev/serial/by-id")

@@ -204,7 +204,7 @@ class SavedStart(Generic[Prior]):
         except OSError as error:
             self._is_file_kept = True
             self.unreadable_reason = (
-                f"{reason}; it cannot be renamed ({error.strerror}): remove it, so that one can be saved"
+                f"{reason}; it cannot be renamed ({error.strerror}): remove the file, so that a new one can be saved"
             )
         return None, None
 

@@ -30,7 +30,8 @@ def _parser() -> CommandParser:
         package="ship_replay",
         prog="stanford",
         example="out1.mcap out2.mcap --figure stanford.png --alert-limit 30 30 30",
-        epilog="exit code: 0 no error was above its protection level; 1 one was; 2 bad input or usage; 130 interrupted",
+        epilog="exit code: 0 all errors were within their protection levels; 1 one or more were above; "
+        "2 bad input or usage; 130 interrupted",
         description="Errors against protection levels (a Stanford diagram) of the ship's attitude and of the pointing, "
         "over all bags together. An epoch is an output whose truth is known; the level is the last published one. "
         "An output that is DEGRADED or INVALID, or whose level is missing or above the alert limit, is unavailable.",

@@ -7,7 +7,14 @@ from rich.table import Table
 
 from ship_replay.evaluation.evaluate import AlignmentValue, Evaluation
 
-_SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms"), "m": (1e3, 4, "mm")}
+_SHOWN = {
+    "arcsec": (1.0, 2, "arcsec"),
+    "deg": (1.0, 5, "deg"),
+    "s": (1e3, 3, "ms"),
+    "m": (1e3, 4, "mm"),
+    "px": (1.0, 3, "px"),
+    "1": (1e2, 4, "%"),
+}
 """Unit of a value → factor, decimals and unit in the table."""
 
 

@@ -107,7 +107,7 @@ def _not_configured(check: BagCheck, known: set[str]) -> Iterator[str]:
         if not any(name in getattr(config, group, {}) for config in (node.config for node in check.nodes)):
             yield f"{where}: topic '{topic}' has no {group}.{name} in the configuration: not used"
         elif group == "star_sensors" and not any(t.startswith(f"star/{name}/") for t in known & found.keys()):
-            yield f"{where}: topic '{topic}' is not used: star_sensors.{name}.input is another"
+            yield f"{where}: topic '{topic}' is not used: star_sensors.{name}.input names another output"
 
 
 def _section(topic: str) -> str:

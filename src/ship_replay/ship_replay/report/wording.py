@@ -20,7 +20,8 @@ def number(value: float) -> str:
     """Return a value with three significant digits, or from 1000 on in whole numbers; a dash if it is not finite."""
     if not math.isfinite(value):
         return "–"
-    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}".replace("-", "−")
+    text = f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+    return text.replace("-", "−")
 
 
 def rounded_to_sigma(value: float, sigma: float) -> str:

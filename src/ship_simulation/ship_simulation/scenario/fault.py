@@ -51,10 +51,10 @@ KINDS = {
     "reorder": FaultKind("each message arrives later by a random time between 0 and delay_s", (("delay_s",),)),
     "duplicate": FaultKind("each message arrives again 1 ms later, with the same bytes"),
     "conflict": FaultKind(
-        "a message with the same stamp and the next one's values arrives 1 ms later; none for the last"
+        "a message with the same stamp and the values of the next message arrives 1 ms later; none after the last"
     ),
     "flood": FaultKind(
-        "times messages arrive for each; the others have random stamps, up to spread_s earlier",
+        "times messages arrive instead of each; the additional ones have random stamps, up to spread_s earlier",
         (("times",),),
         ("spread_s",),
     ),
@@ -72,7 +72,7 @@ KINDS = {
     "rate_in_degrees": FaultKind("angular rate in degrees per second"),
     "angles_in_degrees": FaultKind("encoder or attitude angles in degrees"),
     "units": FaultKind(
-        "the wrong unit: degrees; of a fix radians; hPa, K, percent; millimetres of a baseline and of an image"
+        "a wrong unit: angles in degrees; a fix in radians; air in hPa, K, percent; baselines and images in millimetres"
     ),
     "axes": FaultKind("other axes: x and y exchanged, or north-east-down and forward-right-down", (("axes",),)),
     "bias": FaultKind("attitude rotated about the horizon's axes, with unchanged rates", (_HORIZON,)),
@@ -82,7 +82,7 @@ KINDS = {
     "slip": FaultKind("a step is added to the encoders", (_ENCODERS,)),
     "wrong_fix": FaultKind("a vector is added to a baseline with fix FIXED", (_VECTOR,)),
     "false_stars": FaultKind(
-        "count additional spots that are not stars; identified as the other stars are", (("count",),)
+        "count additional spots that are not stars, identified in the same way as the stars", (("count",),)
     ),
     "false_lights": FaultKind("count lights are moved in the image; additional ones have new ids", (("count",),)),
     "hide": FaultKind("the first light of the image is missing"),
@@ -101,7 +101,7 @@ class Fault:
     kind: str = parameter(doc="kind of the fault", choices=tuple(KINDS))
     start_s: float = parameter(doc="begin, after the start, by stamps", **TIME)
     end_s: float = parameter(_TO_THE_END_S, doc="end, after the start, by stamps; default: no end", **TIME)
-    share: float = parameter(1.0, doc="share of that time's messages, drawn, that are affected", minimum=0.0, maximum=1)
+    share: float = parameter(1.0, doc="share of the messages that are affected, drawn", minimum=0.0, maximum=1)
     delay_s: float = parameter(0.0, doc="delay: delay, stamp_late; maximum delay: reorder", **DELAY)
     step_s: float = parameter(0.0, doc="step of the stamps: clock_step", unit="s", minimum=-1e9, maximum=1e9)
     field: str = parameter("", doc="field of nan, infinite, corrupt, offset: orientation.x, covariance[4], stars[*].u")

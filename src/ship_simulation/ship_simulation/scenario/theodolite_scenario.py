@@ -64,13 +64,13 @@ class Axes:
     g_arcsec: float = parameter(0.0, doc="known zero point of the azimuth encoder", **_AXIS_ERROR)
     g_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     h_arcsec: float = parameter(0.0, doc="known zero point of the elevation encoder", **_AXIS_ERROR)
-    h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    h_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     c_arcsec: float = parameter(0.0, doc="known collimation of the optical axis, to the left", **_AXIS_ERROR)
-    c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    c_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     I_arcsec: float = parameter(
         0.0, doc="known non-perpendicularity: tilt of the horizontal axis, right end up", **_AXIS_ERROR
     )
-    I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    I_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     beta_x_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to the bow", **_AXIS_ERROR)
     beta_x_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     beta_y_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to starboard", **_AXIS_ERROR)
@@ -110,8 +110,8 @@ class Telescope:
     principal_z_m: float = parameter(
         0.0, doc="detector point of the axis, along up", unit="m", minimum=-0.1, maximum=0.1
     )
-    width_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
-    height_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    width_m: float = parameter(0.014, doc="width of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    height_m: float = parameter(0.014, doc="height of the detector", unit="m", minimum=1e-4, maximum=1.0)
     sigma_m: float = parameter(6.5e-7, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001)
     psf_sigma_m: float = parameter(
         5.2e-6, doc="sigma of the image of a light at rest, each axis", unit="m", minimum=1e-7, maximum=0.001
@@ -152,8 +152,8 @@ class MainDetector:
         0.0, doc="known detector point of the main axis, along up", unit="m", minimum=-0.5, maximum=0.5
     )
     principal_sigma_m: float = parameter(0.0, doc="error of this point, each axis", unit="m", minimum=0.0, maximum=0.1)
-    width_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
-    height_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    width_m: float = parameter(0.02, doc="width of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    height_m: float = parameter(0.02, doc="height of the detector", unit="m", minimum=1e-4, maximum=1.0)
     sigma_m: float = parameter(
         1e-6, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001
     )
@@ -304,8 +304,8 @@ class ShipBaseline:
     """Two antennas on board with satellite positioning between them; there are none if the three lengths are 0."""
 
     forward_m: float = parameter(0.0, doc="from the base to the rover antenna, toward the bow", **_LENGTH_M)
-    up_m: float = parameter(0.0, doc="the same, upward", **_LENGTH_M)
-    right_m: float = parameter(0.0, doc="the same, to starboard", **_LENGTH_M)
+    up_m: float = parameter(0.0, doc="from the base to the rover antenna, upward", **_LENGTH_M)
+    right_m: float = parameter(0.0, doc="from the base to the rover antenna, to starboard", **_LENGTH_M)
     sigma_m: float = parameter(0.005, doc="standard deviation of the survey, each component", **_SIGMA_M)
     rtk: Rtk = section(Rtk)
 
