@@ -28,13 +28,13 @@ class TopicReceiver(Protocol):
         """Return the topics with a new subscriber since the last call."""
 
     def forward(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
-        """Forward the CDR bytes of a message that arrived at a time, UTC, ns."""
+        """Forward the CDR bytes of a message; ``arrival_utc_ns`` is its arrival time."""
 
 
 class TopicRelay:
-    """Forwards topics to a receiver, by subscriptions on the node and in the thread of a topic reader.
+    """Forwards topics to a receiver. Its subscriptions belong to the node of a topic reader and are read in its thread.
 
-    On this node, relay and reader share one DDS participant, which receives each message once.
+    The relay and the reader thus share one DDS participant, which receives each message once.
 
     Args:
         reader: topic reader of the namespace.

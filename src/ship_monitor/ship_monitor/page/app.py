@@ -88,7 +88,7 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Update texts and plots. After an error updates end, which the script of the page reports."""
+        """Update texts and plots. An error ends all updates; the page's script then reports that no updates arrive."""
         self._update_texts()
         self._count += 1
         if self._count % TEXTS_PER_PLOT_UPDATE == 0:
@@ -186,7 +186,7 @@ def json_in_script(text: str) -> str:
 
 
 def colours(theme: Theme) -> str:
-    """Return the colours of a theme as custom properties of CSS, as ``--caution-word``."""
+    """Return the colours of a theme as custom properties of CSS, for example ``--caution-word``."""
     pairs = ((name, value) for name, value in vars(theme).items() if isinstance(value, str) and name != "name")
     return "".join(f"--{name.replace('_', '-')}:{value};" for name, value in pairs)
 

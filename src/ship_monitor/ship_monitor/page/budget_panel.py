@@ -224,7 +224,7 @@ def top_of_axis(totals: FloatArray) -> float:
 
 
 def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float, float]]:
-    """Return time and variance of the highest point of each interval that is cut off; of near ones only the highest.
+    """Return time and variance of the peak of each interval that is cut off; lower peaks close to another are left out.
 
     Args:
         times: times in the browser's unit, shape (n,).
@@ -256,7 +256,7 @@ def root_ticks(top: float) -> list[float]:
 
 
 def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, marked: str = "") -> dict[float, str]:
-    """Return height → name and sigma of each band, near the middle of its right end, without overlap.
+    """Return the labels of the bands, height → text: each near the middle of its band at the right end, no overlap.
 
     Args:
         last: source → newest variance, arcsec².

@@ -45,5 +45,5 @@ def is_budget_part_of(part: str, source: str) -> bool:
 
 
 def with_mark(name: str, is_marked: bool) -> str:
-    """Return a name with the mark as prefix if it is marked."""
+    """Return a name, with the prefix :data:`MARK` if ``is_marked``."""
     return MARK + name if is_marked else name

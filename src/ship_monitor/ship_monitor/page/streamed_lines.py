@@ -17,7 +17,7 @@ BAND = ("low", "high", "edge_low", "edge_high")
 
 
 class StreamedLine:
-    """Data of a line in the browsers: new points are streamed, points older than ten minutes are dropped.
+    """Data of a line in the browsers: new points are streamed, and only the newest :data:`MAX_ROWS` rows are kept.
 
     Args:
         columns: names of the columns in addition to ``t``, the time in ms.
@@ -36,7 +36,7 @@ class StreamedLine:
         self._oldest_ns = 0
 
     def stream_new(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
-        """Stream the new points of complete seconds, or all points if the data have restarted.
+        """Stream the new points of complete seconds; start again with the first point if the data have restarted.
 
         Args:
             points: points in the order of their times.
