@@ -74,10 +74,10 @@ def run_nmea_node(
 
 
 class Work(Protocol):
-    """Function of a node, created from its :class:`NmeaNode`. Unusable parameters raise InputError at the creation."""
+    """Work of a node, created from its :class:`NmeaNode`. The creation raises InputError for unusable parameters."""
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
-        """Return the diagnostics of the function; called once a second."""
+        """Return the diagnostics of the work; called once a second."""
         ...
 
     def close(self) -> None:
@@ -144,7 +144,7 @@ class NmeaNode:
         """Raise an error if no place (link or sink) can be opened; otherwise log the places that cannot be opened.
 
         Args:
-            errors: errors of the places that cannot be opened.
+            errors: errors of the places that cannot be opened until the user acts.
             count: number of all places.
 
         Raises:

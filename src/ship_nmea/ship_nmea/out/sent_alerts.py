@@ -120,7 +120,8 @@ def _make_entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     if before is not None:
         revision = before.sent.revision % _LAST_REVISION + 1
         is_escalated = _PRIORITIES.index(priority) > _PRIORITIES.index(before.sent.priority)
-        # A more urgent alert is another instance (docs/explanation/alerts.md). One that only recurs has escalation 0.
+        # A more urgent alert is another instance (docs/explanation/alerts.md). Another instance that is not more urgent
+        # has escalation 0.
         if is_escalated or before.instance == alert.instance:
             escalation = min(before.sent.escalation + is_escalated, _LAST_ESCALATION)
     instance = (alert.instance - 1) % MAX_INSTANCE + 1

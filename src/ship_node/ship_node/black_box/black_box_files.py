@@ -116,7 +116,7 @@ class BlackBoxFiles:
 
 
 def free_path(path: Path) -> Path:
-    """Return the path if no file has it, with or without a number; else the path with the next number.
+    """Return the path if neither the path nor a numbered path exists; otherwise the path with the next number.
 
     The numbered paths are ``box_2.mcap``, ``box_3.mcap`` and so on.
     """

@@ -50,7 +50,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
 
     Args:
         adapter_class: adapter of the node.
-        package: package of its executable.
+        package: package of the node's executable.
         factory: makes the adapter's messages.
     """
     name = adapter_class.node_name
