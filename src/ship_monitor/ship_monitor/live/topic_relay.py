@@ -32,7 +32,8 @@ class TopicReceiver(Protocol):
 
 
 class TopicRelay:
-    """Forwards topics to a receiver. Its subscriptions belong to the node of a topic reader and are read in its thread.
+    """Forwards topics to a receiver. The relay subscribes on the node of a topic reader and runs in the reader's
+    thread.
 
     The relay and the reader thus share one DDS participant, which receives each message once.
 

@@ -88,7 +88,7 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Update texts and plots. An error ends all updates; the page's script then reports that no updates arrive."""
+        """Update texts and plots. Bokeh logs an exception, and the next period tries again."""
         self._update_texts()
         self._count += 1
         if self._count % TEXTS_PER_PLOT_UPDATE == 0:

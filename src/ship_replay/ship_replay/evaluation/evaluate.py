@@ -53,7 +53,7 @@ class AlignmentValue:
         value: value in ``unit``, angles from -180 deg to 180 deg.
         sigma: standard deviation, same unit.
         unit: ``arcsec`` for errors of the INS and of axes, ``deg`` for installation angles, ``s`` for time offsets, or
-            ``m``.
+            the unit in the message (``m``, ``px``, ``1``).
     """
 
     name: str
@@ -134,8 +134,8 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
     Args:
         bag_path: bag with ``ship/attitude``, ``theodolite/pointing`` and other outputs.
         against: bag with the truth and the inputs, if they are not in ``bag_path``.
-        skip_s: duration at the beginning of the bag whose errors and accepted innovations are excluded; counts of
-            INVALID and rejected messages are still of the whole bag.
+        skip_s: duration at the beginning of the bag whose errors and accepted innovations are excluded; the counts of
+            INVALID and rejected messages still cover the whole bag.
         namespace: namespace of the ship in the bags; bags written by a replay may have none.
 
     Raises:
@@ -258,7 +258,7 @@ def _true_targets(named: _TopicNames, malformed: MalformedMessages) -> TargetDir
 
 
 def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
-    """Return a node's configuration from the attached suite file, of the run's own bag first.
+    """Return a node's configuration from a suite file attached to a bag; the run's own bag takes precedence.
 
     The result is None if no bag has a suite file, or if the file has no section for the node.
     """

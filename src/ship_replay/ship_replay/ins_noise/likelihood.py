@@ -53,7 +53,8 @@ class StateEstimate(NamedTuple):
 class EpochFilter:
     """Kalman filter over a record for k parameter sets of a process.
 
-    The states are u (attitude error of the INS), the other time-varying states, then the other states of the process.
+    The states are u (attitude error of the INS), the record's time-varying states, then the other states of the
+    process.
 
     Args:
         record: record of star measurements.
@@ -169,7 +170,7 @@ def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
 
 
 def _with_time_varying(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return start, transitions and noise of the process and the other time-varying states, in the filter's order."""
+    """Return start, transitions and noise of the process and the record's time-varying states, in filter order."""
     time_varying = record.time_varying
     decay, fresh = time_varying.propagation(np.diff(record.times_s))
     size = steps.start.shape[-1]
