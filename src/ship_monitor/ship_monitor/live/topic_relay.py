@@ -32,10 +32,10 @@ class TopicReceiver(Protocol):
 
 
 class TopicRelay:
-    """Forwards topics to a receiver. The relay subscribes on the node of a topic reader and runs in the reader's
-    thread.
+    """Forwards topics to a receiver, with subscriptions on the node of a topic reader.
 
-    The relay and the reader thus share one DDS participant, which receives each message once.
+    The thread that fetches from the reader also calls the relay. Relay and reader share one DDS participant, which
+    receives each message once.
 
     Args:
         reader: topic reader of the namespace.

@@ -46,7 +46,7 @@ class Page:
     """Fills and updates the document of one browser.
 
     Plots are made when the first of them becomes visible, one panel after another. A panel is not updated while it is
-    out of sight or paused. The texts of the first screen do not wait for plots.
+    out of sight or the page is paused. The texts of the first screen do not wait for plots.
 
     Args:
         document: document of the browser.

@@ -187,8 +187,8 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
 def _axis_limit(points: Sequence[InnovationPoint]) -> float:
     """Return the size that the height of a plot must contain, arcsec.
 
-    It contains 98 % of the values and the narrowest 10 % of the bands.
-    While another source is OUT, the band of a prediction may be so wide that nothing else would be visible.
+    The size contains 98 % of the values and the narrowest 10 % of the bands. While another source is OUT, the band of a
+    prediction may be so wide that nothing else would be visible.
     """
     largest = 0.0
     for axes in AXES_DRAWN:

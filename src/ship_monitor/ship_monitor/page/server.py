@@ -188,7 +188,7 @@ class PageServer:
     def run(self) -> None:
         """Serve until :meth:`stop`."""
         self._server.start()
-        # Bokeh collects garbage after each closed page; the objects made so far are excluded from it.
+        # Bokeh collects garbage after each closed page; the objects made so far are excluded from the collection.
         gc.freeze()
         self._ticking.start()
         try:

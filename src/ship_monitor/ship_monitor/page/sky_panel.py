@@ -59,8 +59,8 @@ class SkyPanel:
         Args:
             history: history with the exposures.
             suite_state: state with the sources and the attitude.
-            marked: marked source; empty if no source is marked. Its field precedes the fields of other sources, except
-                of sources that are OUT.
+            marked: marked source; empty if no source is marked. The field of the marked source precedes other fields,
+                except the fields of sources that are OUT.
         """
         sources = {source.name: source for source in suite_state.sources}
         names = [name for name, exposure in sorted(history.star_exposures.items()) if len(exposure.u)]
@@ -255,7 +255,7 @@ def positions_in_field(exposure: ExposurePoint) -> tuple[np.ndarray, np.ndarray]
 
 
 def _detector_side(places: np.ndarray) -> float:
-    """Return an estimate of a detector's side, px: a multiple of 256 px beyond all positions. No topic states it."""
+    """Estimate the side of a detector, which no topic states, px: a multiple of 256 px beyond all positions."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
 
 

@@ -22,7 +22,7 @@ class StreamedLine:
     Args:
         columns: names of the columns in addition to ``t``, the time in ms.
         by: column whose minima and maxima are kept where a line is drawn with fewer points.
-        filled: columns that bound areas. In a gap they are 0, not NaN, because browsers fill across NaN.
+        filled: columns that bound areas. In a gap these columns are 0, not NaN, because browsers fill across NaN.
 
     Attributes:
         source: data source of the glyphs.

@@ -40,8 +40,8 @@ class _Entry:
 class SentAlerts:
     """All alerts of the suite as sent to the bridge.
 
-    The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. After a
-    restart, revisions start at 1 again.
+    The number of an alert follows from its id, so that the number is the same after a restart and on other ships. After
+    a restart, revisions start at 1 again.
 
     Attributes:
         omitted_count: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.

@@ -1,7 +1,7 @@
 """Interface of a node's adapter, as the node runtime and the offline replay use it.
 
-An adapter defines which topic feeds which method of a core and which result goes to which topic. It only reads and sets
-attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
+An adapter defines which topic feeds which method of a core and which result goes to which topic. An adapter only reads
+and sets attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
 """
 
 from collections.abc import Mapping
@@ -36,8 +36,8 @@ class Adapter(Protocol):
 
     The adapter reads and writes files only through ``files``, so that a black box can record the files read. The
     adapter updates ``health`` and publishes it in :meth:`tick`; the node runtime adds information of the middleware to
-    it. ``start_warnings`` has one line for each missing part of the configuration, and for a saved document that cannot
-    be read. ``notices`` are log lines that the node runtime has not taken yet.
+    ``health``. ``start_warnings`` has one line for each missing part of the configuration, and for a saved document
+    that cannot be read. ``notices`` are log lines that the node runtime has not taken yet.
     """
 
     node_name: ClassVar[str]

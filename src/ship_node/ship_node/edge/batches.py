@@ -52,7 +52,7 @@ class BatchCore(Protocol[Batch]):
     """Interface of a core that evaluates batches of samples before it commits them."""
 
     def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Batch | None:
-        """Evaluate the leading samples that need no special treatment; return None if the first one needs it."""
+        """Evaluate the leading samples that need no special treatment; return None if the first sample needs it."""
         ...
 
     def commit_batch(self, batch: Batch, stop: int) -> None:
@@ -60,7 +60,7 @@ class BatchCore(Protocol[Batch]):
         ...
 
     def finish_batch(self, batch: Batch) -> Any:
-        """Finish a committed batch; return the outcome of its last sample if that needed special treatment."""
+        """Finish a committed batch; return the outcome of the sample that needs special treatment, or None."""
         ...
 
     def batch_estimates(self, batch: Batch) -> list[tuple[slice, Any]]:

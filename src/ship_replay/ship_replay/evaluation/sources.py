@@ -267,7 +267,7 @@ def attitude_sources(
     star: StarAttitudeConfig | None,
     theodolite: OpticalAxisConfig | None,
 ) -> dict[str, AttitudeSource]:
-    """Return relative topic → the source that collects its attitudes.
+    """Return relative topic → the source that collects the topic's attitudes.
 
     A star sensor gives its horizon attitudes if ``ship_attitude`` uses them, else its solutions.
 

@@ -153,7 +153,7 @@ class EpochFilter:
         return StateEstimate(mean, covariance)
 
     def update(self, estimate: StateEstimate, epoch: int) -> StateEstimate:
-        """Update an estimate with the information of its epoch."""
+        """Update an estimate with the information of an epoch."""
         information = self._information[0, epoch]
         size = self._start.shape[-1]
         rows = np.r_[0 : self._observed_size, size : len(estimate.mean)]
