@@ -24,7 +24,7 @@ STATIC = Path(__file__).with_name("static")
 """Folder of template, style and script of the page."""
 
 SCRIPTS = ("bokeh", "bokeh-widgets")
-"""Bokeh scripts that the page needs; the other scripts, 4 of 6 MB, are not loaded."""
+"""Bokeh scripts that the page needs; the other scripts, more than half of the bytes, are not loaded."""
 
 _ERROR_PAGE = """\
 <!doctype html><html style="background:{{ theme.background }};color:{{ theme.text }}">

@@ -33,7 +33,7 @@ ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""
 
 NARROW = "@media (max-width: 700px)"
-"""Media query of small screens: one column, plots 180 px high."""
+"""Media query of small screens, which have one column."""
 
 _SIDE_PX = 118
 

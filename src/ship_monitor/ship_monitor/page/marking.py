@@ -28,7 +28,7 @@ the theodolite or the Earth's orientation."""
 
 
 def belongs_to_source(name: str, source: str) -> bool:
-    """True if a state or an alert belongs to a source, as "star.bow.azimuth" to "star.bow"; False for source ""."""
+    """True if a state or an alert belongs to a source ("star.bow.azimuth" to "star.bow"); False for source ""."""
     return bool(source) and (name == source or name.startswith(f"{source}.") or source_of_name(name) == source)
 
 

@@ -67,7 +67,7 @@ class Adapter(Protocol):
         ...
 
     def clock_jumped_back(self, now_ns: int) -> list[OutputMessage]:
-        """Restart, because the clock went back, as when a bag is played again."""
+        """Restart, because the clock went back, for example when a bag is played again."""
         ...
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:

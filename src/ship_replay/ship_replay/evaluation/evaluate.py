@@ -72,8 +72,8 @@ class Evaluation:
         innovations: innovations by name of the source.
         targets: errors of directions and positions by target_id; empty if no truth is known.
         estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
-        invalid_counts: label of a published orientation whose truth is known → number of INVALID messages in
-            the whole bag, also in a skipped beginning.
+        invalid_counts: label of a published orientation whose truth is known → number of INVALID messages in the whole
+            bag, including a skipped beginning.
         problems: problems of the bags and of their messages, one line each.
         start_ns: log time at which the bag begins.
     """
