@@ -102,7 +102,7 @@ class TopicRelay:
             self._unsubscribe(topic)  # this subscription has the former type
 
     def _subscribe(self, topic: str) -> None:
-        """Subscribe to a topic, and again if the durability of its publishers has changed."""
+        """Subscribe to a topic; subscribe again if the durability of its publishers has changed."""
         publishers = self._reader.node.get_publishers_info_by_topic(topic)
         own = [each for each in publishers if each.topic_type == self._types[topic]]
         former = self._subscriptions.get(topic)

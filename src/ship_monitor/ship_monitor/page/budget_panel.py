@@ -78,7 +78,8 @@ class BudgetPanel:
 
         Args:
             history: history with the budgets.
-            marked: marked source, whose parts have separate, highlighted bands; empty if no source is marked.
+            marked: marked source, whose sources of error have separate, highlighted bands; empty if no source is
+                marked.
         """
         topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
         self._names = [angle for angle in ANGLES if angle in topics]

@@ -1,7 +1,7 @@
 """Panels below the first screen, in two columns, with the data behind the tiles.
 
-A panel is put into its frame when it becomes visible, one at a time, so that the texts are updated in between. A panel
-that is not visible is not updated; it catches up when it becomes visible.
+A panel is put into its frame when the frame becomes visible. Panels follow one at a time, so that the texts are updated
+in between. A panel that is not visible is not updated; it catches up when it becomes visible.
 """
 
 from collections.abc import Callable, Collection

@@ -21,7 +21,7 @@ _FATAL_ERRORS = (
 """Error numbers for which a node does not start; while the node runs, these errors only prevent automatic saving."""
 
 _CONTENT_ERRORS = (errno.EFBIG, errno.ELOOP)
-"""Error numbers for which a file is set aside, like a file with bad content. After other errors the file may be good."""
+"""Error numbers for which a file is set aside, like a file with bad content. After other errors a file may be good."""
 
 _NEVER_NS = 1 << 62
 """Time that is never reached, ns."""

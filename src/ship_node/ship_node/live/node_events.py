@@ -251,7 +251,7 @@ class Inbox:
         """Drop waiting messages, except of the topics in ``valid_until_next``, and set the cut time.
 
         Args:
-            now_ns: the node's current time; the remaining messages get these three times.
+            now_ns: the node's current time; the remaining messages get the three times given here.
             waiting_ns: current time by the timeout clock.
             since_ns: current time by the running clock.
         """
