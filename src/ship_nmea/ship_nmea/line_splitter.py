@@ -15,7 +15,7 @@ class LineSplitter:
         self._is_skipping = False
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the lines that end in the next bytes; a cut line has :data:`LONGEST_LINE` + 1 bytes."""
+        """Return the lines that end in the next bytes; a cut line has at most :data:`LONGEST_LINE` + 1 bytes."""
         *ended, rest = _END.split(self._rest + data)
         found: list[bytes] = []
         for line in ended:

@@ -1,7 +1,7 @@
-"""Open ports, devices and files for sentences, and describe errors of opening them.
+"""Open serial devices for sentences, and describe errors of opening ports, devices and files.
 
-Some errors disappear by waiting, for example a device that is not plugged in yet. Others need the user: the node
-reports them at its start, with the parameter that names the place.
+Some errors disappear by waiting, for example a device that is not plugged in yet. Other errors need the user: the node
+reports these errors at its start, with the parameter that names the place.
 """
 
 import errno

@@ -74,10 +74,10 @@ def run_nmea_node(
 
 
 class Work(Protocol):
-    """Function of a node, created from its :class:`NmeaNode`. Unusable parameters raise InputError at the creation."""
+    """Work of a node, created from its :class:`NmeaNode`. The creation raises InputError for unusable parameters."""
 
     def statuses(self) -> Iterable[DiagnosticStatus]:
-        """Return the diagnostics of the function; called once a second."""
+        """Return the diagnostics of the work; called once a second."""
         ...
 
     def close(self) -> None:
@@ -100,7 +100,8 @@ class NmeaNode:
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
         make_work: creates the work of the node.
         context: an initialised rclpy context.
-        parameter_files: files given on the command line, for the place of a bad parameter in its error text.
+        parameter_files: files given on the command line, so that an error text can name file and line of a bad
+            parameter.
 
     Raises:
         BadInput: a parameter is unknown, of the wrong type, out of its range or missing, or the work cannot start with
@@ -144,7 +145,7 @@ class NmeaNode:
         """Raise an error if no place (link or sink) can be opened; otherwise log the places that cannot be opened.
 
         Args:
-            errors: errors of the places that cannot be opened.
+            errors: errors of the places that cannot be opened until the user acts.
             count: number of all places.
 
         Raises:
@@ -186,7 +187,7 @@ class NmeaNode:
             return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overriding_options())
 
     def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
-        """Call a function periodically, by a steady clock; ``name`` names it in reports of its exceptions."""
+        """Call a function periodically, by a steady clock; ``name`` stands for it in reports of exceptions."""
         self.node.create_timer(
             period_s, partial(self._call, name, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

@@ -28,13 +28,14 @@ class TopicReceiver(Protocol):
         """Return the topics with a new subscriber since the last call."""
 
     def forward(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
-        """Forward the CDR bytes of a message that arrived at a time, UTC, ns."""
+        """Forward the CDR bytes of a message; ``arrival_utc_ns`` is its arrival time."""
 
 
 class TopicRelay:
-    """Forwards topics to a receiver, by subscriptions on the node and in the thread of a topic reader.
+    """Forwards topics to a receiver, with subscriptions on the node of a topic reader.
 
-    On this node, relay and reader share one DDS participant, which receives each message once.
+    The thread that fetches from the reader also calls the relay. Relay and reader share one DDS participant, which
+    receives each message once.
 
     Args:
         reader: topic reader of the namespace.
@@ -101,7 +102,7 @@ class TopicRelay:
             self._unsubscribe(topic)  # this subscription has the former type
 
     def _subscribe(self, topic: str) -> None:
-        """Subscribe to a topic, and again if the durability of its publishers has changed."""
+        """Subscribe to a topic; subscribe again if the durability of its publishers has changed."""
         publishers = self._reader.node.get_publishers_info_by_topic(topic)
         own = [each for each in publishers if each.topic_type == self._types[topic]]
         former = self._subscriptions.get(topic)

@@ -97,7 +97,10 @@ _UNITS = {
 
 
 def bars_arcsec(states: Sequence[ParameterEstimate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return lower end, value and upper end of each bar, arcsec; NaN unless it is an angle with a nominal value."""
+    """Return lower end, value and upper end of each bar, arcsec.
+
+    The result is NaN for a state that is no angle or has no nominal value.
+    """
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
     value = scale * np.array([deviation_from_nominal(state) for state in states])
     reach = 2.0 * scale * np.array([state.sigma for state in states])
@@ -111,7 +114,7 @@ def deviation_from_nominal(state: ParameterEstimate) -> float:
 
 
 def half_width(low: np.ndarray, high: np.ndarray) -> float:
-    """Return half the width of the axis, arcsec: it contains three quarters of the bars."""
+    """Return half the width of the axis, arcsec: the smallest step that contains three quarters of the bars."""
     known = np.isfinite(low) & np.isfinite(high)
     if not known.any():
         return STEPS_ARCSEC[0]
@@ -120,7 +123,7 @@ def half_width(low: np.ndarray, high: np.ndarray) -> float:
 
 
 def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: float) -> np.ndarray:
-    """Return the half width of each row's scale, arcsec: as on the axis, or a wider step for a large value."""
+    """Return the half width of each row's scale, arcsec: ``half``, or a wider step if the value does not fit."""
     known = np.isfinite(low) & np.isfinite(high)
     needed = np.where(known, 1.05 * np.abs(value), 0.0)
     return np.array([half if not need > half else next_step(need, STEPS_ARCSEC) for need in needed])

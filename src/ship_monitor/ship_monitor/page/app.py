@@ -24,7 +24,7 @@ STATIC = Path(__file__).with_name("static")
 """Folder of template, style and script of the page."""
 
 SCRIPTS = ("bokeh", "bokeh-widgets")
-"""Bokeh scripts that the page needs; the other scripts, 4 of 6 MB, are not loaded."""
+"""Bokeh scripts that the page needs; the other scripts, more than half of the bytes, are not loaded."""
 
 _ERROR_PAGE = """\
 <!doctype html><html style="background:{{ theme.background }};color:{{ theme.text }}">
@@ -46,7 +46,7 @@ class Page:
     """Fills and updates the document of one browser.
 
     Plots are made when the first of them becomes visible, one panel after another. A panel is not updated while it is
-    out of sight or paused. The texts of the first screen do not wait for plots.
+    out of sight or the page is paused. The texts of the first screen do not wait for plots.
 
     Args:
         document: document of the browser.
@@ -88,7 +88,7 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Update texts and plots. After an error updates end, which the script of the page reports."""
+        """Update texts and plots. Bokeh logs an exception, and the next period tries again."""
         self._update_texts()
         self._count += 1
         if self._count % TEXTS_PER_PLOT_UPDATE == 0:
@@ -186,7 +186,7 @@ def json_in_script(text: str) -> str:
 
 
 def colours(theme: Theme) -> str:
-    """Return the colours of a theme as custom properties of CSS, as ``--caution-word``."""
+    """Return the colours of a theme as custom properties of CSS, for example ``--caution-word``."""
     pairs = ((name, value) for name, value in vars(theme).items() if isinstance(value, str) and name != "name")
     return "".join(f"--{name.replace('_', '-')}:{value};" for name, value in pairs)
 

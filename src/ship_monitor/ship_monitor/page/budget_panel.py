@@ -78,7 +78,8 @@ class BudgetPanel:
 
         Args:
             history: history with the budgets.
-            marked: marked source, whose parts have separate, highlighted bands; empty if no source is marked.
+            marked: marked source, whose sources of error have separate, highlighted bands; empty if no source is
+                marked.
         """
         topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
         self._names = [angle for angle in ANGLES if angle in topics]
@@ -224,7 +225,7 @@ def top_of_axis(totals: FloatArray) -> float:
 
 
 def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float, float]]:
-    """Return time and variance of the highest point of each interval that is cut off; of near ones only the highest.
+    """Return time and variance of the peak of each interval that is cut off; lower peaks close to another are left out.
 
     Args:
         times: times in the browser's unit, shape (n,).
@@ -256,7 +257,7 @@ def root_ticks(top: float) -> list[float]:
 
 
 def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, marked: str = "") -> dict[float, str]:
-    """Return height → name and sigma of each band, near the middle of its right end, without overlap.
+    """Return the labels of the bands, height → text: each near the middle of its band at the right end, no overlap.
 
     Args:
         last: source → newest variance, arcsec².

@@ -27,7 +27,7 @@ STATISTICS_WINDOW_NS = 60_000_000_000
 """Window of the statistics written at a plot, ns."""
 
 AXIS_WINDOW_NS = 15_000_000_000
-"""Window whose values determine the height of a plot, ns: earlier values, as after a start, may be cut off."""
+"""Window whose values determine the height of a plot, ns: earlier values, for example after a start, may be cut off."""
 
 
 def has_truth(history: History) -> bool:

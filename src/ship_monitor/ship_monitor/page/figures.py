@@ -33,7 +33,7 @@ ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""
 
 NARROW = "@media (max-width: 700px)"
-"""Media query of small screens: one column, plots 180 px high."""
+"""Media query of small screens, which have one column."""
 
 _SIDE_PX = 118
 
@@ -159,7 +159,7 @@ def narrow_height(height_px: int) -> InlineStyleSheet:
 
 
 def batched_model_changes(layout: Model) -> AbstractContextManager[None]:
-    """Return a context for adding or removing many models, at whose end the document checks all its models once."""
+    """Return a context for adding or removing many models; the document checks its models once, at the end."""
     made: AbstractContextManager[None] = nullcontext() if layout.document is None else layout.document.models.freeze()
     return made
 
@@ -170,7 +170,7 @@ def draw_texts(made: figure, source: ColumnDataSource, **options: Any) -> None:
 
 
 class ResidualBars:
-    """Bars of residuals in a plot; their directions are true for any scales of the axes.
+    """Bars of residuals in a plot; the direction of a bar on the screen does not depend on the scales of the axes.
 
     Args:
         theme: colours.
@@ -214,7 +214,7 @@ class ResidualBars:
 
 
 class GrowingRows(Generic[Key, Row]):
-    """Plots below each other. Few are made at a time, because each plot takes some time on server and browser.
+    """Plots below each other. Few plots are made in one call, because a plot takes some time on server and browser.
 
     Args:
         box: panel of the plots.

@@ -142,14 +142,14 @@ def _alert(alert: AlertEntry) -> dict[str, str]:
 def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str, Any]:
     """Return the banners of sources that are OUT, and all sources; sources not configured are last and not counted.
 
-    A source that is OUT due to another source or an overloaded node has no banner, but its cause has. It is marked in
-    the list.
+    A source that is OUT due to another source or an overloaded node has no banner of its own: the cause has a banner.
+    Such a source is marked in the list.
     """
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]
     names = {source.name for source in sources}
     roots = [source for source in out if not source.because_of or source.because_of == CAUSE_NODE]
-    # Sources that are still OUT although the source that caused it is IN again.
+    # Sources that are still OUT although the source that caused their outage is no longer OUT.
     roots += [source for source in out if source.because_of in names - {each.name for each in out}]
     below = [source for source in out if source not in roots]
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
@@ -213,7 +213,10 @@ def _finite(seconds: float) -> float | None:
 
 
 def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
-    """Return the intervals of equal safety of each angle, as fractions of the last ten minutes: 0 start, 1 now."""
+    """Return the ticks, the intervals of equal safety of each angle, and a mark for each source that is OUT.
+
+    Times are fractions of the last ten minutes: 0 start, 1 now.
+    """
     end_s = suite_state.utc_ns // _NS_PER_S
     start_s = end_s - RIBBON_S
     points = [point for point in history.safety if point.utc_ns // _NS_PER_S >= start_s]

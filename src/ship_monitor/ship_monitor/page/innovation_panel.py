@@ -1,7 +1,7 @@
 """Innovation panel: measured minus predicted values by source, with the band of ±3 sigma.
 
-A dot is the mean of a measurement along one axis; a cross is a rejected measurement. The times for which a source was
-OUT are shaded.
+A dot or square is the mean innovation of a measurement along one axis; a cross is that of a rejected measurement. The
+times during which a source was OUT are shaded.
 """
 
 import math
@@ -165,7 +165,7 @@ def source_line(name: str, source: SourceDetails | None, step: float) -> tuple[s
 
 def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
     """Return the columns of one axis, arcsec; NaN for measurements without this axis."""
-    # Hundreds of points for each browser once a second have nearly all the same axes: one look-up for each set of axes.
+    # Nearly all points have the same axes. One look-up for each set of axes is faster than one for each point.
     places = {
         point_axes: next((place for place, axis in enumerate(point_axes) if axis in axes), None)
         for point_axes in {p.axes for p in points}
@@ -185,9 +185,10 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
 
 
 def _axis_limit(points: Sequence[InnovationPoint]) -> float:
-    """Return the size that the height of a plot must contain, arcsec: nearly all values, and the narrowest band.
+    """Return the size that the height of a plot must contain, arcsec.
 
-    While another source is OUT, the band of a prediction may be so wide that nothing else would be visible.
+    The size contains 98 % of the values and the narrowest 10 % of the bands. While another source is OUT, the band of a
+    prediction may be so wide that nothing else would be visible.
     """
     largest = 0.0
     for axes in AXES_DRAWN:

@@ -28,7 +28,7 @@ the theodolite or the Earth's orientation."""
 
 
 def belongs_to_source(name: str, source: str) -> bool:
-    """True if a state or an alert belongs to a source, as "star.bow.azimuth" to "star.bow"; False for source ""."""
+    """True if a state or an alert belongs to a source ("star.bow.azimuth" to "star.bow"); False for source ""."""
     return bool(source) and (name == source or name.startswith(f"{source}.") or source_of_name(name) == source)
 
 
@@ -45,5 +45,5 @@ def is_budget_part_of(part: str, source: str) -> bool:
 
 
 def with_mark(name: str, is_marked: bool) -> str:
-    """Return a name with the mark as prefix if it is marked."""
+    """Return a name, with the prefix :data:`MARK` if ``is_marked``."""
     return MARK + name if is_marked else name

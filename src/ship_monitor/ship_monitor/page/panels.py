@@ -1,7 +1,7 @@
 """Panels below the first screen, in two columns, with the data behind the tiles.
 
-A panel is put into its frame when it becomes visible, one at a time, so that the texts are updated in between. A panel
-that is not visible is not updated; it catches up when it becomes visible.
+A panel is put into its frame when the frame becomes visible. Panels follow one at a time, so that the texts are updated
+in between. A panel that is not visible is not updated; it catches up when it becomes visible.
 """
 
 from collections.abc import Callable, Collection
@@ -90,7 +90,9 @@ class Panels:
                 self._draw(name, history, suite_state)
 
     def place_next(self, history: History, suite_state: SuiteState) -> bool:
-        """Draw part of a visible, incomplete panel and put it into its frame; return False if no panel is incomplete.
+        """Draw the next part of a visible panel; return False if all visible panels are complete.
+
+        The panel is put into its frame after its first part is drawn.
 
         A panel is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
         """

@@ -1,4 +1,4 @@
-"""Server of the page: Bokeh on one address and port, with its own scripts, styles and fonts."""
+"""Server of the page: Bokeh on one address and port. All scripts, styles and fonts come from this server."""
 
 import gc
 import logging
@@ -92,8 +92,8 @@ class _Socket(WSHandler):
 class _Application(BokehTornado):
     """Bokeh application that answers only pages of its address.
 
-    Requests of pages of other sites in the same browser are refused. The port is not compared, because the page may be
-    opened through an ssh tunnel.
+    Requests of pages of other sites in the same browser are refused. The port in a request may differ from the server's
+    port, because the page may be opened through an ssh tunnel.
     """
 
     def __init__(self, make: Callable[[Document], None], hosts: OwnHosts) -> None:
@@ -125,7 +125,7 @@ class _Application(BokehTornado):
                 rule.target = _Socket
 
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
-        """Return the handler of a request; an error page for other sites, or for too many pages."""
+        """Return the handler of a request: an error page for other sites, a NUL in the path, or too many open pages."""
         origin = request.headers.get("Origin")
         if not self._hosts.is_own_host(request) or (
             origin is not None and _host_and_port(origin) != request.host.lower()
@@ -188,7 +188,7 @@ class PageServer:
     def run(self) -> None:
         """Serve until :meth:`stop`."""
         self._server.start()
-        # Bokeh collects garbage after each closed page; the objects made so far are excluded from it.
+        # Bokeh collects garbage after each closed page; the objects made so far are excluded from the collection.
         gc.freeze()
         self._ticking.start()
         try:
@@ -199,5 +199,5 @@ class PageServer:
             self._http.stop()
 
     def stop(self) -> None:
-        """Request the end; from a signal handler or another thread."""
+        """Request the end of :meth:`run`; a signal handler or another thread may call this."""
         self._loop.add_callback(self._loop.stop)

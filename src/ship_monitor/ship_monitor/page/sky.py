@@ -46,7 +46,8 @@ def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
 def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequence[AngleState]) -> tuple[float, float]:
     """Return azimuth and elevation of a star sensor's boresight, rad, from its installation and the attitude.
 
-    It is used for sensors that publish attitudes without stars. The result is NaN if an angle is unknown.
+    The map uses this direction for sensors that publish attitudes without stars. The result is NaN if an angle is
+    unknown.
 
     Args:
         name: name of the source, "star.<id>".
@@ -66,7 +67,7 @@ def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequenc
 
 
 def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[float, float] | None:
-    """Return azimuth and elevation of the Moon at a position at sea level, rad, without refraction.
+    """Return azimuth and elevation of the Moon, rad, without refraction, for an observer at sea level.
 
     The series of Meeus (ERFA ``moon98``) is accurate to about 10″. The parallax due to the ship's position, up to a
     degree, is included.

@@ -59,7 +59,8 @@ class SkyPanel:
         Args:
             history: history with the exposures.
             suite_state: state with the sources and the attitude.
-            marked: marked source, whose field precedes the fields of other sources that are IN; may be empty.
+            marked: marked source; empty if no source is marked. The field of the marked source precedes other fields,
+                except the fields of sources that are OUT.
         """
         sources = {source.name: source for source in suite_state.sources}
         names = [name for name, exposure in sorted(history.star_exposures.items()) if len(exposure.u)]
@@ -241,7 +242,7 @@ def residual_star_mask(exposure: ExposurePoint) -> np.ndarray:
 
 
 def used_star_mask(exposure: ExposurePoint) -> np.ndarray:
-    """Return a mask of the stars drawn as used, shape (n,): stars with a residual; all stars without residuals."""
+    """Return a mask of the stars drawn as used, shape (n,): stars with a residual, or all if none has one."""
     mask = residual_star_mask(exposure)
     return mask if mask.any() else np.ones(len(exposure.u), bool)
 
@@ -254,7 +255,7 @@ def positions_in_field(exposure: ExposurePoint) -> tuple[np.ndarray, np.ndarray]
 
 
 def _detector_side(places: np.ndarray) -> float:
-    """Return the side of a detector, px, which no topic contains: a multiple of 256 px beyond all positions."""
+    """Estimate the side of a detector, which no topic states, px: a multiple of 256 px beyond all positions."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
 
 

@@ -17,12 +17,12 @@ BAND = ("low", "high", "edge_low", "edge_high")
 
 
 class StreamedLine:
-    """Data of a line in the browsers: new points are streamed, points older than ten minutes are dropped.
+    """Data of a line in the browsers: new points are streamed, and only the newest :data:`MAX_ROWS` rows are kept.
 
     Args:
         columns: names of the columns in addition to ``t``, the time in ms.
         by: column whose minima and maxima are kept where a line is drawn with fewer points.
-        filled: columns that bound areas. In a gap they are 0, not NaN, because browsers fill across NaN.
+        filled: columns that bound areas. In a gap these columns are 0, not NaN, because browsers fill across NaN.
 
     Attributes:
         source: data source of the glyphs.
@@ -36,7 +36,7 @@ class StreamedLine:
         self._oldest_ns = 0
 
     def stream_new(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
-        """Stream the new points of complete seconds, or all points if the data have restarted.
+        """Stream the new points of complete seconds; start again with the first point if the data have restarted.
 
         Args:
             points: points in the order of their times.

@@ -80,9 +80,12 @@ def event_row(event: Event, marked: str = "") -> str:
 
 
 def input_row(state: InputState, faulty_sources: Mapping[str, SourceDetails], *, is_marked: bool = False) -> str:
-    """Return a row of the inputs; it shows the larger of rejections in 60 s and, of a source that is OUT, in a row.
+    """Return the row of an input topic.
 
-    The row of a source is highlighted if the source is OUT due to its own fault, not due to another source.
+    The row shows the rejections in 60 s. If the source is OUT and its consecutive rejections are more, the row shows
+    these.
+
+    The row is highlighted if the source is OUT due to its own fault (``because_of`` is empty).
     """
     source = faulty_sources.get(state.topic)
     rejected = state.rejected_60s

@@ -145,7 +145,7 @@ class TerminalApp(App[int]):
         self._drawing.show(lines, styles_of(THEMES[self._theme_name]))
 
     def action_toggle_page(self, page: str) -> None:
-        """Open a page, or close the open page, whichever it is."""
+        """Close the open page; if no page is open, open ``page``."""
         self._page = "" if self._page else page
         self.draw()
 
@@ -201,7 +201,7 @@ def _now_s() -> float:
 
 
 def styles_of(theme: Theme) -> dict[TextStyle, Style]:
-    """Return the style of each kind of text in a theme. Reversed texts are also reversed without colours."""
+    """Return the style of each kind of text in a theme. Reversed texts stay reversed on a terminal without colours."""
 
     def style(colour: str, *, bold: bool = False, strike: bool = False, reverse: bool = False) -> Style:
         return Style(color=colour, bgcolor=theme.background, bold=bold, strike=strike, reverse=reverse)

@@ -1,7 +1,7 @@
 """Text in the cells of a terminal: styled, cleaned, cut and padded.
 
 A wide character takes two cells, a combining character no cell. Names and texts come from the network: characters that
-control the terminal are removed.
+control the terminal are replaced by "?".
 """
 
 import enum
@@ -62,7 +62,7 @@ class LineFormatter:
     is_ascii: bool = False
 
     def clean(self, text: str) -> str:
-        """Return a text without control characters and without characters of zero width."""
+        """Return a text with "?" for control characters, without characters of zero width; ASCII if ``is_ascii``."""
         kept = (char if char.isprintable() else "?" for char in text if unicodedata.category(char) not in _ZERO_WIDTH)
         if not self.is_ascii:
             return "".join(kept)

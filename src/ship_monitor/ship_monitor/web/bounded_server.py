@@ -17,7 +17,7 @@ MAX_CONNECTIONS = 256
 """Maximum number of open connections, without websockets. Further connections are closed."""
 
 REQUEST_TIMEOUT_S = 10.0
-"""Timeout for sending a request, s."""
+"""Time in which a client must have sent its request, s."""
 
 MAX_BODY_BYTES = 65_536
 """Maximum size of a request body, bytes."""

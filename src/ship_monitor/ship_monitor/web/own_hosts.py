@@ -17,7 +17,7 @@ class OwnHosts:
     """Names of this machine, and names allowed by the user.
 
     Args:
-        address: address of the server. The machine's host name is allowed unless this is a loopback address.
+        address: address of the server. The machine's host name is allowed unless ``address`` is a loopback address.
         allowed: further names or addresses.
     """
 

@@ -1,4 +1,4 @@
-"""Parameters of ``nmea_in``: its sources, the place where each is received, and the messages of its sentences."""
+"""Parameters of ``nmea_in``: sources, the places where they are received, and the messages of their sentences."""
 
 import os.path
 from dataclasses import dataclass
@@ -117,7 +117,7 @@ class NmeaInConfig:
         """Check the parameters against each other.
 
         Raises:
-            ParameterError: contains the name of the parameter.
+            ParameterError: a parameter is invalid or contradicts another parameter.
         """
         if not self.sources:
             raise ParameterError("parameter 'sources' names no source: expected one as 'sources.gyro.kind'", "sources")
@@ -143,12 +143,12 @@ class NmeaInConfig:
 
     @property
     def interfaces(self) -> dict[str, str]:
-        """Dotted name of a parameter → address of this machine in it, in addition to the address of a port."""
+        """Dotted name of each ``interface`` parameter that is set → its value, an address of this machine."""
         own = {f"sources.{id_}.interface": source.interface for id_, source in self.sources.items()}
         return {name: address for name, address in own.items() if address}
 
     def _check_shared(self) -> None:
-        """Refuse sources that share a device or a group with different settings."""
+        """Refuse sources that share a device or a UDP or TCP address with different settings."""
         firsts: dict[str, tuple[str, NmeaSourceConfig]] = {}
         for id_, source in self.sources.items():
             where = os.path.normpath(source.device) if source.kind == SERIAL else source.place

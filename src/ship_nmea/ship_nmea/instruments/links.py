@@ -185,7 +185,8 @@ class LinkReader:
 
     Attributes:
         problem: one line about why the link is not open; empty if it is open.
-        failure: exception of the opening by the constructor; None if it succeeded, or if the thread opens the link.
+        failure: exception raised when the constructor opened the link; None if the link is open, or if the thread opens
+            the link.
     """
 
     def __init__(self, link: Link, now_ns: Callable[[], int], on_lines: Callable[[], None]) -> None:
@@ -223,7 +224,10 @@ class LinkReader:
         self._stop.set()
 
     def wait_for_end(self) -> None:
-        """Wait for the end of the thread. A thread that waits for a name or a connection ends with the process."""
+        """Wait up to 0.5 s for the end of the thread.
+
+        A thread that still waits for a host name or a connection ends with the process.
+        """
         self._thread.join(_JOIN_TIMEOUT_S)
 
     def _run(self) -> None:

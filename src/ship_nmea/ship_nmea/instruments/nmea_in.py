@@ -86,7 +86,7 @@ class NmeaIn:
             reader.wait_for_end()
 
     def _opening_errors(self) -> Iterator[BadInput]:
-        """Yield the errors of opening places that only the user can clear."""
+        """Yield an error for each link that cannot be opened until the user acts."""
         for place, reader in self._readers.items():
             source = self._sources[place][0]
             error = reader.failure and permanent_error(

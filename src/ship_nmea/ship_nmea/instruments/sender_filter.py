@@ -30,7 +30,9 @@ class SenderFilter:
         self._last_ns = 0
 
     def rejection_reason(self, sender: str, now_ns: int) -> str:
-        """Return why a text of a sender is rejected; empty if it is used, which renews the selection of the sender.
+        """Return why a text of a sender is rejected; empty if the text is used.
+
+        A text of the selected sender restarts the timeout of the selection.
 
         Args:
             sender: address and port, for example ``10.0.0.7:4001``; empty for a stream, which has one sender.

@@ -1,4 +1,4 @@
-"""Alerts sent to the bridge, each change at once, list and heartbeat periodically; commands of the bridge.
+"""Send alerts to the bridge: each change at once, list and heartbeat periodically. Execute commands of the bridge.
 
 Acknowledgements of the bridge are passed to the alert node; commands that cannot be executed are answered with ARC.
 """
@@ -69,7 +69,7 @@ class BridgeAlerts:
         self._sequences: Counter[str] = Counter()
 
     def start(self, sinks: Mapping[str, Sink]) -> None:
-        """Start sending to the ``sinks`` of the node, by name."""
+        """Start sending; ``sinks`` are the sinks of the node by name."""
         self._sinks = sinks
         if self.are_sent:
             self._acknowledger = self._runtime.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)

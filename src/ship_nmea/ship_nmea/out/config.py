@@ -65,7 +65,7 @@ class SinkConfig:
     path: str = parameter("", doc="file: sentences are appended to it")
 
     def first_error(self) -> tuple[str, str] | None:
-        """Return the first parameter that does not fit, and the expected value; None if all parameters fit."""
+        """Return the first parameter that does not fit, and the reason; None if all parameters fit."""
         for name in _REQUIRED_PARAMETERS[self.kind]:
             if not getattr(self, name):
                 return name, f"must be given for kind {self.kind}"
@@ -88,13 +88,13 @@ class SinkConfig:
         return None
 
     def accepts_commands_from(self, address: str) -> bool:
-        """True if commands from an address are executed; commands from a serial line, without address, always are."""
+        """True if commands from an address are executed; commands from a serial line (no address) always are."""
         if not address or address in self.from_:
             return True
         return not self.from_ and self.kind == UDP and address == self.address
 
     def held_place(self, name: str) -> MachineResource | None:
-        """Return the port, device or file of this machine that the sink occupies; None if programs may share it.
+        """Return the port, device or file of this machine that the sink occupies; None for UDP without ``listen_port``.
 
         Args:
             name: name of the sink's group of parameters, for example ``sinks.bridge``.
@@ -132,7 +132,7 @@ class NmeaOutConfig:
         """Check the parameters against each other.
 
         Raises:
-            ParameterError: contains the name of the parameter.
+            ParameterError: a parameter is invalid or contradicts another parameter.
         """
         if not self.sinks:
             raise ParameterError("parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'", "sinks")
@@ -151,7 +151,7 @@ class NmeaOutConfig:
 
     @property
     def interfaces(self) -> dict[str, str]:
-        """Dotted name of a parameter → address of this machine in it, in addition to the address of a port."""
+        """Dotted name of each ``interface`` parameter that is set → its value, an address of this machine."""
         own = {f"sinks.{id_}.interface": sink.interface for id_, sink in self.sinks.items()}
         return {name: address for name, address in own.items() if address}
 

@@ -13,7 +13,7 @@ from ship_nmea.link_opening import open_serial
 from ship_nmea.out.outlet import RECEIVE_BYTES, Outlet, command_texts
 
 _MAX_UNSENT_S = 0.1
-"""Maximum duration of unsent data of a serial line, s; with more unsent data, no sentence is accepted."""
+"""Maximum transmission time of the unsent data of a serial line, s; with more unsent data, no sentence is accepted."""
 _BITS_PER_BYTE = 10
 
 

@@ -14,7 +14,7 @@ CLIENT_TIMEOUT_S = 10.0
 """Time without acknowledgement of sent data after which a client is disconnected, s."""
 
 _MAX_READS = 20
-"""Maximum number of reads in a row: a flood from one client must not delay the sentences."""
+"""Maximum number of reads in a row: a flood of received datagrams must not delay the sentences."""
 _SEND_BUFFER_BYTES = 4096
 """Size of the send buffer of a client: small, because data waiting for a slow client are old when they are read."""
 

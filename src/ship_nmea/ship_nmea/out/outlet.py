@@ -1,7 +1,7 @@
-"""Interface of all outlets; their methods are called only in the thread of their sink.
+"""Interface of all outlets. Once a sink has started, only its thread calls ``open``, ``send`` and ``close``.
 
-An outlet never blocks, except for a file on a slow disk. It sends a sentence or returns False. Received data is passed
-on in complete lines. On failure an outlet raises OSError and is opened again later.
+An outlet never blocks, except for a file on a slow disk. ``send`` either sends a sentence or returns False. Received
+data is passed on in complete lines. On failure an outlet raises OSError and is opened again later.
 """
 
 import selectors

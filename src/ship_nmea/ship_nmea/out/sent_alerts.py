@@ -40,8 +40,8 @@ class _Entry:
 class SentAlerts:
     """All alerts of the suite as sent to the bridge.
 
-    The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. After a
-    restart, revisions start at 1 again.
+    The number of an alert follows from its id, so that the number is the same after a restart and on other ships. After
+    a restart, revisions start at 1 again.
 
     Attributes:
         omitted_count: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.
@@ -120,7 +120,8 @@ def _make_entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     if before is not None:
         revision = before.sent.revision % _LAST_REVISION + 1
         is_escalated = _PRIORITIES.index(priority) > _PRIORITIES.index(before.sent.priority)
-        # A more urgent alert is another instance (docs/explanation/alerts.md). One that only recurs has escalation 0.
+        # A more urgent alert is another instance (docs/explanation/alerts.md). Another instance that is not more urgent
+        # has escalation 0.
         if is_escalated or before.instance == alert.instance:
             escalation = min(before.sent.escalation + is_escalated, _LAST_ESCALATION)
     instance = (alert.instance - 1) % MAX_INSTANCE + 1

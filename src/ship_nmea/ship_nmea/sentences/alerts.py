@@ -72,7 +72,7 @@ class AlertCommand:
 
 
 def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
-    """Return an alert in one sentence, or in two with a description; the second repeats only the alert's identity.
+    """Return an alert in one sentence, or in two if it has a description; the second repeats only the alert's identity.
 
     Args:
         alert: the alert.
@@ -113,7 +113,7 @@ def alc(
 
 
 def arc(command: AlertCommand, talker: str, manufacturer: str, time_ns: int) -> pynmea2.NMEASentence:
-    """Return the refusal of a command at a time (POSIX UTC)."""
+    """Return the refusal of a command (ARC); ``time_ns`` is the time of the refusal, POSIX UTC."""
     instance = "" if command.instance is None else str(command.instance)
     time_text = time_field(time_ns, _TIME_DECIMALS)
     return ARC(talker, "ARC", (time_text, manufacturer, str(command.identifier), instance, command.command))

@@ -104,7 +104,8 @@ def rot(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEAS
 def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return time, heading, roll, pitch and their standard deviations, which have one decimal more and are never zero.
 
-    The last two fields are 1 if there is an attitude, otherwise 0. NovAtel calls them "position" and "after alignment".
+    The last two fields are 1 if there is an attitude, otherwise 0. NovAtel calls these fields "position" and "after
+    alignment".
     """
     heading, pitch, roll = attitude.angles
     is_valid = str(int(attitude.quality is not AttitudeQuality.VOID))

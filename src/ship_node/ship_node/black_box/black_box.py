@@ -74,7 +74,7 @@ class BlackBox:
         config: configuration of the node.
         outputs: all topics that are published.
         namespace: namespace of the node.
-        on_failure: called with a log line when the disk fails, and when a new file continues.
+        on_failure: called with a log line when the disk fails, and when writing continues in a new file.
         part_bytes: size at which a new file begins; 0 for never.
 
     Raises:
@@ -119,7 +119,7 @@ class BlackBox:
             data: CDR bytes of the message.
             time_ns: the node time; 0 before the first /clock. Such a message gets the time of the first entry that has
                 a time.
-            waiting_ns: timeout-clock time; None if it is equal.
+            waiting_ns: timeout-clock time; None if it is equal to ``time_ns``.
         """
         if time_ns == 0:
             if len(self._before_time) >= MAX_ENTRIES_BEFORE_TIME:

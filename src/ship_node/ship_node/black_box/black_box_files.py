@@ -1,7 +1,7 @@
 """Files of a black box: a first file, and a further file when the last one is full or the disk works again.
 
-A further file, ``NAME.part2.mcap`` and so on, is next to the first file. It starts with the same header, so that it can
-be read alone. When the first file is opened, the bag reader reads all files as one bag.
+A further file, ``NAME.part2.mcap`` and so on, is next to the first file. Each file starts with the header, so that the
+file can be read alone. When the first file is opened, the bag reader reads all files as one bag.
 """
 
 import re
@@ -116,7 +116,7 @@ class BlackBoxFiles:
 
 
 def free_path(path: Path) -> Path:
-    """Return the path if no file has it, with or without a number; else the path with the next number.
+    """Return the path if neither the path nor a numbered path exists; otherwise the path with the next number.
 
     The numbered paths are ``box_2.mcap``, ``box_3.mcap`` and so on.
     """

@@ -84,7 +84,7 @@ class ServiceCalled:
 
 @dataclass(frozen=True)
 class FileUsed:
-    """File read or written by the adapter, during its construction or the use that follows.
+    """File read or written by the adapter, during its construction or during the use whose entry follows.
 
     Attributes:
         path: path given by the adapter.

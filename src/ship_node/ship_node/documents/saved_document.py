@@ -322,11 +322,11 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
 
 
 def _free_path(path: Path) -> Path:
-    """Return the first free name for a file that is set aside; if all 99 are taken, the first, whose file is lost."""
+    """Return the first free name for a file that is set aside; if all 99 exist, the first, which is overwritten."""
     names = (path.with_name(f"{path.name}.unreadable{number}") for number in ("", *(f".{n}" for n in range(2, 100))))
     return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))
 
 
 def _plain_os_error(number: int, path: Path) -> OSError:
-    """Return the error as a replay will raise it: with the error number alone, as recorded in the black box."""
+    """Return an error made from error number and path alone: a black box records nothing else for a replay."""
     return OSError(number, os.strerror(number), str(path))

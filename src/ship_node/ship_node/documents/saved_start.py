@@ -12,16 +12,16 @@ from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
 _MAX_SIGMA_RATIO = 1.1
-"""Ratio of a new sigma to the saved sigma above which it is worse; smaller changes depend on the stars in view."""
+"""Ratio of a new sigma to the saved sigma above which the new sigma is worse; smaller changes depend on the stars."""
 
 _FATAL_ERRORS = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is wrong
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # lack of resources, maybe temporary
 )
-"""Error numbers for which a node does not start; while it runs they only prevent automatic saving."""
+"""Error numbers for which a node does not start; while the node runs, these errors only prevent automatic saving."""
 
 _CONTENT_ERRORS = (errno.EFBIG, errno.ELOOP)
-"""Error numbers for which a file is set aside, as for a bad content. After any other error the file may be good."""
+"""Error numbers for which a file is set aside, like a file with bad content. After other errors a file may be good."""
 
 _NEVER_NS = 1 << 62
 """Time that is never reached, ns."""
@@ -90,7 +90,7 @@ class SavedStart(Generic[Prior]):
             self.notices.append(f"no {kind.kind_name} at {path} yet: the filter starts as configured")
 
     def start(self, now_ns: int) -> None:
-        """Pass the content that was read to the core; its age is relative to the current time, ns."""
+        """Pass the content that was read to the core; ``now_ns`` is the current time, for the age of the content."""
         content, self._content, self.is_pending = self._content, None, False
         if content is not None:
             self._start_core(content, now_ns)
@@ -144,7 +144,7 @@ class SavedStart(Generic[Prior]):
         """Read the file again and start from it; return a text about the result.
 
         Raises:
-            BadInput: no file is named, or the file cannot be read or used; it is not set aside then.
+            BadInput: no file is named, or the file cannot be read or used. The file stays in place.
         """
         path = self._file()
         self._read = self._kind.read_bytes(path, self._files)

@@ -1,7 +1,7 @@
 """Interface of a node's adapter, as the node runtime and the offline replay use it.
 
-An adapter defines which topic feeds which method of a core and which result goes to which topic. It only reads and sets
-attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
+An adapter defines which topic feeds which method of a core and which result goes to which topic. An adapter only reads
+and sets attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
 """
 
 from collections.abc import Mapping
@@ -31,13 +31,13 @@ class Adapter(Protocol):
 
     - ``receive_ns`` or ``now_ns``: the node's time, with which stamps are compared.
     - ``waiting_ns``: the timeout-clock time, by which timeouts are measured; None if it equals the node's time. The
-      timeout clock never steps. In a live node it counts only time in which the node was processing events. With
-      ``use_sim_time`` the timeout clock follows /clock, and in a replay the log time.
+      timeout clock never steps. In a live node the timeout clock counts only time in which the node was processing
+      events. With ``use_sim_time`` the timeout clock follows /clock, and in a replay the log time.
 
     The adapter reads and writes files only through ``files``, so that a black box can record the files read. The
     adapter updates ``health`` and publishes it in :meth:`tick`; the node runtime adds information of the middleware to
-    it. ``start_warnings`` has one line for each missing part of the configuration, and for a saved document that cannot
-    be read. ``notices`` are log lines that the node runtime has not taken yet.
+    ``health``. ``start_warnings`` has one line for each missing part of the configuration, and for a saved document
+    that cannot be read. ``notices`` are log lines that the node runtime has not taken yet.
     """
 
     node_name: ClassVar[str]
@@ -67,7 +67,7 @@ class Adapter(Protocol):
         ...
 
     def clock_jumped_back(self, now_ns: int) -> list[OutputMessage]:
-        """Restart, because the clock went back, as when a bag is played again."""
+        """Restart, because the clock went back, for example when a bag is played again."""
         ...
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:

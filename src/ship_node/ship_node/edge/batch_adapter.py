@@ -120,7 +120,7 @@ class BatchAdapter(ReportingAdapter):
         """Yield estimates to publish, with the protection levels that must be published before some of them.
 
         Args:
-            some: indices of these estimates among all that are computed together.
+            some: indices of ``found`` among all estimates that are computed together.
             found: a run of estimates, or the rejection if they could not be computed.
             times_ns: stamps of all estimates that are computed together.
         """

@@ -52,7 +52,7 @@ class BatchCore(Protocol[Batch]):
     """Interface of a core that evaluates batches of samples before it commits them."""
 
     def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Batch | None:
-        """Evaluate the leading samples that need no special treatment; return None if the first one needs it."""
+        """Evaluate the leading samples that need no special treatment; return None if the first sample needs it."""
         ...
 
     def commit_batch(self, batch: Batch, stop: int) -> None:
@@ -60,7 +60,7 @@ class BatchCore(Protocol[Batch]):
         ...
 
     def finish_batch(self, batch: Batch) -> Any:
-        """Finish a committed batch; return the outcome of its last sample if that needed special treatment."""
+        """Finish a committed batch; return the outcome of the sample that needs special treatment, or None."""
         ...
 
     def batch_estimates(self, batch: Batch) -> list[tuple[slice, Any]]:
@@ -85,7 +85,7 @@ class PendingBatch(NamedTuple):
 
     Attributes:
         topic: topic of the messages.
-        reading: the messages as read; there may be more of them than the batch has.
+        reading: the messages as read, possibly more messages than the batch contains.
         receive_ns: receive times of the messages of the batch, equal by both clocks.
         evaluated: the core's evaluation.
     """
@@ -141,7 +141,8 @@ def outputs_with_levels(
         published: the published protection levels; ``protection_level_messages`` changes them.
         redundancy_keys: attributes of each output that determine, together with its state, the redundancy of its
             sources.
-        directions: directions of each output, shape (N, 3, 3).
+        directions: for each output, the matrix that maps errors of the state to errors of the output's angles, shape
+            (N, 3, 3).
         protection_level_messages: returns the protection levels of one output if the published levels do not cover it.
     """
     start, count = 0, len(run.time_ns)

@@ -1,8 +1,8 @@
 """Checks of the messages of a batch before any of them reaches a filter, as array operations.
 
-Each check returns, for every message, True if :mod:`ship_node.edge.messages_in` accepts the message without remark. The
-values of these messages are bit for bit the values that the module returns. The other messages are read one by one and
-may still be used. A message with NaN is not valid, because NaN fails every comparison.
+Each check returns, for every message, True only if :mod:`ship_node.edge.messages_in` accepts the message without
+remark. The values of these messages are bit for bit the values that ``messages_in`` returns. The other messages are
+read one by one and may still be used. A message with NaN is not valid, because NaN fails every comparison.
 """
 
 from collections.abc import Callable, Iterator

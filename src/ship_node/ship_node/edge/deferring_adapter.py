@@ -22,7 +22,7 @@ class DeferringCore(Protocol):
     pending: list[Any] | None
 
     def compute_pending(self) -> list[tuple[slice, Any | Rejection]]:
-        """Compute all pending outputs; return slices of them with the outputs, or with the rejection if this fails."""
+        """Compute all pending outputs; return slices of ``pending``, each with its outputs or its rejection."""
         ...
 
 

@@ -32,7 +32,7 @@ class InnovationReport:
         self._history = InnovationHistory()
 
     def clear(self) -> None:
-        """Discard all decisions, as after a reset of the estimator."""
+        """Discard all decisions, for example after a reset of the estimator."""
         self.pending.clear()
         self._history.clear()
 

@@ -172,7 +172,7 @@ class InputHealthMonitor(InputRecords):
         return f"stamps {_latency_text(latency_s)} before the node's clock: {advice}"
 
     def _connection_issues(self, record: InputRecord, waiting_ns: int) -> list[_Issue]:
-        """Return issues that prevent messages from arriving at all."""
+        """Return the issues of the connection: incompatible QoS, two publishers, or no first message."""
         topic, issues = record.input.topic, []
         if topic in self._incompatible:
             issues.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))

@@ -17,7 +17,7 @@ from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
 
 WINDOW = 50
-"""Number of times between arrivals for the rate, and of accepted messages for the latency."""
+"""Number of intervals between arrivals for the rate, and number of accepted messages for the latency."""
 
 MAX_AGE_S = 10.0
 """Maximum age of a stamp, s; an older stamp shows a wrong clock or a bag played without /clock."""

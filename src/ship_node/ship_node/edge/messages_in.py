@@ -38,7 +38,7 @@ MAX_VARIANCE = (2.0 * math.pi) ** 2
 MAX_RATE = 100.0
 """Largest accepted component of a ship's angular rate, rad/s.
 
-A ship's rates in degrees per second are below this limit; they are detected by their ratio to the expected rates."""
+A ship's rates in degrees per second are below this limit; a check of the ratio to the expected rates detects them."""
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ def diagnostic_array(
 
 
 def decision_message(factory: MessageFactory, source: str, decision: MeasurementDecision[Any]) -> Any:
-    """Return the ship_msgs/Innovation of a measurement that was compared, for the first time or again.
+    """Return the ship_msgs/Innovation of a decision, first or revised, on a measurement.
 
     Args:
         factory: makes the message.
@@ -124,7 +124,7 @@ def decision_message(factory: MessageFactory, source: str, decision: Measurement
     if decision.revised:
         result = "now accepted" if decision.accepted else f"now rejected: {reason.word}"
         reason, text = Reason.REVISED, f"re-evaluated after a late measurement, {result} {text}".rstrip()
-    # Layouts are cached; a text with numbers would need a new one each time.
+    # Layouts are cached; a text with numbers would need a new layout each time.
     make = factory.make if text else factory.encode
     return make(
         INNOVATION_TYPE,

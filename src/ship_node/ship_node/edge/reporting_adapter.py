@@ -247,7 +247,7 @@ class ReportingAdapter(ABC):
         """Record a message that was read and return the messages about it.
 
         Args:
-            feed: entry of its topic.
+            feed: entry of the message's topic.
             reading: the message as read.
             outcome: result of the core; None if the core was not called.
             receive_ns: receive time by the node's clock.
@@ -359,7 +359,7 @@ class ReportingAdapter(ABC):
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
-        """Reset the core, or save or load its start document."""
+        """Reset the core, or save or load the document from which it starts."""
         try:
             if name == "reset":
                 self._restart(clock_jumped=False)

@@ -199,7 +199,8 @@ class TimeBase:
     def count_without_step(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
         """Return the number of leading messages that need no check for a step.
 
-        It is 0 before the first message of the input, after it has moved, and after a step of the computer's clock.
+        The number is 0 before the first message of the input, after the input's clock has moved, and after a step of
+        the computer's clock.
 
         Args:
             topic: topic of the messages.
@@ -218,7 +219,7 @@ class TimeBase:
         return len(stamps_ns)
 
     def add_batch(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
-        """Add messages without a step (:meth:`count_without_step`), given their number and the times of the last."""
+        """Add messages without a step (:meth:`count_without_step`), given their number and the last message's times."""
         clock = self._clocks[topic]
         clock.period_ns = (arrival_ns - clock.arrival_ns) / count
         clock.level_ns, clock.newest_ns, clock.arrival_ns = stamp_ns - arrival_ns, stamp_ns, arrival_ns

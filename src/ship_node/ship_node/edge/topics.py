@@ -15,11 +15,11 @@ class InputTopic:
         topic: relative name, as ``"ins/imu"``.
         type_name: type of the messages, as ``"sensor_msgs/msg/Imu"``.
         required: True if the node cannot work without it.
-        depth: queue depth, messages: one second of data.
+        depth: queue depth, number of messages in one second of data.
         is_configured: True if the configuration names the device, so that missing messages from the start are a fault.
         is_occasional: True if messages come only occasionally, so that there is no timeout.
-        is_valid_until_next: True if a message, as a position, is valid until the next one arrives; it is used even
-            after a long wait.
+        is_valid_until_next: True if a message, for example a position, is valid until the next message arrives, and is
+            used even after a long wait.
     """
 
     topic: str

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 UNNUMBERED = 2**64 - 1
-"""Number of every message if the middleware does not count messages, as CycloneDDS; publishers are then unknown."""
+"""Number of every message if the middleware does not count messages (CycloneDDS); publishers are then unknown."""
 
 MIN_TIMEOUT_NS = 1_000_000_000
 """Minimum timeout of a publisher, ns."""

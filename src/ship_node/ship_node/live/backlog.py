@@ -1,9 +1,9 @@
 """Overload detection: when a node is behind its inputs, and when it keeps up again.
 
-The queue time of a message is the time from its arrival to its use. It is measured by the running clock: a steady clock
-or, with ``use_sim_time``, /clock, so that a bag played too fast is detected as well. After a standstill of the node,
-messages have waited long but are processed at once, so the node is not behind. A node is behind if queue times stay
-long while the node is working.
+The queue time of a message is the time from its arrival to its use. The queue time is measured by the running clock: a
+steady clock or, with ``use_sim_time``, /clock, so that a bag played too fast is detected as well. After a standstill of
+the node, messages have waited long but are processed at once, so the node is not behind. A node is behind if queue
+times stay long while the node is working.
 """
 
 import enum

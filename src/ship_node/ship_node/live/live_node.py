@@ -159,8 +159,8 @@ class LiveNode:
                 # The black box records the received bytes.
                 raw=True,
             )
-        # rclpy would derive this from the callback's signature, but its events executor calls with one argument: the
-        # message and its information as a tuple.
+        # rclpy would derive the callback type from the callback's signature, but rclpy's events executor calls with one
+        # argument: a tuple of the message and its information.
         subscription._callback_type = Subscription.CallbackType.WithMessageInfo
         return subscription
 

@@ -34,7 +34,7 @@ class NodeClock:
 
     With ``use_sim_time`` both times are equal until /clock times out. Then the node time is frozen, and the timeout
     clock continues by a steady clock in whole ticks, so that timeouts of the inputs still work. When /clock arrives
-    again, the timeout clock stays ahead by this time until :meth:`reset`.
+    again, the timeout clock stays ahead by the frozen time until :meth:`reset`.
 
     Args:
         node: node without subscriptions, so that /clock can be queued together with the later inputs.

@@ -45,9 +45,9 @@ class NodeEvents:
     """Events executor of one node.
 
     The events executor of rclpy needs half the processor time of the single-threaded one, and reports messages of all
-    topics in the order of arrival. But it queues an event for each message without a bound, even if the message was
-    overwritten meanwhile. Therefore callbacks must be quick. If a timer's event nevertheless waits in the queue for too
-    long, the queue is dropped.
+    topics in the order of arrival. But the events executor queues an event for each message without a bound, even if
+    the message was overwritten meanwhile. Therefore callbacks must be quick. If a timer's event nevertheless waits in
+    the queue for too long, the queue is dropped.
 
     The middleware reports each message once. A message whose event was dropped would stay in the middleware's queue and
     delay every later message. Therefore after a drop all waiting messages are taken without events. The newest message
@@ -251,7 +251,7 @@ class Inbox:
         """Drop waiting messages, except of the topics in ``valid_until_next``, and set the cut time.
 
         Args:
-            now_ns: the node's current time; the remaining messages get these three times.
+            now_ns: the node's current time; the remaining messages get the three times given here.
             waiting_ns: current time by the timeout clock.
             since_ns: current time by the running clock.
         """

@@ -153,7 +153,7 @@ class StatusLog:
         before, now = self._logged, {}
         for status in statuses:
             reason = _FIGURES.sub("", status.message)
-            # Before its first report, a status (as of a conflict) counts as OK.
+            # Before its first report, a status (for example of a conflict) counts as OK.
             previous = (before or {}).get(status.name, _LoggedStatus(Level.OK, set()))
             is_change = status.level is not previous.level
             now[status.name] = logged = _LoggedStatus(status.level, set()) if is_change else previous

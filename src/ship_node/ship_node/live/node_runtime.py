@@ -71,7 +71,7 @@ def run_node(
     """Run a node until SIGINT or SIGTERM.
 
     Args:
-        package: package of its executable.
+        package: package of the node's executable.
         name: name of the node, without namespace.
         make: returns the node, from an initialised context and the parameter files of the command line.
         arguments: command-line arguments for ROS.

@@ -31,7 +31,7 @@ def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
 
     Args:
         input_topic: the topic, with a depth of one second of data.
-        is_reliable: True to send lost messages again, also after an outage of the link.
+        is_reliable: True if lost messages must be sent again, even after an outage of the link.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,

@@ -158,7 +158,7 @@ class NodeParameters:
         return result
 
     def _with_list_type(self, parameter: Parameter) -> Parameter:
-        """Return a parameter whose empty list has the element type, which a request does not contain."""
+        """Return the parameter; an empty list gets its element type, which a request does not contain."""
         description = self._descriptions.get(parameter.name)
         if description is None or _as_plain_value(parameter.value) != []:
             return parameter

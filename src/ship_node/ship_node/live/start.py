@@ -1,4 +1,4 @@
-"""Start of a node's executable, which can be ended cleanly before its libraries are imported."""
+"""Start of a node's executable. A signal ends the executable cleanly even before its libraries are imported."""
 
 import gc
 import importlib

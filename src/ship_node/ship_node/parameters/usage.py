@@ -50,7 +50,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
 
     Args:
         adapter_class: adapter of the node.
-        package: package of its executable.
+        package: package of the node's executable.
         factory: makes the adapter's messages.
     """
     name = adapter_class.node_name
@@ -126,7 +126,7 @@ def _inputs_with(
     Args:
         adapter_class: adapter of the node.
         values: values of the parameters.
-        given: values of a device's parameters that are zero by default but required for use, as for a camera.
+        given: values of a device's parameters that are zero by default but required for use, for example by a camera.
         factory: makes the adapter's messages.
     """
     for attempt in (values, values | given):

@@ -2,9 +2,9 @@
 
 The node ``optical_axis`` processes the bag and accepts or rejects every exposure. For each accepted exposure of two
 lights or more, the attitude of the telescope on the deck is computed from the lights alone. The main axis follows from
-this attitude and the configured parallelism. The offsets contain correlated errors: the deck's deformation, the ship's
-error, errors of baselines, levers and refraction. The table therefore lists the effect of each such error on each
-sighting.
+this attitude and the configured parallelism. The offsets of the true direction from the encoder angles contain
+correlated errors: the deck's deformation, the ship's error, errors of baselines, levers and refraction. The table
+therefore lists the effect of each such error on each sighting.
 """
 
 from dataclasses import dataclass, field
@@ -163,7 +163,7 @@ def axis_sightings(
 
 
 def _sighting(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
-    """Return the sighting of an exposure; None if a light was not used, or if there are too few lights."""
+    """Return the sighting of an exposure; None if a light was not used, or if the lights give no attitude."""
     sighting = core.sighting(exposure)
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:

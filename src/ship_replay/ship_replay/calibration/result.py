@@ -138,7 +138,7 @@ def observability(ratio: float) -> str:
 class InstalledAngle:
     """One installation angle of a star sensor.
 
-    At the zenith azimuth and roll are not separable: their sigmas are NaN.
+    If the boresight is at the zenith, azimuth and roll are not separable: the sigmas of both are NaN.
 
     Attributes:
         sensor: id of the sensor.

@@ -89,7 +89,7 @@ class WorstItem:
 
 
 def pools(results: Sequence[ItemResult], name: Callable[[Item], str]) -> list[Pool]:
-    """Return one pool for all items with the same name, sorted by name."""
+    """Return one pool for each name, with all items of this name, sorted by name."""
     by_name = sorted(results, key=lambda each: (name(each[0]), each[0].sort_key))
     return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
 

@@ -29,7 +29,7 @@ def run_in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterato
     """Yield each item with its result on completion.
 
     Args:
-        make: function of a module that runs an item in an empty folder.
+        make: module-level function that runs an item in an empty folder.
         items: items in any order.
         workers: number of parallel processes.
     """

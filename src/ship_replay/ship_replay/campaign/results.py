@@ -68,8 +68,9 @@ class ResultFolder:
 def csv_table(results: Sequence[ItemResult]) -> str:
     """Return all results as CSV, one line for each item, in the order of the items.
 
-    The columns after the item and its error are the quantities of ``evaluate --json``, then the numbers of outputs
-    ``status.<topic>.<status>`` and of messages that were not used ``refused.<topic>.<reason>``.
+    The columns after the item and its error are the quantities of ``evaluate --json``, the number of outputs by status
+    (``status.<topic>.<status>``) and the number of messages that were not used by reason
+    (``refused.<topic>.<reason>``).
     """
     in_order = sorted(results, key=lambda each: each[0].sort_key)
     rows = [_flat(result) for _, result in in_order]

@@ -53,7 +53,7 @@ class AlignmentValue:
         value: value in ``unit``, angles from -180 deg to 180 deg.
         sigma: standard deviation, same unit.
         unit: ``arcsec`` for errors of the INS and of axes, ``deg`` for installation angles, ``s`` for time offsets, or
-            ``m``.
+            the unit in the message (``m``, ``px``, ``1``).
     """
 
     name: str
@@ -72,8 +72,8 @@ class Evaluation:
         innovations: innovations by name of the source.
         targets: errors of directions and positions by target_id; empty if no truth is known.
         estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
-        invalid_counts: label of a published orientation whose truth is known → number of INVALID messages in
-            the whole bag, also in a skipped beginning.
+        invalid_counts: label of a published orientation whose truth is known → number of INVALID messages in the whole
+            bag, including a skipped beginning.
         problems: problems of the bags and of their messages, one line each.
         start_ns: log time at which the bag begins.
     """
@@ -134,8 +134,8 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
     Args:
         bag_path: bag with ``ship/attitude``, ``theodolite/pointing`` and other outputs.
         against: bag with the truth and the inputs, if they are not in ``bag_path``.
-        skip_s: duration at the beginning of the bag whose errors and accepted innovations are excluded; counts of
-            INVALID and rejected messages are still of the whole bag.
+        skip_s: duration at the beginning of the bag whose errors and accepted innovations are excluded; the counts of
+            INVALID and rejected messages still cover the whole bag.
         namespace: namespace of the ship in the bags; bags written by a replay may have none.
 
     Raises:
@@ -258,7 +258,7 @@ def _true_targets(named: _TopicNames, malformed: MalformedMessages) -> TargetDir
 
 
 def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
-    """Return a node's configuration from the attached suite file, of the run's own bag first.
+    """Return a node's configuration from a suite file attached to a bag; the run's own bag takes precedence.
 
     The result is None if no bag has a suite file, or if the file has no section for the node.
     """

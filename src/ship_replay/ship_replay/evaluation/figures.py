@@ -188,7 +188,7 @@ def _draw_together(
 
 
 def _set_limits(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
-    """Set symmetric limits. By default rare large values, as at the start, lie outside, so that the rest is visible."""
+    """Set symmetric limits. By default rare large values lie outside, so that the rest is visible."""
     values = np.abs(values[np.isfinite(values)])
     top = float(np.percentile(values, percentile)) * _MARGIN if len(values) else 0.0
     if top > 0.0:

@@ -31,7 +31,7 @@ _TRUTH_GAP_NS = 1_000_000_000
 
 
 class Truth:
-    """True attitudes of the deck, or of the main optical axis, at their stamps and, interpolated, between them."""
+    """True attitudes of the deck or of the main optical axis; between two stamps the attitude can be interpolated."""
 
     def __init__(self, orientation: Orientation) -> None:
         self.orientation = orientation
@@ -52,13 +52,13 @@ class Truth:
         return len(self._rotations)
 
     def rotation_at_stamp(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck or main frame, shape (3, 3), at a stamp of the truth; else None."""
+        """Return the rotation horizon from deck or main frame, shape (3, 3); None if the truth has no such stamp."""
         return self._rotations.get(stamp_ns)
 
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck or main frame, shape (3, 3).
 
-        Between stamps it is interpolated, but only if the truth has rates; otherwise it is None there.
+        Between stamps the rotation is interpolated if the truth has rates; otherwise the result is None.
         """
         exact = self.rotation_at_stamp(stamp_ns)
         return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
@@ -150,7 +150,7 @@ class PublishedAttitude(AttitudeSource):
 
 
 class InsAttitude(AttitudeSource):
-    """Attitudes of the deck by ``ins/imu`` alone, at the stamps of the truth, without correction of its time offset.
+    """Attitudes of the deck by ``ins/imu`` alone, at the stamps of the truth; the INS's time offset is not corrected.
 
     Attributes:
         track: all attitudes of the deck by the INS.
@@ -267,7 +267,7 @@ def attitude_sources(
     star: StarAttitudeConfig | None,
     theodolite: OpticalAxisConfig | None,
 ) -> dict[str, AttitudeSource]:
-    """Return relative topic → the source that collects its attitudes.
+    """Return relative topic → the source that collects the topic's attitudes.
 
     A star sensor gives its horizon attitudes if ``ship_attitude`` uses them, else its solutions.
 
@@ -302,7 +302,7 @@ def attitude_sources(
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
     """Return the covariance of the rotation vector (North, Up, East), rad².
 
-    If the message does not give it, it is computed from the covariance of the angles.
+    If the message does not give this covariance, the covariance is computed from that of the angles.
     """
     rotation_covariance = message.rotation_covariance.reshape(3, 3)
     if rotation_covariance.any():

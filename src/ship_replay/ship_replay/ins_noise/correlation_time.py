@@ -1,10 +1,11 @@
 """Estimate of a correlation time from its whole likelihood, with its uncertainty.
 
-For a record of few correlation times, the likelihood of the time is skewed: it falls off fast towards short times and
-slowly towards long times. The maximum of the likelihood is at too short a time, on average by half the variance of the
-logarithm. The curvature at the maximum is larger for shorter times, so the stated sigma is too small when the error is
-large. In 200 records of six correlation times, the errors were 1.1 to 1.4 of the sigma from the curvature. So the
-likelihood is integrated, with Jeffreys' prior (1946): the square root of the Fisher information.
+If a record is only a few correlation times long, the likelihood of the time is skewed: it falls off fast towards short
+times and slowly towards long times. The maximum of the likelihood is at too short a time, on average by half the
+variance of the logarithm. The curvature at the maximum is larger for shorter times, so the stated sigma is too small
+when the error is large. In 200 records, each six correlation times long, the errors were 1.1 to 1.4 times the sigma
+from the curvature. So the likelihood is integrated, with Jeffreys' prior (1946): the square root of the Fisher
+information.
 """
 
 import numpy as np

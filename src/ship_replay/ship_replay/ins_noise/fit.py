@@ -34,7 +34,7 @@ _SECOND_START_FACTOR = 0.03
 """Factor on the configured correlation times at the start of a second search, as one search may stop near a saddle."""
 
 _STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
-"""Distances from its maximum at which a correlation time's likelihood is computed, in sigmas from the curvature."""
+"""Distances from the maximum, in sigmas from the curvature, at which a correlation time's likelihood is computed."""
 
 _WIDEST_STEP = 1.0
 """Maximum sigma of the logarithm for these distances; a larger sigma does not describe the likelihood."""
@@ -46,8 +46,8 @@ class FittedModel:
 
     Attributes:
         model: model of the INS's error.
-        values: most likely parameter values, shape (p,); a correlation time has its mean instead, and the others are
-            shifted with it.
+        values: most likely parameter values, shape (p,); for a correlation time the mean instead, and the other values
+            are shifted accordingly.
         covariance: covariance of the logarithms of the parameters, shape (p, p); the variance of a parameter at a bound
             is `_UNKNOWN_LOG_SIGMA` squared, unless it is a correlation time.
         log_likelihood: maximum log likelihood of the record.

@@ -53,7 +53,8 @@ class StateEstimate(NamedTuple):
 class EpochFilter:
     """Kalman filter over a record for k parameter sets of a process.
 
-    The states are u (attitude error of the INS), the other time-varying states, then the other states of the process.
+    The states are u (attitude error of the INS), the record's time-varying states, then the other states of the
+    process.
 
     Args:
         record: record of star measurements.
@@ -152,7 +153,7 @@ class EpochFilter:
         return StateEstimate(mean, covariance)
 
     def update(self, estimate: StateEstimate, epoch: int) -> StateEstimate:
-        """Update an estimate with the information of its epoch."""
+        """Update an estimate with the information of an epoch."""
         information = self._information[0, epoch]
         size = self._start.shape[-1]
         rows = np.r_[0 : self._observed_size, size : len(estimate.mean)]
@@ -169,7 +170,7 @@ def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
 
 
 def _with_time_varying(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return start, transitions and noise of the process and the other time-varying states, in the filter's order."""
+    """Return start, transitions and noise of the process and the record's time-varying states, in filter order."""
     time_varying = record.time_varying
     decay, fresh = time_varying.propagation(np.diff(record.times_s))
     size = steps.start.shape[-1]

@@ -18,7 +18,7 @@ from ship_replay.ins_noise.likelihood import EpochFilter
 from ship_replay.ins_noise.star_record import StarRecord
 
 SHARES = (2, 4, 8, 16)
-"""Numbers of intervals in a record: longer horizons are too rare to test, and much shorter ones are not outages."""
+"""Numbers of intervals in a record: longer horizons are too rare to test, and much shorter horizons are not outages."""
 
 _MAX_INTERVAL_RATIO = 1.25
 """Maximum ratio of the length of an interval to the horizon; an interval is excluded if stars return later."""

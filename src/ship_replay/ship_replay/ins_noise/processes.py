@@ -127,7 +127,7 @@ class GaussMarkovModel:
 
 
 class SchulerModel:
-    """Oscillating error of an INS with free gyroscopes and accelerometers, with the same process as in the filter.
+    """Schuler oscillation with fitted errors of gyroscopes and accelerometers; the process is that of the filter.
 
     Args:
         ins: configuration with the start values of the search and the values that are not fitted.

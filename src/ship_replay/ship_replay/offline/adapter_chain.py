@@ -21,8 +21,9 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed, unless it is the main node.
-"""
+"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed.
+
+The first configured node is an exception."""
 
 
 def suite_text(bag: Bag, config_path: Path | None) -> str:
@@ -87,8 +88,8 @@ def nodes_of(
 ) -> tuple[type[Adapter], ...]:
     """Return the nodes of a namespace for which a configuration (a path, or the text itself) has sections.
 
-    The first of the known nodes is the main node. It is also selected by a section for all nodes (``/**``), and if no
-    other node has a section. Other nodes are selected only by sections with their names.
+    The first of the known nodes is the main node. The main node is also selected by a section for all nodes (``/**``),
+    and if no other node has a section. Other nodes are selected only by sections with their names.
 
     Raises:
         BadInput: the configuration is not a parameter file.

@@ -60,7 +60,7 @@ def black_box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapt
 
 
 def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
-    """Return the configuration for the replay: of the black box, or of a file, with a line about the file in ``notes``.
+    """Return the configuration for the replay, from the black box or from a file; a file adds a line to ``notes``.
 
     Raises:
         BadInput: the black box is of another version of the suite or lacks an attachment, and no file was given; or the

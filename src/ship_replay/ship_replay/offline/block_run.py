@@ -33,7 +33,7 @@ _MIN_BLOCK = 3
 """Minimum number of messages of one topic for a block; fewer messages are processed one by one."""
 
 _NODE_BITS = 32
-"""Number of low bits, for the order within a node, in an output's order within its event; higher bits are the node."""
+"""Number of low bits of an output's order in its event that give the order within a node; higher bits give the node."""
 _LAST_INDEX = 1 << 62
 
 
