@@ -216,7 +216,7 @@ class NodePass:
         if self._deferring_adapter is not None:
             while len(self._pending_outputs) < self._deferring_adapter.pending_count:
                 self._pending_outputs.append((index, self._order))
-                self._order += 2  # one for the messages published before it, one for the output
+                self._order += 2  # one for the messages published before the output, one for the output
 
     def _publish_deferred(self, adapter: DeferringAdapter) -> None:
         """Collect the outputs that were deferred during this pass."""

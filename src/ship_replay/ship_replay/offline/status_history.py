@@ -39,7 +39,7 @@ class Span:
     Attributes:
         status: name of the status.
         start_ns: stamp of the first output.
-        end_ns: stamp of the next output with another status; at the end, of the last output.
+        end_ns: stamp of the next output with another status; for the last span, stamp of the last output.
         count: number of outputs.
     """
 
@@ -50,7 +50,7 @@ class Span:
 
 
 class _Run(NamedTuple):
-    """Outputs of one status that were published consecutively; sorted by first stamp."""
+    """Outputs of one status that were published consecutively. Runs are sorted by their first stamp."""
 
     first_ns: int
     last_ns: int
