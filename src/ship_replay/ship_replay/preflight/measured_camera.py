@@ -24,7 +24,7 @@ from ship_replay.preflight.camera_exposures import EXPECTED_AXES, MIRRORED, Came
 _FEWEST_MAGNITUDES = 5
 
 _MIN_STAR_SHARE = 0.5
-"""The axes of an image are accepted if at least this share of the stars is consistent with one attitude per exposure."""
+"""Image axes are accepted if at least this share of the stars is consistent with one attitude per exposure."""
 
 _AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
 """Text for mirrored axes that the stars alone cannot distinguish, as a quarter or half turn transforms between them."""

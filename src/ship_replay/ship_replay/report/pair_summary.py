@@ -140,7 +140,8 @@ def _missing_sentences(pair: Pair) -> list[str]:
 def _outage_sentences(pair: Pair) -> list[str]:
     """Return sentences about outages within the time that both runs cover.
 
-    There is one for each source that was out in one run only, and one for the sources with the same outages in both.
+    Each source that was out in one run only has a sentence. One more sentence lists the sources with the same outages
+    in both runs.
     """
     a, b = (outages(recording) for recording in pair.recordings)
     sentences, named = [], set()

@@ -122,7 +122,7 @@ class RecordedHistory:
 
     @property
     def start_utc_ns(self) -> int:
-        """UTC of the first safety state of an angle; without any, the log time of the first message; whole seconds."""
+        """UTC of the first safety state of an angle, or else the log time of the first message, in whole seconds."""
         first_s = min(
             (words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S
         )

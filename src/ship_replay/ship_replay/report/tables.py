@@ -83,7 +83,7 @@ def shares(recording: RecordedHistory) -> list[tuple[str, dict[str, float], Coun
 
 
 def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[ParameterEstimate]) -> list[dict[str, str]]:
-    """Return a row for each parameter: first and last estimate with their σ, and the change over the first σ."""
+    """Return a row for each parameter: first and last estimate with their σ, and the change in units of the first σ."""
     first = {shown.name: shown for shown in before}
     rows = []
     for shown in after:

@@ -88,7 +88,10 @@ class FaultFreeReplay:
         return not in_view.any() and size_arcsec < _DETECTABLE_SLIP_SIGMAS * self.encoder_sigma_arcsec
 
     def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for a fast encoder drift in azimuth, ascribed to lights and axis errors until subfilters separate."""
+        """True for a fast encoder drift in azimuth.
+
+        The filter ascribes the drift to lights and axis errors until the subfilters separate.
+        """
         is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
         return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_DRIFT_ARCSEC_PER_MIN
 

@@ -150,7 +150,7 @@ class GraphObserver:
     ) -> bool:
         """Wait until topics have the given minimum numbers of publishers and subscribers.
 
-        Return True if they have them, False on timeout or if ``unless`` ends the wait.
+        Return True if these numbers are reached, False on timeout or if ``unless`` ends the wait.
 
         Args:
             publishers: topic → minimum number of publishers.
