@@ -83,7 +83,8 @@ def evaluate_fault(
 
     Args:
         fault: the fault.
-        changed_ns: arrival times, without faults, of the messages that the fault changes, in order; at least one.
+        changed_ns: original arrival times (without faults) of the messages that the fault changes, in order; at least
+            one.
         outputs: outputs of the voyage.
         fault_free: replay of the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.

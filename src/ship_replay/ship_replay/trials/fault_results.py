@@ -39,7 +39,7 @@ def results_file(path: Path, fresh: bool = False) -> ResultsFile:
     """Return the file of results of voyages with faults.
 
     Raises:
-        BadInput: a line before the last is not a result, or is a result of another evaluation.
+        BadInput: a complete line is not a result, or is a result of another evaluation.
     """
     return ResultsFile(path, _key, fresh)
 
