@@ -174,7 +174,8 @@ def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S)
     Args:
         scenario: the voyage.
         seed: seed of all its random parts.
-        length_s: length of the stretches, an even number of seconds.
+        length_s: length of the stretches, an even number of seconds, because star candidates are selected for blocks of
+            two seconds.
 
     Raises:
         BadInput: as :func:`simulate`.

@@ -50,7 +50,7 @@ class Availability:
             none, a limit above all accuracies.
         proposed_share: fraction of the decisive time within the proposed limit.
         decisive_share: decisive fraction of the whole time, without the start.
-        other: reason why the quantity is not SAFE with any limit → fraction of the whole time.
+        other: reason why the quantity is not SAFE whatever its limit → fraction of the whole time, without the start.
     """
 
     quantity: str
@@ -164,6 +164,6 @@ def _round_limits(least_arcsec: float) -> Iterator[float]:
 
 
 def _reason(angles: Sequence[AngleState]) -> str:
-    """Return why a quantity is not SAFE with any limit, without changing figures."""
+    """Return why a quantity is not SAFE whatever its limit, without changing figures."""
     worst = max(angles, key=lambda angle: angle.safety)
     return "hold time" if worst.is_recovering else without_changing_figures(worst.reason)

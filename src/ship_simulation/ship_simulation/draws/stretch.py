@@ -18,7 +18,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, random_stream
 
 STRETCH_S = 20
-"""Length of a stretch when a bag is written, s. Longer stretches, with more samples per call, would not be faster."""
+"""Length of a stretch when a bag is written, s. A stretch has some thousand samples, enough for full speed."""
 
 _HISTORY_S = 10.0
 """Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""

@@ -221,7 +221,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class FusedAttitude:
-    """``ship/attitude`` as fused from INS and stars, for a voyage without ``ship_attitude``."""
+    """``ship/attitude`` as fused from INS and stars, for a voyage without the node ``ship_attitude``."""
 
     written: bool = parameter(False, doc="true: the bag contains the topic")
     rate_hz: float = parameter(20.0, doc="messages per second", **RATE)

@@ -101,7 +101,7 @@ def _correlated_ins_error(scenario: Scenario, stretch: Stretch, draws: Draws, de
 
 
 def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
-    """Return the errors of the INS's angular rates relative to the horizon, rad/s, shape (n, 3).
+    """Return measured minus true angular rate of the INS, rad/s, shape (n, 3); true rates are relative to the horizon.
 
     The errors are noise, a correlated error of the gyroscopes, and the Earth rate if the INS does not remove it.
 

@@ -105,7 +105,9 @@ class SightingsTruth:
 def simulate_sightings(
     source: str, config: StarImaging, motion: DeviceExposures, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
-    """Return all exposures of a star sensor or theodolite camera, and their truth; by day and in outages without stars.
+    """Return all exposures of a star sensor or theodolite camera, and their truth.
+
+    Exposures by day and in outages contain no stars.
 
     Args:
         source: begin of the names of the random streams.
