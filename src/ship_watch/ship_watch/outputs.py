@@ -61,7 +61,7 @@ class OutputRecord:
         return math.inf if self._arrived_ns is None else max(0, now_ns - self._arrived_ns) * 1e-9
 
     def is_old(self, now_ns: int) -> bool:
-        """True if the last message is older than its limit."""
+        """True if the last message is older than the age limit, or if there is no message."""
         # An INVALID output is published only once a second.
         longest_ns = self._max_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns

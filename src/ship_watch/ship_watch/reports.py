@@ -137,7 +137,7 @@ class TopicReports:
         """True if no message arrived within the timeout.
 
         After a report with new messages, only the next report can show that the messages have stopped. A late report,
-        as on a busy computer, is not a timeout of the topic. An overdue report is (:meth:`is_report_overdue`).
+        as on a busy computer, is no timeout of the topic until the report is overdue (:meth:`is_report_overdue`).
         """
         if self.arrived_ns is None or (self._has_new_messages and not self.is_report_overdue(now_ns)):
             return False
@@ -199,7 +199,7 @@ class TopicReports:
             self.record_arrival(min(report.received_ns, before.received_ns + round(passed_ns)))
 
     def _match_reporter(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
-        """Replace the previous report of the same node; if several reports may be the previous one, the oldest.
+        """Replace the previous report of the same node; the oldest report if several may be the previous report.
 
         The report period and the new rejections are recorded too.
 

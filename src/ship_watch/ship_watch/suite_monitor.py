@@ -62,7 +62,8 @@ _SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
 _POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
 _SHIP_REQUIRED = ("ins", "star", "reference")
 _POINTING_REQUIRED = ("encoder", "ship_attitude")
-"""Sources that an output requires: the last two lists. Without another source only the quality is reduced."""
+"""``_SHIP_REQUIRED`` and ``_POINTING_REQUIRED`` are the kinds of sources that an output requires. Without a source of
+another kind only the quality is reduced."""
 
 
 class SuiteMonitor:

@@ -120,7 +120,7 @@ class NisConsistency:
 
 @dataclass(frozen=True)
 class SourceState:
-    """Presence and fault of a source. The safety of angles and the events are derived from it.
+    """Presence and fault of a source, from which events and the safety of angles are derived.
 
     Attributes:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
