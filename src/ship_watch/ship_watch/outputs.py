@@ -99,7 +99,7 @@ class OutputRecord:
         raise NotImplementedError
 
     def has_reduced_input(self, beacon_count: int) -> bool:
-        """True if the output uses only one light although several are configured; never for the attitude."""
+        """True if the output uses only one light although several are configured; always False for the attitude."""
         return False
 
     def _record_common(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:

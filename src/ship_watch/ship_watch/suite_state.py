@@ -52,12 +52,12 @@ class AngleState:
     Attributes:
         name: one of :data:`ANGLES`.
         value: the angle, rad: heading and azimuth from north to the right, pitch bow up, roll port up, elevation up.
-        accuracy_95: 1.96 sigma, rad; for an azimuth multiplied by the cosine of the elevation.
+        accuracy_95: 1.96 sigma, rad. The accuracy of an azimuth is multiplied by the cosine of the elevation.
         limit: the ship's limit of ``accuracy_95``, rad.
         protection_level: bound of the error under any single fault, rad; NaN if there is none.
         safety: the displayed safety.
-        reason: reason why the angle is not SAFE; during a hold with the time until the safety gets better, as in
-            "within 3″ again; SAFE in 4 s". Empty if SAFE.
+        reason: reason why the angle is not SAFE; empty if SAFE. During a hold the reason contains the time until the
+            safety gets better, as in "within 3″ again; SAFE in 4 s".
         age_s: time since the last value arrived, s.
         is_old: True if the age is over its limit; the value is then displayed in grey, with its age.
         stamp_ns: time of the value, UTC as POSIX time; 0 before the first value.
@@ -205,10 +205,10 @@ class AlertEntry:
 
 @dataclass(frozen=True)
 class InputState:
-    """State of one input topic as last reported, with the rejections of one reading node in the last 60 s.
+    """State of one input topic as last reported, with the rejections in the last 60 s.
 
-    ``level`` is as in diagnostic_msgs/DiagnosticStatus, ``latency_s`` the mean time from stamp to arrival. Of several
-    reading nodes, the largest number of rejections is given.
+    ``level`` is as in diagnostic_msgs/DiagnosticStatus, ``latency_s`` the mean time from stamp to arrival. If several
+    nodes read the topic, the largest number of rejections of one node is given.
     """
 
     topic: str

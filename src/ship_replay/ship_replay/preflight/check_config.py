@@ -94,7 +94,7 @@ class BagCheck:
 
     @property
     def usable(self) -> dict[str, str]:
-        """Relative topic → name in the bag, for topics with the same message definition here."""
+        """Relative topic → name in the bag, for topics whose message definition equals the installed definition."""
         return {
             topic: name for topic, name in self.topic_names.items() if self.bag.topics[name] not in self.bag.differences
         }

@@ -27,7 +27,7 @@ _MIN_STAR_SHARE = 0.5
 """Image axes are accepted if at least this share of the stars is consistent with one attitude per exposure."""
 
 _AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
-"""Text for mirrored axes that the stars alone cannot distinguish, as a quarter or half turn transforms between them."""
+"""Text for mirrored axes that the stars alone cannot distinguish: they differ only by a rotation of the camera."""
 
 
 class MagnitudeOffset(NamedTuple):
@@ -122,7 +122,10 @@ def measure_camera(record: CameraRecord, sky_model: SkyModel) -> MeasuredCamera:
 
 
 def _best_mirrored(record: CameraRecord, expected: _AxesHypothesis, sky_model: SkyModel) -> _AxesHypothesis:
-    """Return the hypothesis of mirrored axes that fits the stars; the expected axes if no mirrored axes fit."""
+    """Return the hypothesis of mirrored axes that fits the stars; return ``expected`` if no mirrored axes fit.
+
+    If several hypotheses fit, the hypothesis nearest to the predicted attitudes is returned.
+    """
     found = [reading for axes in MIRRORED if _explains(reading := _evaluate_axes(record, axes, sky_model), expected)]
     nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
     if found and np.isnan(nearest.median_rotation(record)):

@@ -125,7 +125,7 @@ def _difference_sentence(found: OutputDifference) -> str:
 
 
 def _missing_sentences(pair: Pair) -> list[str]:
-    """Return a sentence for each output published in one run only, or without a common stamp."""
+    """Return a sentence for each output that only one run published, and for each output without a common stamp."""
     sentences = []
     compared = {found.orientation.label for found in pair.differences}
     for known in ORIENTATIONS:

@@ -222,7 +222,7 @@ def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 
 def rejection_rows_of_both(pair: Pair) -> list[dict[str, str]]:
-    """Return a row for each source, place and reason: counts in A and in B; rejections before notes."""
+    """Return a row for each source, place and reason: counts in A and in B. Rejections come before notes."""
     a, b = (_rejection_counts(recording) for recording in pair.recordings)
     return [
         {

@@ -41,7 +41,7 @@ class PublishedOutputs:
 
     Attributes:
         series: label of an orientation → outputs of this orientation.
-        received_counts: input topic → number of messages received since the start; the largest number of all nodes.
+        received_counts: input topic → largest number of messages that a node has received since its start.
         input_digests: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
     """
 

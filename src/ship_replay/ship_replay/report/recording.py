@@ -77,7 +77,7 @@ class RecordedHistory:
 
     Attributes:
         path: path of the bag.
-        sha256: hash of the bag's file; for a folder one line per MCAP file, as sha256sum writes them.
+        sha256: hash of the bag from :func:`content_sha256`.
         start_ns: log time of the first message.
         end_ns: log time of the last message.
         limits: limits of the ship from which the states follow.

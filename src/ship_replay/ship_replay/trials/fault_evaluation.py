@@ -11,7 +11,7 @@ other sources do not matter.
 2. Without such a source, the first source that is repeatedly rejected in comparison with other sources.
 3. Without repeated rejections, the source of the first indication.
 
-A rejection in comparison does not name a source while another source is excluded: correct lights or stars are also
+Rejections in comparison with other sources count only if no source is excluded: correct lights or stars are also
 rejected if encoders or position are wrong.
 
 A name is correct if it refers to the faulty source (:func:`is_faulty_source`). The names of sources are those of

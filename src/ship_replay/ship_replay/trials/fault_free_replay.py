@@ -110,7 +110,7 @@ class FaultFreeReplay:
         return fault.topic.startswith(_STARS) and self._is_drift_with_two_sensors(fault, _STAR_DRIFT_ARCSEC_PER_MIN)
 
     def _is_drift_with_two_sensors(self, fault: Fault, arcsec_per_min: float) -> bool:
-        """True if a fault is a drift faster than a limit about an axis, with fewer than three star sensors."""
+        """True if a fault is a drift about an axis faster than a limit, and there are fewer than three star sensors."""
         if fault.kind != "drift":
             return False
         rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min

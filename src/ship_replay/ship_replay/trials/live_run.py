@@ -40,7 +40,7 @@ class LiveRun:
     The constructor starts node and recorder, and returns when they are connected; :meth:`play` starts the player.
 
     Args:
-        bag_path: bag with inputs and the attached suite configuration; topics without namespace.
+        bag_path: bag with the attached suite configuration, and with inputs on topics without namespace.
         adapter_class: adapter of the node to run.
         package: package of the node's executable, which has the name of the node.
         folder: folder for configuration, logs and the recorded bag; files of an earlier run are overwritten.
