@@ -124,8 +124,8 @@ class TopicReports:
     def age_s(self, now_ns: int) -> float:
         """Return the time since the last message arrived, s; infinite before the first message.
 
-        Single arrivals are not reported, so the time stays constant after a report with new messages until the next
-        report is overdue.
+        Single arrivals are not reported, so the time stays constant after a report with new messages, as long as this
+        report is recent (:meth:`is_report_recent`).
         """
         if self.arrived_ns is None:
             return math.inf
@@ -183,9 +183,9 @@ class TopicReports:
     def _update_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
         """Update the period of the topic and the arrival of the last message from a report.
 
-        The arrival is the time of the report minus the age of the message beyond the mean latency. A report contains no
-        stamps of rejected messages, which are assumed to arrive after the previous report, one period apart. Without
-        new messages the mean rate decreases, so the period is then not updated.
+        The arrival is the time of the report minus the difference of the message's age and the mean latency. A report
+        contains no stamps of rejected messages, which are assumed to arrive after the previous report, one period
+        apart. Without new messages the mean rate decreases, so the period is then not updated.
         """
         come = report.received - (before.received if before else 0)
         self._has_new_messages = come > 0

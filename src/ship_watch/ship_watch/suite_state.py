@@ -128,7 +128,7 @@ class SourceState:
         reason: reason why the source is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
         disagreement: largest offset of a source that is OUT, as "reads 49″ high", or correction in the data of a source
             that is IN, as "names exchanged" for lights. Empty if unknown.
-        residual: mean of its last rejected residuals over their sigma; NaN if there is none.
+        residual: mean ratio of its last rejected residuals to their sigmas; NaN if there is none.
         out_since_ns: UTC of the begin of the fault: first rejection, exclusion or last message; 0 if IN or unknown.
         because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
             :data:`CAUSE_NODE`. Empty if the fault is its own.
@@ -259,7 +259,7 @@ class SuiteState:
             arrival; 0 before the first stamp.
         angles: angles in the order of :data:`ANGLES`; angles of a theodolite only if the suite has one.
         ages_s: "stars", "lights" or "ins" → age of the newest source of this kind that is IN, s; if all sources of the
-            kind are OUT, the time since one of them was used.
+            kind are OUT or not used, the time since one of them was used.
         pointing_by: method of the pointing: "2 lights", "1 light", "encoder", "no pointing"; empty without a
             theodolite.
         horizon: horizon of the attitude: "geodetic", "gravity"; empty before the first attitude.

@@ -61,7 +61,7 @@ def read_ahead(
 
 
 class EstimateBatch(NamedTuple):
-    """Estimates of several events; ``orders`` is the position of each estimate among all outputs of its event."""
+    """Estimates of several events; ``orders`` is the key that sorts each estimate among the outputs of its event."""
 
     topic: str
     event_indices: StampArray

@@ -72,7 +72,7 @@ class StatusHistory:
         self._last_diagnostic: dict[str, str] = {}
 
     def add(self, message: Any) -> None:
-        """Add an output, in the order of publication."""
+        """Add the next output in the order of publication."""
         self._add(int(message.status), ns_from_stamp(message.header.stamp), ns_from_stamp(message.header.stamp), 1)
 
     def add_run(self, statuses: Sequence[int], stamps_ns: np.ndarray) -> None:
@@ -103,7 +103,7 @@ class StatusHistory:
 
     @property
     def diagnostic_lines(self) -> list[str]:
-        """Diagnostic texts about poor outputs, one line each, most frequent first, with the last numbers."""
+        """Diagnostic texts about poor outputs, most frequent first, each with the numbers of its last occurrence."""
         total = self._diagnostic_counts.total()
         most = self._diagnostic_counts.most_common(_MAX_DIAGNOSTICS)
         return [f"diagnostics, {count} of {total}: {self._last_diagnostic[reason]}" for reason, count in most]

@@ -1,7 +1,7 @@
 """Camera parameters from stars: image axes, focal length, principal point, magnitudes and attitudes.
 
 Axes, focal length and principal point follow from the angles between identified stars. A predicted attitude is needed
-only to decide which axis of a mirrored image is reversed.
+only to identify stars without a catalogue number, and to decide which axis of a mirrored image is reversed.
 """
 
 from dataclasses import dataclass, replace

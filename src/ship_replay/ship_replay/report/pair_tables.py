@@ -124,7 +124,7 @@ class BudgetTable:
 
 
 def budget_tables(pair: Pair) -> list[BudgetTable]:
-    """Return the error budgets: mean variance of each source of error over the run."""
+    """Return the error budgets: square root of the mean variance of each source of error over the run."""
     tables = []
     for topic in sorted({topic for recording in pair.recordings for topic in recording.budgets}):
         a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.recordings)

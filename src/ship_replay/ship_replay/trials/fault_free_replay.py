@@ -19,10 +19,10 @@ MEASUREMENTS = 3
 """Maximum number of measurements of a source until its step is detected, if they take longer than a second."""
 
 _DETECTABLE_SHIFT_ARCSEC = 13.0
-"""Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
+"""Minimum mounting shift of the telescope that the next lights detect, arcsec: three times the scatter of a sighting."""
 
 _DETECTABLE_SLIP_SIGMAS = 13.0
-"""Encoder slip, in sigmas of a reading, detected from the readings themselves
+"""Minimum encoder slip, in sigmas of a reading, that is detected from the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
 _INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0

@@ -18,7 +18,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 
 _MAX_STEP_S = 0.1
 _MIN_STEPS = 50
-"""Grid steps per correlation time: the variance halfway between two grid points is then 1 % too small."""
+"""Minimum number of grid steps per correlation time: the variance halfway between grid points is then 1 % too small."""
 
 TRUTH_RATE_HZ = 10.0
 """Rate of the truth in a simulated bag, Hz."""

@@ -28,7 +28,7 @@ _NORMALS_PER_BATCH = 4096
 
 @dataclass(frozen=True)
 class Stretch:
-    """The samples of a voyage whose error-free stamps lie from ``begin_s`` up to ``end_s``.
+    """A part of a voyage, with the samples whose error-free stamps lie from ``begin_s`` up to ``end_s``.
 
     Attributes:
         start_ns: start of the voyage.

@@ -211,7 +211,7 @@ def _repeat(delivery: Delivery, log_time_ns: int) -> Delivery:
 
 
 def _copy_with_values(delivery: Delivery, other: Delivery) -> Delivery:
-    """Return a message with the stamp of one delivery and the values of another, shortly after the former."""
+    """Return a message with the stamp of ``delivery`` and the values of ``other``, arriving 1 ms after ``delivery``."""
     message = copy.deepcopy(other.message)
     message.header = delivery.message.header
     return replace(delivery, message=message, log_time_ns=delivery.log_time_ns + _REPETITION_AFTER_NS, data=None)

@@ -95,7 +95,7 @@ AXES = ("", "exchanged", "ned_frd")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one topic during a time."""
+    """A fault of one topic from ``start_s`` to ``end_s``."""
 
     topic: str = parameter(doc="topic, for example ins/imu")
     kind: str = parameter(doc="kind of the fault", choices=tuple(KINDS))
