@@ -19,7 +19,7 @@ MEASUREMENTS = 3
 """Maximum number of measurements of a source until its step is detected, if they take longer than a second."""
 
 _DETECTABLE_SHIFT_ARCSEC = 13.0
-"""Minimum mounting shift of the telescope that the next lights detect, arcsec: three times the scatter of a sighting."""
+"""Minimum mounting shift of the telescope that the next lights detect, arcsec: three times the scatter of one light."""
 
 _DETECTABLE_SLIP_SIGMAS = 13.0
 """Minimum encoder slip, in sigmas of a reading, that is detected from the readings themselves
