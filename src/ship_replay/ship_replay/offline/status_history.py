@@ -24,7 +24,7 @@ STATUS_TOPICS = frozenset((*(orientation.topic for orientation in ORIENTATIONS),
 
 _POOR = "DEGRADED", "INVALID"
 _ACCEPTED_WITH_NOTE = Reason.COVARIANCE_UNKNOWN.word
-"""Reason of a note on a message that is used."""
+"""Reason that is only a note on a used message, and never a rejection."""
 
 _MIN_POOR_SHARE = 0.01
 _MAX_SPANS = 12
