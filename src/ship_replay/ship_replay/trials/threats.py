@@ -163,8 +163,8 @@ def draw_faults(
 ) -> list[DrawnFault]:
     """Draw up to five faults of a voyage, in order of their beginnings.
 
-    In mode SINGLE, no fault is drawn if the voyage is too short. In mode OVERLAPPING, the voyage must be long enough for
-    a fault.
+    In mode SINGLE, no fault is drawn if the voyage is too short. In mode OVERLAPPING, the voyage must have room for a
+    fault.
 
     Args:
         topics: topic → type of the inputs that the nodes of the voyage use.
