@@ -173,7 +173,7 @@ def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S)
 
     Args:
         scenario: the voyage.
-        seed: seed of all its random parts.
+        seed: seed of all random parts of the voyage.
         length_s: length of the stretches, an even number of seconds, because star candidates are selected for blocks of
             two seconds.
 

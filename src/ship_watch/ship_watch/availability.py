@@ -95,9 +95,9 @@ class AvailabilityRecord:
         """Process a message of the recording; messages must come in the order of arrival.
 
         Args:
-            topic: name of its topic, relative to the namespace of the suite.
+            topic: name of the message's topic, relative to the namespace of the suite.
             message: the message, with the fields of its type as attributes.
-            arrival_ns: time of its arrival, ns.
+            arrival_ns: arrival time of the message, ns.
         """
         while self._next_sample_ns is not None and self._next_sample_ns <= arrival_ns:
             self._sample(self._next_sample_ns)

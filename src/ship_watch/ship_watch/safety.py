@@ -57,12 +57,12 @@ class AngleInputs:
     Attributes:
         topic: topic of the output.
         is_received: True if the output was received at least once.
-        is_old: True if the last output is older than its limit.
+        is_old: True if the last output is older than the age limit.
         value: the angle, rad.
         accuracy_95: 1.96 sigma, rad.
         limit: the ship's limit of ``accuracy_95``, rad.
         unsafe_factor: ratio of accuracy to limit above which the angle is UNSAFE.
-        status: status of the output; None if its number is unknown.
+        status: status of the output; None for an unknown status number.
         diagnosis_hint: cause of a reduced quality, from the output itself: "no stars for 31 s", "no lights".
         has_reduced_input: True if the hint alone makes the angle a CAUTION, as with one of two lights.
         protection: protection level of the angle.

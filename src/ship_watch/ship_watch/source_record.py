@@ -53,8 +53,8 @@ class SourceRecord:
     Attributes:
         name: name of the source.
         first_word: kind of the source, the first part of its name: "star" for all star sensors.
-        period_ns: usual time between its messages, ns; NaN if unknown.
-        used: largest number of its messages that one node has used so far.
+        period_ns: usual time between messages of the source, ns; NaN if unknown.
+        used: largest number of messages of the source that one node has used so far.
         topics: topic → reports on it, in the order of the topics' names.
         decisions: (innovation topic, name in it) → measurement decisions.
         used_at_rejection: (innovation topic, name in it) → value of ``used`` at the last rejection.

@@ -119,9 +119,9 @@ class SuiteMonitor:
         """Process one message; topics that are not monitored are ignored.
 
         Args:
-            topic: name of its topic, relative to the namespace of the suite.
+            topic: name of the message's topic, relative to the namespace of the suite.
             message: the message, with the fields of its type as attributes.
-            arrival_ns: time of its arrival, caller's steady time, ns.
+            arrival_ns: arrival time of the message, caller's steady time, ns.
         """
         handler = self._handlers.get(topic) or self._handler(topic)
         if handler is not None:

@@ -128,10 +128,10 @@ class SourceState:
         reason: reason why the source is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
         disagreement: largest offset of a source that is OUT, as "reads 49″ high", or correction in the data of a source
             that is IN, as "names exchanged" for lights. Empty if unknown.
-        residual: mean ratio of its last rejected residuals to their sigmas; NaN if there is none.
+        residual: mean ratio of the last rejected residuals to their sigmas; NaN if there is none.
         out_since_ns: UTC of the begin of the fault: first rejection, exclusion or last message; 0 if IN or unknown.
         because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
-            :data:`CAUSE_NODE`. Empty if the fault is its own.
+            :data:`CAUSE_NODE`. Empty for a fault of the source itself.
     """
 
     name: str
@@ -148,12 +148,12 @@ class SourceDetails(SourceState):
     """State of a source with its ages, rates and NIS consistency.
 
     Attributes:
-        nis_consistency: consistency of its sigma; None if it has no accepted innovations.
+        nis_consistency: consistency of the source's sigma; None if the source has no accepted innovations.
         age_s: time since the last message arrived, s.
-        rate_hz: mean rate of arrival, the largest of its topics, Hz; NaN before two messages.
+        rate_hz: largest mean rate of arrival of the source's topics, Hz; NaN before two messages.
         rejected_in_a_row: messages rejected in a row, at the input or by the filter.
         topics: topics on which the source publishes, relative to the namespace of the suite.
-        mounting_shift: angle between its mounting before an exclusion and after its reinstatement, rad, for ten minutes
+        mounting_shift: angle between the mounting before an exclusion and after the reinstatement, rad, for ten minutes
             after the reinstatement; NaN otherwise.
     """
 

@@ -68,7 +68,7 @@ class LiveProcess:
 
     Args:
         command: program and arguments.
-        log_path: file for its stdout and stderr.
+        log_path: file for stdout and stderr of the process.
         environment: see :func:`live_environment`.
     """
 

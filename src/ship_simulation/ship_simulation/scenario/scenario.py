@@ -192,7 +192,7 @@ class StarSensor(StarImaging):
 
     @property
     def sight_masks(self) -> SensorMasks | None:
-        """Obstructions in its field of view."""
+        """Obstructions in the sensor's field of view; None if there are none."""
         return sensor_masks(self, "star_sensors")
 
 

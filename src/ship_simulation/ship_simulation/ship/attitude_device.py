@@ -154,8 +154,8 @@ class DeviceTruth:
     Attributes:
         installation_error_v: rotation vector m in the device frame, rad, shape (3,).
         rotation_dv: deck from device, its installation error included, shape (3, 3).
-        time_offset_s: for a star sensor, time of validity of a sample minus its stamp; for a reference, its stamp minus
-            the INS's for the same attitude.
+        time_offset_s: for a star sensor, time of validity of a sample minus its stamp; for a reference, stamp of the
+            reference minus stamp of the INS for the same attitude.
     """
 
     installation_error_v: FloatArray
