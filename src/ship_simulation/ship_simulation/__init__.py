@@ -14,6 +14,6 @@ A sensor that gives single stars images a star in the direction v_n(t + tau_s), 
 R_star_ns^T v_n. Noise of the pixel position then replaces n_s. The theodolite and the lights of drones are in
 :mod:`ship_simulation.theodolite`.
 
-The package imports geometry, parameter fields, bags, the star catalogue, a star camera, and the pure geometry of a
-theodolite. It imports no estimator and no node.
+The package imports geometry, parameter fields, bags, the star catalogue, star cameras, masks, parameters of INS errors,
+and the pure geometry of a theodolite. It imports no estimator and no node.
 """

@@ -20,8 +20,7 @@ FAULTS_ATTACHMENT = "faults.yaml"
 """Name of the attachment that contains the file of faults."""
 
 _BAG_RECORD = "rosbag2"
-"""Name of the metadata record in which rosbag2 describes the file that contains the record; not valid in another file.
-"""
+"""Name of the metadata record in which rosbag2 describes the file. This record is not valid in another file."""
 
 _DESCRIPTION = """\
 Adds faults to a bag: a simulated one, or a recording (.mcap file or rosbag2 folder). The fault file contains a group

@@ -137,8 +137,8 @@ class SimulatedRun:
     def pointing_arrivals(self) -> list[tuple[int, str, int]]:
         """Return (log time, source, index of the sample) of each input of ``optical_axis``, in order of arrival.
 
-        A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>``, ``image`` or ``target``; with
-        star cameras on the theodolite also ``star.<id>`` and SKY_SOURCES.
+        A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>``, ``image`` or ``target``. Star
+        cameras on the theodolite add ``star.<id>`` and SKY_SOURCES.
         """
         sources = {"ins": self.ins.log_time_ns}
         if self.fused is not None:
@@ -173,8 +173,9 @@ def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S)
 
     Args:
         scenario: the voyage.
-        seed: seed of all its random parts.
-        length_s: length of the stretches, an even number of seconds.
+        seed: seed of all random parts of the voyage.
+        length_s: length of the stretches, an even number of seconds, because star candidates are selected for blocks of
+            two seconds.
 
     Raises:
         BadInput: as :func:`simulate`.
@@ -244,7 +245,10 @@ class _Voyage:
 
 
 def _sort_arrivals(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
-    """Return (log time, source, index) of all samples; equal times in the order of the sources, then of the stamps."""
+    """Return (log time, source, index) of all samples, in order of log time.
+
+    Samples with equal log times are in the order of the sources, then of the stamps.
+    """
     arrivals = [
         (int(log_time_ns), source, index)
         for source, log_times_ns in sources.items()

@@ -30,8 +30,8 @@ class Condition:
             after the start.
         is_never_received: True if the situation is only that an output was never received. Such a situation does not
             change an alert that was active before a restart.
-        explained_by: ids of situations that explain this situation. It has no alert of its own while the alert of one
-            of those situations is active with at least the same priority.
+        explained_by: ids of situations that explain this situation. This situation has no alert of its own while the
+            alert of one of those situations is active with at least the same priority.
         lost_functions: functions that the situation affects. A new instance of the alert is raised if further functions
             are affected after an acknowledgement.
     """

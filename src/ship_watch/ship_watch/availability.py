@@ -50,7 +50,7 @@ class Availability:
             none, a limit above all accuracies.
         proposed_share: fraction of the decisive time within the proposed limit.
         decisive_share: decisive fraction of the whole time, without the start.
-        other: reason why the quantity is not SAFE with any limit → fraction of the whole time.
+        other: reason why the quantity is not SAFE whatever its limit → fraction of the whole time, without the start.
     """
 
     quantity: str
@@ -95,9 +95,9 @@ class AvailabilityRecord:
         """Process a message of the recording; messages must come in the order of arrival.
 
         Args:
-            topic: name of its topic, relative to the namespace of the suite.
+            topic: name of the message's topic, relative to the namespace of the suite.
             message: the message, with the fields of its type as attributes.
-            arrival_ns: time of its arrival, ns.
+            arrival_ns: arrival time of the message, ns.
         """
         while self._next_sample_ns is not None and self._next_sample_ns <= arrival_ns:
             self._sample(self._next_sample_ns)
@@ -164,6 +164,6 @@ def _round_limits(least_arcsec: float) -> Iterator[float]:
 
 
 def _reason(angles: Sequence[AngleState]) -> str:
-    """Return why a quantity is not SAFE with any limit, without changing figures."""
+    """Return why a quantity is not SAFE whatever its limit, without changing figures."""
     worst = max(angles, key=lambda angle: angle.safety)
     return "hold time" if worst.is_recovering else without_changing_figures(worst.reason)

@@ -87,8 +87,8 @@ class DecisionHistory:
             self.last_rejection_ns = now_ns
             if not revised:
                 self.reason = Reason(message.reason) if message.reason in _REASONS else Reason.NONE
-            # The estimate adapts to an excluded source, whose residuals are then small: its offset is computed only
-            # from rejections by the gate.
+            # The estimate adapts to an excluded source, so that the residuals of this source become small. Its offset
+            # is therefore computed only from rejections by the gate.
             if len(message.residual) and not message.nis <= message.gate:
                 self._rejected_messages.append(message)
         self._add_decision(stamp_ns, accepted, revised, period_ns)

@@ -37,13 +37,13 @@ class FunctionState:
     Attributes:
         name: "heading", "tilt" or "pointing".
         output: :data:`ATTITUDE` or :data:`POINTING`.
-        safety: the worst safety of its angles; None if the suite does not provide this function.
-        angle: the worst of its angles.
+        safety: the worst safety of the function's angles; None if the suite does not provide this function.
+        angle: the worst of the function's angles.
         because_of: the source that causes a safety other than SAFE, or "attitude" for a pointing that is lost with the
             attitude; empty if no cause is known.
-        is_output_missing: True if its output is no longer received, or was never received.
-        over_limit_s: longest time for which the accuracy of one of its angles has been over the limit, s; 0 if the
-            accuracies of all its angles are within the limit.
+        is_output_missing: True if the output is no longer received, or was never received.
+        over_limit_s: longest time for which the accuracy of one of the angles has been over the limit, s; 0 if the
+            accuracies of all angles are within the limit.
         sources: the sources that the function depends on, in the order of the suite state.
     """
 

@@ -32,11 +32,11 @@ class InnovationPoint:
 
     Attributes:
         utc_ns: time of the measurement, UTC as POSIX time.
-        axes: names of its axes.
-        mean: mean of its residuals along each axis, rad or m, shape (axes,).
+        axes: names of the axes of the residuals.
+        mean: mean of the residuals along each axis, rad or m, shape (axes,).
         sigma: root mean square of the stated sigmas of the residuals, shape (axes,). This value is not divided by the
-            root of their number, because the residuals share much of their error.
-        object_residuals: residuals of its single stars or lights along the same axes, shape (n, axes); one row for an
+            root of the number of residuals, because the residuals share much of their error.
+        object_residuals: residuals of single stars or lights along the same axes, shape (n, axes); one row for an
             attitude or an encoder.
         nis: normalised innovation squared.
         gate: limit of ``nis``.

@@ -59,7 +59,7 @@ class ErrorsAgainstTruth:
         self._has_published_errors = False
 
     def record_published_error(self, message: Any) -> None:
-        """Record a message of the output's error topic; a message without errors only while there is no truth."""
+        """Record a message of the output's error topic. A message without errors is ignored if the truth is known."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
         has_values = any(math.isfinite(value) for value in error.values())

@@ -49,7 +49,7 @@ class InputLimits:
 
 @dataclass(frozen=True)
 class AlertTimes:
-    """Delays until a situation is raised, cleared and escalated."""
+    """Delays until an alert is raised, cleared and escalated."""
 
     raise_after_s: float = parameter(
         0.2, doc="duration of a situation after which its alert is raised", unit="s", minimum=0.0, maximum=60.0

@@ -24,8 +24,8 @@ class Orientation:
     Attributes:
         label: name of the published orientation in an evaluation.
         topic: topic of the orientation.
-        truth_topic: topic of its truth in a simulated bag, with messages of the same type.
-        error_topic: topic of its errors.
+        truth_topic: topic of the truth in a simulated bag, with messages of the same type.
+        error_topic: topic of the errors.
         angles: message fields of the three angles, in the order azimuth, elevation, roll.
         channels: names of the three errors.
         on_sky: True if the first error is multiplied by the cosine of the elevation (angle on the sky).

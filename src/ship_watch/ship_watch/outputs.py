@@ -61,7 +61,7 @@ class OutputRecord:
         return math.inf if self._arrived_ns is None else max(0, now_ns - self._arrived_ns) * 1e-9
 
     def is_old(self, now_ns: int) -> bool:
-        """True if the last message is older than its limit."""
+        """True if the last message is older than the age limit, or if there is no message."""
         # An INVALID output is published only once a second.
         longest_ns = self._max_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
@@ -99,7 +99,7 @@ class OutputRecord:
         raise NotImplementedError
 
     def has_reduced_input(self, beacon_count: int) -> bool:
-        """True if the output uses only one light although several are configured; never for the attitude."""
+        """True if the output uses only one light although several are configured; always False for the attitude."""
         return False
 
     def _record_common(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:

@@ -41,7 +41,10 @@ def suite_state_fields(state: SuiteState) -> dict[str, Any]:
 
 
 def change_key(state: SuiteState) -> tuple[Any, ...]:
-    """Return the part of a state whose change is published at once: angles' safety, sources' presence and cause."""
+    """Return the part of a state whose change is published at once.
+
+    This part is the safety and ``is_old`` of each angle, and the presence and cause of each source.
+    """
     angles = tuple((angle.name, angle.safety, angle.is_old) for angle in state.angles)
     return angles, tuple((source.name, source.presence, source.because_of) for source in state.sources)
 

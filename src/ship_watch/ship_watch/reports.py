@@ -124,8 +124,8 @@ class TopicReports:
     def age_s(self, now_ns: int) -> float:
         """Return the time since the last message arrived, s; infinite before the first message.
 
-        Single arrivals are not reported, so the time stays constant after a report with new messages until the next
-        report is overdue.
+        Single arrivals are not reported, so the time stays constant after a report with new messages, as long as this
+        report is recent (:meth:`is_report_recent`).
         """
         if self.arrived_ns is None:
             return math.inf
@@ -137,7 +137,7 @@ class TopicReports:
         """True if no message arrived within the timeout.
 
         After a report with new messages, only the next report can show that the messages have stopped. A late report,
-        as on a busy computer, is not a timeout of the topic. An overdue report is (:meth:`is_report_overdue`).
+        as on a busy computer, is no timeout of the topic until the report is overdue (:meth:`is_report_overdue`).
         """
         if self.arrived_ns is None or (self._has_new_messages and not self.is_report_overdue(now_ns)):
             return False
@@ -183,9 +183,9 @@ class TopicReports:
     def _update_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
         """Update the period of the topic and the arrival of the last message from a report.
 
-        The arrival is the time of the report minus the age of the message beyond the mean latency. A report contains no
-        stamps of rejected messages, which are assumed to arrive after the previous report, one period apart. Without
-        new messages the mean rate decreases, so the period is then not updated.
+        The arrival is the time of the report minus the difference of the message's age and the mean latency. A report
+        contains no stamps of rejected messages, which are assumed to arrive after the previous report, one period
+        apart. Without new messages the mean rate decreases, so the period is then not updated.
         """
         come = report.received - (before.received if before else 0)
         self._has_new_messages = come > 0
@@ -199,12 +199,12 @@ class TopicReports:
             self.record_arrival(min(report.received_ns, before.received_ns + round(passed_ns)))
 
     def _match_reporter(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
-        """Replace the previous report of the same node; if several reports may be the previous one, the oldest.
+        """Replace the previous report of the same node; the oldest report if several may be the previous report.
 
         The report period and the new rejections are recorded too.
 
         Returns:
-            True if the report is from a new node, and the previous report of its node, None if there is none.
+            True if the report is from a new node, and the previous report of the same node; None if there is none.
         """
         before = min(
             (known for known in self._reporters if known.may_precede(report)),

@@ -2,9 +2,9 @@
 
 The terms are from IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
 within the ship's limit and its protection level within the alert limit. An angle is CAUTION if its accuracy is over the
-limit, but at most ``unsafe_factor`` times (default 3). It is also CAUTION if integrity is unavailable, or if the output
-is COASTING or DEGRADED or uses too few lights. In all other cases the angle is UNSAFE, also if a value is NaN, because
-NaN fails every comparison.
+limit, but at most ``unsafe_factor`` times (default 3). It is also CAUTION if no protection level is available, or if
+the output is COASTING or DEGRADED or uses too few lights. In all other cases the angle is UNSAFE, also if its value or
+accuracy is NaN, because NaN fails every comparison.
 
 The safety gets worse at once and better after a hold time, with hysteresis. An accuracy that was over its limit must be
 below the limit by a margin for the hold time, or below the limit for several hold times.
@@ -57,12 +57,12 @@ class AngleInputs:
     Attributes:
         topic: topic of the output.
         is_received: True if the output was received at least once.
-        is_old: True if the last output is older than its limit.
+        is_old: True if the last output is older than the age limit.
         value: the angle, rad.
         accuracy_95: 1.96 sigma, rad.
         limit: the ship's limit of ``accuracy_95``, rad.
         unsafe_factor: ratio of accuracy to limit above which the angle is UNSAFE.
-        status: status of the output; None if its number is unknown.
+        status: status of the output; None for an unknown status number.
         diagnosis_hint: cause of a reduced quality, from the output itself: "no stars for 31 s", "no lights".
         has_reduced_input: True if the hint alone makes the angle a CAUTION, as with one of two lights.
         protection: protection level of the angle.

@@ -37,7 +37,10 @@ _UNUSABLE_PERIODS = 5.0
 
 @dataclass(frozen=True)
 class SourceFault:
-    """Reason why a source is OUT, begin of the fault (UTC, ns), and source that causes the fault, empty for its own."""
+    """Reason why a source is OUT, begin of the fault (UTC, ns), and the other source that causes the fault.
+
+    ``because_of`` is empty for a fault of the source itself.
+    """
 
     reason: str
     since_ns: int = 0
@@ -50,9 +53,9 @@ class SourceRecord:
     Attributes:
         name: name of the source.
         first_word: kind of the source, the first part of its name: "star" for all star sensors.
-        period_ns: usual time between its messages, ns; NaN if unknown.
-        used: largest number of its messages that one node has used so far.
-        topics: topic → reports on it, in the order of their names.
+        period_ns: usual time between messages of the source, ns; NaN if unknown.
+        used: largest number of messages of the source that one node has used so far.
+        topics: topic → reports on it, in the order of the topics' names.
         decisions: (innovation topic, name in it) → measurement decisions.
         used_at_rejection: (innovation topic, name in it) → value of ``used`` at the last rejection.
         nis_window: accepted innovations of the last minute.

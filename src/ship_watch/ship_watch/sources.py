@@ -126,7 +126,7 @@ class SourceRecords:
     # -- results --------------------------------------------------------------------------------------------
 
     def source_states(self, now_ns: int, utc_offset_ns: int) -> list[SourceState]:
-        """Return the states of all sources: OUT first, each cause directly before its consequences, in a fixed order.
+        """Return the states of all sources: OUT first, causes directly before consequences, otherwise in a fixed order.
 
         Args:
             now_ns: caller's time, ns.

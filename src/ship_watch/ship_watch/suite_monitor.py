@@ -62,7 +62,8 @@ _SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
 _POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
 _SHIP_REQUIRED = ("ins", "star", "reference")
 _POINTING_REQUIRED = ("encoder", "ship_attitude")
-"""Sources that an output requires: the last two lists. Without another source only the quality is reduced."""
+"""``_SHIP_REQUIRED`` and ``_POINTING_REQUIRED`` are the kinds of sources that an output requires. Without a source of
+another kind only the quality is reduced."""
 
 
 class SuiteMonitor:
@@ -118,9 +119,9 @@ class SuiteMonitor:
         """Process one message; topics that are not monitored are ignored.
 
         Args:
-            topic: name of its topic, relative to the namespace of the suite.
+            topic: name of the message's topic, relative to the namespace of the suite.
             message: the message, with the fields of its type as attributes.
-            arrival_ns: time of its arrival, caller's steady time, ns.
+            arrival_ns: arrival time of the message, caller's steady time, ns.
         """
         handler = self._handlers.get(topic) or self._handler(topic)
         if handler is not None:

@@ -52,12 +52,12 @@ class AngleState:
     Attributes:
         name: one of :data:`ANGLES`.
         value: the angle, rad: heading and azimuth from north to the right, pitch bow up, roll port up, elevation up.
-        accuracy_95: 1.96 sigma, rad; for an azimuth multiplied by the cosine of the elevation.
+        accuracy_95: 1.96 sigma, rad. The accuracy of an azimuth is multiplied by the cosine of the elevation.
         limit: the ship's limit of ``accuracy_95``, rad.
         protection_level: bound of the error under any single fault, rad; NaN if there is none.
         safety: the displayed safety.
-        reason: reason why the angle is not SAFE; during a hold with the time until the safety gets better, as in
-            "within 3″ again; SAFE in 4 s". Empty if SAFE.
+        reason: reason why the angle is not SAFE; empty if SAFE. During a hold the reason contains the time until the
+            safety gets better, as in "within 3″ again; SAFE in 4 s".
         age_s: time since the last value arrived, s.
         is_old: True if the age is over its limit; the value is then displayed in grey, with its age.
         stamp_ns: time of the value, UTC as POSIX time; 0 before the first value.
@@ -120,7 +120,7 @@ class NisConsistency:
 
 @dataclass(frozen=True)
 class SourceState:
-    """Presence and fault of a source. The safety of angles and the events are derived from it.
+    """Presence and fault of a source, from which events and the safety of angles are derived.
 
     Attributes:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
@@ -128,10 +128,10 @@ class SourceState:
         reason: reason why the source is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
         disagreement: largest offset of a source that is OUT, as "reads 49″ high", or correction in the data of a source
             that is IN, as "names exchanged" for lights. Empty if unknown.
-        residual: mean of its last rejected residuals over their sigma; NaN if there is none.
+        residual: mean ratio of the last rejected residuals to their sigmas; NaN if there is none.
         out_since_ns: UTC of the begin of the fault: first rejection, exclusion or last message; 0 if IN or unknown.
         because_of: cause of a source that is OUT without a fault of its own: another source that it needs, or
-            :data:`CAUSE_NODE`. Empty if the fault is its own.
+            :data:`CAUSE_NODE`. Empty for a fault of the source itself.
     """
 
     name: str
@@ -148,12 +148,12 @@ class SourceDetails(SourceState):
     """State of a source with its ages, rates and NIS consistency.
 
     Attributes:
-        nis_consistency: consistency of its sigma; None if it has no accepted innovations.
+        nis_consistency: consistency of the source's sigma; None if the source has no accepted innovations.
         age_s: time since the last message arrived, s.
-        rate_hz: mean rate of arrival, the largest of its topics, Hz; NaN before two messages.
+        rate_hz: largest mean rate of arrival of the source's topics, Hz; NaN before two messages.
         rejected_in_a_row: messages rejected in a row, at the input or by the filter.
         topics: topics on which the source publishes, relative to the namespace of the suite.
-        mounting_shift: angle between its mounting before an exclusion and after its reinstatement, rad, for ten minutes
+        mounting_shift: angle between the mounting before an exclusion and after the reinstatement, rad, for ten minutes
             after the reinstatement; NaN otherwise.
     """
 
@@ -205,10 +205,10 @@ class AlertEntry:
 
 @dataclass(frozen=True)
 class InputState:
-    """State of one input topic as last reported, with the rejections of one reading node in the last 60 s.
+    """State of one input topic as last reported, with the rejections in the last 60 s.
 
-    ``level`` is as in diagnostic_msgs/DiagnosticStatus, ``latency_s`` the mean time from stamp to arrival. Of several
-    reading nodes, the largest number of rejections is given.
+    ``level`` is as in diagnostic_msgs/DiagnosticStatus, ``latency_s`` the mean time from stamp to arrival. If several
+    nodes read the topic, the largest number of rejections of one node is given.
     """
 
     topic: str
@@ -259,7 +259,7 @@ class SuiteState:
             arrival; 0 before the first stamp.
         angles: angles in the order of :data:`ANGLES`; angles of a theodolite only if the suite has one.
         ages_s: "stars", "lights" or "ins" → age of the newest source of this kind that is IN, s; if all sources of the
-            kind are OUT, the time since one of them was used.
+            kind are OUT or not used, the time since one of them was used.
         pointing_by: method of the pointing: "2 lights", "1 light", "encoder", "no pointing"; empty without a
             theodolite.
         horizon: horizon of the attitude: "geodetic", "gravity"; empty before the first attitude.

@@ -1,4 +1,4 @@
-"""Theodolite pointing: axis errors calibrated by beacons on drones, and the main axis in the horizon at each reading.
+"""Theodolite pointing: axis errors, calibrated with beacons on drones, and the direction of the main axis over time.
 
 Each folder imports only folders named below it:
 

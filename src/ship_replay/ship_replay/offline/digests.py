@@ -22,7 +22,7 @@ _NO_SOURCE = ".pyc", ".c", ".so", ".j2"
 
 
 def content_sha256(path: Path) -> str:
-    """Return the hash of a file; for a rosbag2 folder one line per MCAP file, as sha256sum writes them."""
+    """Return the hash of a file. For a rosbag2 folder, return one line per MCAP file in the format of sha256sum."""
     if path.is_dir():
         return "\n".join(f"{content_sha256(part)}  {part.name}" for part in sorted(path.glob("*.mcap")))
     digest = hashlib.sha256()
@@ -34,7 +34,7 @@ def content_sha256(path: Path) -> str:
 
 @functools.cache
 def code_sha256() -> str:
-    """Return the hash of all source files of the installed suite, and of the versions of Python and the libraries."""
+    """Return the hash of the source files of `_PACKAGES`, and of the versions of Python and of `_LIBRARIES`."""
     digest = hashlib.sha256(repr((platform.python_version(), package_versions(_LIBRARIES))).encode())
     for name in _PACKAGES:
         found = importlib.util.find_spec(name)

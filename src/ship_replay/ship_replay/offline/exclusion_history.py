@@ -32,7 +32,7 @@ class ExclusionHistory:
         self._current: dict[str, ExclusionSpan] = {}
 
     def add(self, message: Any) -> None:
-        """Add an Integrity message, in order of stamps."""
+        """Add the next Integrity message in order of stamps."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         for source in [source for source in self._current if source not in message.excluded]:
             self._current.pop(source).end_ns = stamp_ns

@@ -19,11 +19,11 @@ from ship_estimation.parameters import flatten
 from theodolite_calib.config import OpticalAxisConfig
 
 _MAJORITY_SHARE = 0.5
-"""Share of the time in gaps longer than a limit above which the limit counts as a configuration error."""
+"""A limit counts as a configuration error if gaps longer than the limit take more than this share of the time."""
 
 _MIN_REPORTED_SHARE = 0.01
 _MARGIN_SHARE = 0.5
-"""Ratio of the median gap to a limit above which gaps may exceed the limit although no message was lost."""
+"""If the median gap is longer than this share of a limit, gaps may exceed the limit although no message was lost."""
 
 _REORDER_DEPTH = 1000
 """Number of times buffered for sorting."""

@@ -61,7 +61,7 @@ def read_ahead(
 
 
 class EstimateBatch(NamedTuple):
-    """Estimates of several events; ``orders`` is the position of each estimate among all outputs of its event."""
+    """Estimates of several events; ``orders`` is the key that sorts each estimate among the outputs of its event."""
 
     topic: str
     event_indices: StampArray
@@ -216,7 +216,7 @@ class NodePass:
         if self._deferring_adapter is not None:
             while len(self._pending_outputs) < self._deferring_adapter.pending_count:
                 self._pending_outputs.append((index, self._order))
-                self._order += 2  # one for the messages published before it, one for the output
+                self._order += 2  # one for the messages published before the output, one for the output
 
     def _publish_deferred(self, adapter: DeferringAdapter) -> None:
         """Collect the outputs that were deferred during this pass."""

@@ -26,7 +26,7 @@ class _PendingMessages(NamedTuple):
     Attributes:
         indices: first sort key, the index of the event.
         orders: second sort key, the order within the event.
-        topics: number of the topic.
+        topics: index of the topic, in order of first use.
         log_times_ns: log time.
     """
 

@@ -109,7 +109,7 @@ class SmoothSummary:
 
 
 class _SmoothingShipAdapter(ShipAttitudeAdapter):
-    """Node whose core returns all smoothed attitudes at the end.
+    """Adapter whose core returns all smoothed attitudes at the end.
 
     Attributes:
         finished_estimates: smoothed attitudes of estimators that were replaced.
@@ -130,7 +130,7 @@ class _SmoothingShipAdapter(ShipAttitudeAdapter):
 
 
 class _SmoothingAxisAdapter(OpticalAxisAdapter):
-    """Node whose core returns all smoothed pointings at the end."""
+    """Adapter whose core returns all smoothed pointings at the end."""
 
     def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
         """See :meth:`OpticalAxisAdapter.make_core`."""

@@ -24,7 +24,7 @@ STATUS_TOPICS = frozenset((*(orientation.topic for orientation in ORIENTATIONS),
 
 _POOR = "DEGRADED", "INVALID"
 _ACCEPTED_WITH_NOTE = Reason.COVARIANCE_UNKNOWN.word
-"""Reason of a note on a message that is used."""
+"""Reason that is only a note on a used message, and never a rejection."""
 
 _MIN_POOR_SHARE = 0.01
 _MAX_SPANS = 12
@@ -39,7 +39,7 @@ class Span:
     Attributes:
         status: name of the status.
         start_ns: stamp of the first output.
-        end_ns: stamp of the next output with another status; at the end, of the last output.
+        end_ns: stamp of the next output with another status; for the last span, stamp of the last output.
         count: number of outputs.
     """
 
@@ -50,7 +50,7 @@ class Span:
 
 
 class _Run(NamedTuple):
-    """Outputs of one status that were published consecutively; sorted by first stamp."""
+    """Outputs of one status that were published consecutively. Runs are sorted by their first stamp."""
 
     first_ns: int
     last_ns: int
@@ -72,7 +72,7 @@ class StatusHistory:
         self._last_diagnostic: dict[str, str] = {}
 
     def add(self, message: Any) -> None:
-        """Add an output, in the order of publication."""
+        """Add the next output in the order of publication."""
         self._add(int(message.status), ns_from_stamp(message.header.stamp), ns_from_stamp(message.header.stamp), 1)
 
     def add_run(self, statuses: Sequence[int], stamps_ns: np.ndarray) -> None:
@@ -103,7 +103,7 @@ class StatusHistory:
 
     @property
     def diagnostic_lines(self) -> list[str]:
-        """Diagnostic texts about poor outputs, one line each, most frequent first, with the last numbers."""
+        """Diagnostic texts about poor outputs, most frequent first, each with the numbers of its last occurrence."""
         total = self._diagnostic_counts.total()
         most = self._diagnostic_counts.most_common(_MAX_DIAGNOSTICS)
         return [f"diagnostics, {count} of {total}: {self._last_diagnostic[reason]}" for reason, count in most]

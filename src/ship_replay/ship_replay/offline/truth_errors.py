@@ -51,7 +51,7 @@ class TruthErrors:
         return bool(self._pending)
 
     def is_ready(self, now_ns: int | None) -> bool:
-        """True if the oldest error message is ready: its truth is known, or need not be waited for any longer."""
+        """True if the oldest error message is ready: the truth is known, or the message has waited long enough."""
         if not self.has_pending:
             return False
         log_time_ns, message = self._pending[0]

@@ -139,7 +139,7 @@ class Verification:
             self.equal_counts[topic] += 1
 
     def add_difference(self, difference: Difference) -> None:
-        """Add a difference: the first difference in a number or name is kept, differences in texts are counted."""
+        """Keep the first difference in a number or name; until then, count the differences in texts."""
         if not difference.is_text:
             self.difference = self.difference or difference
         elif self.difference is None:

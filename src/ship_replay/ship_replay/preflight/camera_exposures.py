@@ -75,7 +75,8 @@ def fit_camera(
     """Return the camera whose focal length fits the angles between stars, and the exposures with this camera.
 
     Returns:
-        Camera and exposures. If too few stars are identified, None and the exposures with the configured camera.
+        Camera and exposures. If too few stars are identified or the search does not converge, None and the exposures
+        with the configured camera.
     """
     camera = record.camera
     for factor in _FIRST_FACTORS:
@@ -92,7 +93,7 @@ def fit_camera(
 
 
 def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, sky_model: SkyModel) -> list[StarExposure]:
-    """Return the exposures whose time and sky are known well enough, with their stars identified if possible."""
+    """Return the exposures that are not rejected and for which the sky is known, with stars identified if possible."""
     sensor_id, exposures = record.topic.split("/")[1], []
     geometry = camera.camera("camera")
     for message, receive_ns in record.messages:

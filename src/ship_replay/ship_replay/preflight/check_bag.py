@@ -31,7 +31,10 @@ def check_bag(check: BagCheck) -> None:
 
 
 def _check_presence(check: BagCheck, present: Collection[str]) -> None:
-    """Report each input that is neither in the bag nor published by a node, once, with the nodes that use it."""
+    """Report each input that is neither in the bag nor published by a node, with the nodes that use the input.
+
+    Occasional inputs may be missing.
+    """
     absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
     for node in check.nodes:
         for topic in node.adapter.inputs:

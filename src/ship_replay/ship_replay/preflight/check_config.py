@@ -94,7 +94,7 @@ class BagCheck:
 
     @property
     def usable(self) -> dict[str, str]:
-        """Relative topic → name in the bag, for topics with the same message definition here."""
+        """Relative topic → name in the bag, for topics whose message definition equals the installed definition."""
         return {
             topic: name for topic, name in self.topic_names.items() if self.bag.topics[name] not in self.bag.differences
         }
@@ -271,7 +271,7 @@ def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _needs_sky(config: Any) -> bool:
-    """True if a sensor of a node needs the sky over the ship: on the deck, or a camera on the theodolite."""
+    """True if a node has a star sensor on the deck that needs the sky over the ship, or a camera on the theodolite."""
     on_deck = any(getattr(star, "needs_sky", True) for star in getattr(config, "star_sensors", {}).values())
     return hasattr(config, "sky") and (on_deck or bool(getattr(config, "telescopes", {})))
 

@@ -136,7 +136,7 @@ def _configured_installation(device: Any) -> tuple[FloatArray, FloatArray]:
 def _common_rotation(far: Sequence[_InstallationResidual]) -> FloatArray | None:
     """Return the rotation vector common to all devices, rad, shape (3,).
 
-    The result is None if the rotations differ, or with fewer than two devices.
+    The result is None if the rotations differ, or if there are fewer than two devices.
     """
     if len(far) < 2:
         return None

@@ -33,7 +33,7 @@ class InsNoise(NamedTuple):
     Attributes:
         attitude_sigma_rad: standard deviation of a single attitude, rad.
         rate_sigma_rad_per_s: standard deviation of a single rate, rad/s; 0 if the attitude noise is too large to
-            measure it, NaN if correlated errors are too large.
+            measure the rate noise, NaN if correlated errors are too large.
     """
 
     attitude_sigma_rad: float

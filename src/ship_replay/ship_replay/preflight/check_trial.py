@@ -1,4 +1,4 @@
-"""Trial of a configuration: its nodes process a bag, to find inputs that are hardly used and wrong sigmas."""
+"""Trial of a configuration: its nodes process a bag, to find wrong sigmas and inputs that are hardly used."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -62,7 +62,7 @@ class _NullSink:
 
 
 def check_trial(check: BagCheck) -> None:
-    """Replay the beginning of a bag through the nodes; report inputs that are hardly used and wrong sigmas.
+    """Replay the beginning of a bag through the nodes; report wrong sigmas and inputs that are hardly used.
 
     Sigmas are checked only if no error was found before. The nodes cannot be used afterwards.
     """

@@ -1,8 +1,8 @@
 """Estimate of the suite's processor load on this computer, from the rates of its inputs.
 
-The cost of a message is that of a live node, measured on one computer: receiving it, its part of the estimate and its
-outputs. The speed of another computer is measured with a small computation of the same kind. The load is accurate to a
-factor of about 1.5.
+The cost of a message is the processor time in a live node for receipt, estimation and outputs, measured on one
+reference computer. The speed of another computer is measured with a small computation of the same kind. The load is
+accurate to a factor of about 1.5.
 """
 
 import time
@@ -73,7 +73,7 @@ def node_loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slown
 
 
 def load_text(found: Sequence[NodeLoad]) -> str:
-    """Return the words for people.
+    """Return the loads of the nodes as a line for the user.
 
     Example:
         >>> load_text([NodeLoad("ship_attitude", 0.142, ""), NodeLoad("star_attitude", 0.093, "")])
@@ -85,7 +85,7 @@ def load_text(found: Sequence[NodeLoad]) -> str:
 
 
 def load_warnings(found: Sequence[NodeLoad], cores: int) -> Iterator[str]:
-    """Return what is expected to be too much for this computer.
+    """Yield a warning for each node, and for all nodes together, if this computer is expected to be too slow.
 
     Args:
         found: the loads of the nodes.

@@ -1,7 +1,7 @@
 """Camera parameters from stars: image axes, focal length, principal point, magnitudes and attitudes.
 
 Axes, focal length and principal point follow from the angles between identified stars. A predicted attitude is needed
-only to decide which axis of a mirrored image is reversed.
+only to identify stars without a catalogue number, and to decide which axis of a mirrored image is reversed.
 """
 
 from dataclasses import dataclass, replace
@@ -24,10 +24,10 @@ from ship_replay.preflight.camera_exposures import EXPECTED_AXES, MIRRORED, Came
 _FEWEST_MAGNITUDES = 5
 
 _MIN_STAR_SHARE = 0.5
-"""Minimum share of stars consistent with one attitude per exposure for the axes of an image to be accepted."""
+"""Image axes are accepted if at least this share of the stars is consistent with one attitude per exposure."""
 
 _AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
-"""Text for mirrored axes that the stars alone cannot distinguish, as a quarter or half turn transforms between them."""
+"""Text for mirrored axes that the stars alone cannot distinguish: they differ only by a rotation of the camera."""
 
 
 class MagnitudeOffset(NamedTuple):
@@ -122,7 +122,10 @@ def measure_camera(record: CameraRecord, sky_model: SkyModel) -> MeasuredCamera:
 
 
 def _best_mirrored(record: CameraRecord, expected: _AxesHypothesis, sky_model: SkyModel) -> _AxesHypothesis:
-    """Return the hypothesis of mirrored axes that fits the stars; the expected axes if no mirrored axes fit."""
+    """Return the hypothesis of mirrored axes that fits the stars; return ``expected`` if no mirrored axes fit.
+
+    If several hypotheses fit, the hypothesis nearest to the predicted attitudes is returned.
+    """
     found = [reading for axes in MIRRORED if _explains(reading := _evaluate_axes(record, axes, sky_model), expected)]
     nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
     if found and np.isnan(nearest.median_rotation(record)):

@@ -1,7 +1,8 @@
 """Mountings and cameras of devices, measured at some times of a bag.
 
 Attitudes of devices on the deck are compared with the INS. A camera on the theodolite has no fixed attitude relative to
-the deck. Its stars are compared with one another, and its predicted attitude is only used to identify these stars.
+the deck. Its stars are compared with one another, and its predicted attitude is only used to identify these stars and
+the axes of a mirrored image.
 """
 
 import functools

@@ -1,9 +1,9 @@
 """Cameras whose pixels are counted from 1, detected from their attitudes relative to each other and to the INS.
 
 If a camera counts pixels from 1, all stars appear one pixel to the right and down: the camera's attitude is rotated by
-one pixel about its up and right axes. If the installations are known to less than a pixel, the rotations of several
-cameras against one INS are far more likely with this pixel than without this pixel. One camera is enough if the
-attitude of the INS is known to less than a pixel.
+one pixel about its up and right axes. If the installations are known to less than a pixel, the measured rotations of
+several cameras against one INS show whether this rotation is present. One camera is enough if the attitude of the INS
+is known to less than a pixel.
 """
 
 from collections.abc import Iterator, Sequence
@@ -42,7 +42,8 @@ def cameras_counting_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: F
     """Return the indices of the cameras whose rotations show that they count pixels from 1.
 
     Hypotheses are: no camera, each camera alone, all cameras together. The result is the intersection of all hypotheses
-    that are not clearly less likely than the best hypothesis.
+    that are not clearly less likely than the best hypothesis. The result is empty if even the best hypothesis is
+    improbable.
 
     Args:
         cameras: cameras of one ship, compared at the same times of its INS.
@@ -70,7 +71,7 @@ def cameras_counting_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: F
 
 
 def rate_corrected_turn(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean rotation of a camera, without the effect of a time offset while the deck moves, and covariance.
+    """Return the mean rotation of a camera, corrected for a time offset while the deck moves, and its covariance.
 
     Args:
         turns_d: rotation vectors at n times, deck frame, rad, shape (n, 3).

@@ -89,7 +89,9 @@ def source_of(name: str) -> str:
 
 
 def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
-    """Return the figure of each angle's safety state, by seconds, with the accuracy below; empty without any angle.
+    """Return the figure of each angle's safety state, second by second, with the 95 % accuracy below.
+
+    The text is empty if no angle was published.
 
     Args:
         recording: the recording.
@@ -144,9 +146,10 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
 
 
 def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
-    """Return the errors with their ±3σ, one figure per orientation; without truth the innovations with their ±3σ.
+    """Return figures of the errors with their ±3σ, one figure for all sources with the same channels.
 
-    The list is empty if there are neither errors nor innovations.
+    Without errors, the list contains one figure of the innovations with their ±3σ. It is empty if there are no
+    innovations either.
     """
     groups: dict[tuple[str, ...], list[AttitudeErrors]] = {}
     for errors in evaluation.errors:
@@ -220,7 +223,7 @@ def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start
 
 
 def decimation_mask(values: FloatArray, most: int) -> np.ndarray:
-    """Return the rows that a decimated line keeps: rows with a column's minimum or maximum in one of equal intervals.
+    """Return a mask of the rows that a decimated line keeps: each column's minimum and maximum in each of equal parts.
 
     Args:
         values: shape (n, columns); non-finite values are ignored.
@@ -250,7 +253,7 @@ def decimate_errors(errors: AttitudeErrors) -> AttitudeErrors:
 
 
 def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
-    """Return innovations decimated to extremes: of the largest absolute and of the least residual of each stamp."""
+    """Return decimated innovations, with the extremes of each stamp's largest absolute residual and least residual."""
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part

@@ -117,7 +117,7 @@ def input_sentences(pair: Pair) -> list[str]:
 
 
 def _same_inputs_sentence(pair: Pair) -> str:
-    """Return the sentence about the inputs, by the strongest evidence in the bags."""
+    """Return the sentence about the inputs, from the strongest evidence in the bags."""
     given_a, given_b = (one.input_digests for one in pair.published)
     shared = sorted(given_a.keys() & given_b.keys())
     unequal = [topic for topic in shared if given_a[topic] != given_b[topic]]

@@ -37,7 +37,7 @@ _PALE = "#cfdceb"
 
 
 def states_svg(pair: Pair) -> str:
-    """Return the figure of the safety states of both runs and, one row per angle, of their 95 % accuracy.
+    """Return the figure of both runs: the safety states, then one row per angle with its 95 % accuracy.
 
     The text is empty if no angle was published.
     """

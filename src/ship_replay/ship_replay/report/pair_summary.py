@@ -125,7 +125,7 @@ def _difference_sentence(found: OutputDifference) -> str:
 
 
 def _missing_sentences(pair: Pair) -> list[str]:
-    """Return a sentence for each output published in one run only, or without a common stamp."""
+    """Return a sentence for each output that only one run published, and for each output without a common stamp."""
     sentences = []
     compared = {found.orientation.label for found in pair.differences}
     for known in ORIENTATIONS:
@@ -140,7 +140,8 @@ def _missing_sentences(pair: Pair) -> list[str]:
 def _outage_sentences(pair: Pair) -> list[str]:
     """Return sentences about outages within the time that both runs cover.
 
-    There is one for each source that was out in one run only, and one for the sources with the same outages in both.
+    Each source that was out in one run only has a sentence. One more sentence lists the sources with the same outages
+    in both runs.
     """
     a, b = (outages(recording) for recording in pair.recordings)
     sentences, named = [], set()

@@ -124,7 +124,7 @@ class BudgetTable:
 
 
 def budget_tables(pair: Pair) -> list[BudgetTable]:
-    """Return the error budgets: mean variance of each source of error over the run."""
+    """Return the error budgets: square root of the mean variance of each source of error over the run."""
     tables = []
     for topic in sorted({topic for recording in pair.recordings for topic in recording.budgets}):
         a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.recordings)
@@ -222,7 +222,7 @@ def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 
 def rejection_rows_of_both(pair: Pair) -> list[dict[str, str]]:
-    """Return a row for each source, place and reason: counts in A and in B; rejections before notes."""
+    """Return a row for each source, place and reason: counts in A and in B. Rejections come before notes."""
     a, b = (_rejection_counts(recording) for recording in pair.recordings)
     return [
         {

@@ -1,4 +1,4 @@
-"""Outputs of two runs at equal stamps, and their differences: bitwise equality, or arcsec."""
+"""Outputs of two runs at equal stamps: bitwise equality, and differences in arcsec."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -41,7 +41,7 @@ class PublishedOutputs:
 
     Attributes:
         series: label of an orientation → outputs of this orientation.
-        received_counts: input topic → number of messages received since the start; the largest number of all nodes.
+        received_counts: input topic → largest number of messages that a node has received since its start.
         input_digests: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
     """
 
@@ -88,7 +88,7 @@ class OutputDifference:
         return float(np.sqrt(np.mean(self.difference_arcsec[:, channel] ** 2)))
 
     def sigmas_arcsec(self, channel: int) -> tuple[float, float]:
-        """Return the root mean squares of the sigmas of A and B for a channel; NaN for a run without sigmas."""
+        """Return the root mean squares of the sigmas of A and B for a channel; NaN if a sigma of the run is missing."""
         first, second = np.sqrt(np.mean(self.sigma_arcsec[:, :, channel] ** 2, axis=1)).tolist()
         return first, second
 

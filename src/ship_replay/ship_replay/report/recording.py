@@ -77,7 +77,7 @@ class RecordedHistory:
 
     Attributes:
         path: path of the bag.
-        sha256: hash of the bag's file; for a folder one line per MCAP file, as sha256sum writes them.
+        sha256: hash of the bag from :func:`content_sha256`.
         start_ns: log time of the first message.
         end_ns: log time of the last message.
         limits: limits of the ship from which the states follow.
@@ -122,7 +122,7 @@ class RecordedHistory:
 
     @property
     def start_utc_ns(self) -> int:
-        """UTC of the first safety state of an angle; without any, the log time of the first message; whole seconds."""
+        """UTC of the first safety state of an angle, or else the log time of the first message, in whole seconds."""
         first_s = min(
             (words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S
         )

@@ -17,7 +17,7 @@ _SHIFTED = "mounting shifted by"
 _MUCH_CHANGED_SIGMAS = 3.0
 _ADVISED = 2
 _CONSEQUENCE_SUFFIX = ".degraded"
-"""Suffix of the id of an alert about an output over its limit; the source that caused it has a separate alert."""
+"""Suffix of the id of an alert about an output over its limit; the source that is the cause has a separate alert."""
 
 
 def summary(recording: RecordedHistory) -> list[str]:

@@ -83,7 +83,7 @@ def shares(recording: RecordedHistory) -> list[tuple[str, dict[str, float], Coun
 
 
 def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[ParameterEstimate]) -> list[dict[str, str]]:
-    """Return a row for each parameter: first and last estimate with their σ, and the change over the first σ."""
+    """Return a row for each parameter: first and last estimate with their σ, and the change in units of the first σ."""
     first = {shown.name: shown for shown in before}
     rows = []
     for shown in after:
@@ -104,7 +104,7 @@ def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[Param
 
 
 def rejection_rows(recording: RecordedHistory) -> list[dict[str, str]]:
-    """Return a row for each source, place and reason: count, first and last time; rejections before notes."""
+    """Return a row for each source, place and reason: count, first and last time. Rejections come before notes."""
     counts: Counter[tuple[bool, str, str, str]] = Counter()
     times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}
     for refusal in recording.rejections:

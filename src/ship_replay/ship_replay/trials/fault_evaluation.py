@@ -11,7 +11,7 @@ other sources do not matter.
 2. Without such a source, the first source that is repeatedly rejected in comparison with other sources.
 3. Without repeated rejections, the source of the first indication.
 
-A rejection in comparison does not name a source while another source is excluded: correct lights or stars are also
+Rejections in comparison with other sources count only if no source is excluded: correct lights or stars are also
 rejected if encoders or position are wrong.
 
 A name is correct if it refers to the faulty source (:func:`is_faulty_source`). The names of sources are those of
@@ -39,7 +39,7 @@ _SAME_TIME_NS = NS_PER_S // 2
 
 _LEAST_REFUSALS = 2
 EXCEEDANCE_SIGMAS = 5.0
-"""Error of a VALID output, in sigmas, above which it is wrong."""
+"""Error of a VALID output, in sigmas, above which the output counts as wrong."""
 
 _PERIOD_S = 0.1
 """Period of the truth, s."""
@@ -57,7 +57,7 @@ class FaultOutcome:
             by an earlier fault does not count.
         attributed: True if the named source is the faulty source.
         alert_s: time from the first changed message to the first indication of the faulty source or non-VALID output;
-            NaN without both.
+            NaN if there is neither.
         named: source → number of indications.
         worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
         worst_over_level: largest ratio of an error of a VALID output to its protection level; NaN without level.
@@ -83,7 +83,8 @@ def evaluate_fault(
 
     Args:
         fault: the fault.
-        changed_ns: arrival times, without faults, of the messages that the fault changes, in order; at least one.
+        changed_ns: original arrival times (without faults) of the messages that the fault changes, in order; at least
+            one.
         outputs: outputs of the voyage.
         fault_free: replay of the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.
@@ -137,9 +138,10 @@ def first_named_sources(indications: Sequence[FaultIndication]) -> set[str]:
 def is_faulty_source(name: str, fault: Fault) -> bool:
     """True if a name in the outputs refers to the source with the fault.
 
-    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a. It also
-    refers to a fault of a single light in the image, but not to a rotated telescope. ``ship`` and ``ship_attitude``
-    refer to the ship's attitude in the theodolite's filter, and therefore also to faults of the INS.
+    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a, as do
+    ``baseline.a``, ``drone.a`` and ``light.a``. These names also refer to a fault of a single light in the image, but
+    not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the ship's attitude in the theodolite's filter,
+    and therefore also to faults of the INS.
     """
     topic = fault.topic
     kind, _, rest = topic.partition("/")

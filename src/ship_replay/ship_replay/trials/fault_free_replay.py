@@ -19,10 +19,10 @@ MEASUREMENTS = 3
 """Maximum number of measurements of a source until its step is detected, if they take longer than a second."""
 
 _DETECTABLE_SHIFT_ARCSEC = 13.0
-"""Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
+"""Minimum mounting shift of the telescope that the next lights detect, arcsec: three times the scatter of one light."""
 
 _DETECTABLE_SLIP_SIGMAS = 13.0
-"""Encoder slip, in sigmas of a reading, detected from the readings themselves
+"""Minimum encoder slip, in sigmas of a reading, that is detected from the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
 _INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
@@ -88,7 +88,10 @@ class FaultFreeReplay:
         return not in_view.any() and size_arcsec < _DETECTABLE_SLIP_SIGMAS * self.encoder_sigma_arcsec
 
     def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for a fast encoder drift in azimuth, ascribed to lights and axis errors until subfilters separate."""
+        """True for a fast encoder drift in azimuth.
+
+        The filter ascribes the drift to lights and axis errors until the subfilters separate.
+        """
         is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
         return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_DRIFT_ARCSEC_PER_MIN
 
@@ -107,7 +110,7 @@ class FaultFreeReplay:
         return fault.topic.startswith(_STARS) and self._is_drift_with_two_sensors(fault, _STAR_DRIFT_ARCSEC_PER_MIN)
 
     def _is_drift_with_two_sensors(self, fault: Fault, arcsec_per_min: float) -> bool:
-        """True if a fault is a drift faster than a limit about an axis, with fewer than three star sensors."""
+        """True if a fault is a drift about an axis faster than a limit, and there are fewer than three star sensors."""
         if fault.kind != "drift":
             return False
         rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min

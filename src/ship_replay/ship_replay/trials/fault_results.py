@@ -1,4 +1,4 @@
-"""Tables of voyages with faults, and the bounds on them."""
+"""Tables of the results of voyages with faults, and the bounds that these results must meet."""
 
 import math
 from collections import defaultdict
@@ -39,7 +39,7 @@ def results_file(path: Path, fresh: bool = False) -> ResultsFile:
     """Return the file of results of voyages with faults.
 
     Raises:
-        BadInput: a line before the last is not a result, or is a result of another evaluation.
+        BadInput: a complete line is not a result, or is a result of another evaluation.
     """
     return ResultsFile(path, _key, fresh)
 
@@ -87,7 +87,7 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
         for first, second in combinations(faults, 2):
             if max(first["start_s"], second["start_s"]) < min(first["end_s"], second["end_s"]):
                 key = tuple(sorted((first["threat"], second["threat"])))
-                # The later fault counts for the pair, as its outputs begin with both faults present.
+                # The later fault counts for the pair, because both faults are present when it begins.
                 pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
     rows = [
         (f"{pair[0]} + {pair[1]}", len(faults), [_maximum(faults, name) for name in _PAIR_VALUES])

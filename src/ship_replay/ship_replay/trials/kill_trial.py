@@ -38,7 +38,7 @@ class KillTrial:
     """Result of one kill.
 
     A recorder must keep the samples sent to it. A node must keep the attitudes that it published, with the samples from
-    which these were computed. Samples still in the node's queue were not used.
+    which these were computed. Samples still in the node's queue need not be kept.
 
     Attributes:
         sent_count: number of messages before the kill that must be kept.

@@ -68,7 +68,7 @@ class LiveProcess:
 
     Args:
         command: program and arguments.
-        log_path: file for its stdout and stderr.
+        log_path: file for stdout and stderr of the process.
         environment: see :func:`live_environment`.
     """
 
@@ -150,7 +150,7 @@ class GraphObserver:
     ) -> bool:
         """Wait until topics have the given minimum numbers of publishers and subscribers.
 
-        Return True if they have them, False on timeout or if ``unless`` ends the wait.
+        Return True if these numbers are reached, False on timeout or if ``unless`` ends the wait.
 
         Args:
             publishers: topic → minimum number of publishers.

@@ -40,7 +40,7 @@ class LiveRun:
     The constructor starts node and recorder, and returns when they are connected; :meth:`play` starts the player.
 
     Args:
-        bag_path: bag with inputs and the attached suite configuration; topics without namespace.
+        bag_path: bag with the attached suite configuration, and with inputs on topics without namespace.
         adapter_class: adapter of the node to run.
         package: package of the node's executable, which has the name of the node.
         folder: folder for configuration, logs and the recorded bag; files of an earlier run are overwritten.
@@ -48,13 +48,14 @@ class LiveRun:
 
     Attributes:
         recorded_path: path of the recorded bag.
-        played_topics: topics of the node's inputs and of the truth, with their names in the bag.
+        played_topics: names in the bag of the node's input topics and of the truth topics.
         node: process of the node.
         environment: environment of the processes, with a ROS domain that only this run uses.
         observer: another node in this domain, for services and waiting.
 
     Raises:
         BadInput: bag or configuration cannot be used, or an executable is not installed.
+        LiveFailure: node or recorder ended or does not respond.
     """
 
     def __init__(
@@ -111,7 +112,7 @@ class LiveRun:
         self._wait_for_recorder()
 
     def _wait_for_node(self) -> None:
-        """Wait until the node has processed all inputs: it answers a request after the inputs received before."""
+        """Wait until the node has processed all inputs: it answers a request only after all inputs received before."""
         name = f"/{self._node_name}/get_parameters"
         client = self.observer.node.create_client(GetParameters, name)
         request = GetParameters.Request(names=["use_sim_time"])

@@ -327,7 +327,7 @@ def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
 
 
 def _ins_encoder_errors(run: SimulatedRun) -> FloatArray:
-    """Return the error of the axis computed from INS and encoders alone, rad, without INS noise, at the true stamps."""
+    """Return the error of the axis from INS and encoders alone, rad, at the stamps of the truth, without INS noise."""
     theodolite, ins = theodolite_of(run), run.truth.ins
     index, mount = theodolite.truth.encoder_index, theodolite.truth.mount
     time_ns = theodolite.encoder.time_ns[index]

@@ -29,7 +29,7 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
         seed: seed of the fault.
 
     Raises:
-        BadInput: the text does not describe a fault, or the bag cannot be used.
+        BadInput: the text does not describe a fault, the fault changes no message, or the bag cannot be used.
     """
     with read_bag(path) as bag:
         faults = load_faults(f"faults: {{one: {{{words}}}}}", input_topics(bag), "an input of the nodes")

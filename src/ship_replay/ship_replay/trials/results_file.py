@@ -23,7 +23,7 @@ class ResultsFile:
         fresh: True to discard existing results.
 
     Raises:
-        BadInput: a line before the last is not a result.
+        BadInput: a complete line is not a result.
     """
 
     def __init__(self, path: Path, key: Callable[[Result], Hashable], fresh: bool = False) -> None:

@@ -161,7 +161,10 @@ class DrawnFault:
 def draw_faults(
     topics: Mapping[str, str], length_s: float, mode: str, return_after_s: float, rng: np.random.Generator
 ) -> list[DrawnFault]:
-    """Draw up to five faults of a voyage, in order of their beginnings; none if the voyage is too short.
+    """Draw up to five faults of a voyage, in order of their beginnings.
+
+    In mode SINGLE, no fault is drawn if the voyage is too short. In mode OVERLAPPING, the voyage must have room for a
+    fault.
 
     Args:
         topics: topic → type of the inputs that the nodes of the voyage use.

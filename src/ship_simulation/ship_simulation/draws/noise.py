@@ -1,7 +1,8 @@
 """Common parts of all simulated devices: random streams, correlated errors, arrival times, exposures of moving points.
 
-The centroid of a point that moves during the exposure is the mean of its path, and its error along the path is larger.
-This module shares nothing with the estimators, and computes the mean as a Gauss–Legendre sum over the true motion.
+The centroid of a point that moves during the exposure is the mean of the point's path. The error of this centroid is
+larger along the path than across. This module shares nothing with the estimators, and computes the mean as a
+Gauss–Legendre sum over the true motion.
 """
 
 import math
@@ -17,7 +18,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 
 _MAX_STEP_S = 0.1
 _MIN_STEPS = 50
-"""Grid steps per correlation time: the variance halfway between two grid points is then 1 % too small."""
+"""Minimum number of grid steps per correlation time: the variance halfway between grid points is then 1 % too small."""
 
 TRUTH_RATE_HZ = 10.0
 """Rate of the truth in a simulated bag, Hz."""
@@ -89,7 +90,7 @@ class CorrelatedError:
         """Return the processes at times, shape (k, n).
 
         Raises:
-            ValueError: a time is before the dropped part.
+            ValueError: a time is in the dropped part.
         """
         if np.size(t_s):
             self._extend_to(float(np.max(t_s)))

@@ -1,7 +1,8 @@
-"""Division of a voyage into stretches, so that memory does not grow with its length, and draws for all stretches.
+"""Division of a voyage into stretches, and random draws that continue from stretch to stretch.
 
-The numbers do not depend on the stretches, because each random stream and each correlated error continues from the
-previous stretch, and constant draws depend only on the seed.
+Due to the stretches, memory does not grow with the length of the voyage. The drawn numbers do not depend on the
+division: random streams and correlated errors continue from the previous stretch, and constant draws depend only on the
+seed.
 """
 
 import functools
@@ -17,7 +18,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, random_stream
 
 STRETCH_S = 20
-"""Length of a stretch when a bag is written, s. Its some thousand samples are enough for the full speed."""
+"""Length of a stretch when a bag is written, s. A stretch has some thousand samples, enough for full speed."""
 
 _HISTORY_S = 10.0
 """Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
@@ -27,7 +28,7 @@ _NORMALS_PER_BATCH = 4096
 
 @dataclass(frozen=True)
 class Stretch:
-    """The samples of a voyage whose error-free stamps lie from ``begin_s`` up to ``end_s``.
+    """A part of a voyage, with the samples whose error-free stamps lie from ``begin_s`` up to ``end_s``.
 
     Attributes:
         start_ns: start of the voyage.
@@ -43,7 +44,7 @@ class Stretch:
 
     @property
     def is_last(self) -> bool:
-        """True if it is the last stretch of the voyage."""
+        """True for the last stretch of the voyage."""
         return math.isinf(self.end_s)
 
     @property

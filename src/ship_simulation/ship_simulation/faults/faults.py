@@ -85,7 +85,8 @@ class _FaultWindow:
     def elapsed_s(self, delivery: Delivery) -> float | None:
         """Return the time from the fault's start to the stamp of an affected message, s; None if it is not affected.
 
-        If the fault affects a share of the messages, each call draws a random number, so it is called once a message.
+        If the fault affects a share of the messages, each call draws a random number. Call this method only once per
+        message.
         """
         if delivery.stamp_ns is None:
             return None
@@ -97,7 +98,7 @@ class _FaultWindow:
         return since_start_s - self.fault.start_s
 
     def is_hit(self, delivery: Delivery) -> bool:
-        """True if the fault affects a message; called once a message, as :meth:`elapsed_s`."""
+        """True if the fault affects a message. Call this method only once per message, like :meth:`elapsed_s`."""
         return self.elapsed_s(delivery) is not None
 
 
@@ -210,7 +211,7 @@ def _repeat(delivery: Delivery, log_time_ns: int) -> Delivery:
 
 
 def _copy_with_values(delivery: Delivery, other: Delivery) -> Delivery:
-    """Return a message with the stamp of one delivery and the values of another, shortly after the former."""
+    """Return a message with the stamp of ``delivery`` and the values of ``other``, arriving 1 ms after ``delivery``."""
     message = copy.deepcopy(other.message)
     message.header = delivery.message.header
     return replace(delivery, message=message, log_time_ns=delivery.log_time_ns + _REPETITION_AFTER_NS, data=None)

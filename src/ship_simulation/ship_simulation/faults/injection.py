@@ -1,4 +1,4 @@
-"""Faults added to an existing bag, independent of its devices and ships."""
+"""Injection of faults into an existing bag, of any ship with any devices."""
 
 import heapq
 from collections.abc import Iterator, Mapping

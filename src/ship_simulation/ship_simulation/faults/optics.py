@@ -32,7 +32,7 @@ class Optics:
     telescope: Camera | None = None
 
     def missing_camera_reason(self, fault: Fault, type_name: str) -> str:
-        """Return a text on the camera that a fault needs but the suite file does not describe; else empty."""
+        """Return a text on a camera that a fault needs but the suite file does not describe; else an empty text."""
         if fault.kind not in (*_TURNS, *_SPOTS):
             return ""
         if type_name == OBSERVATIONS and fault.topic not in self.stars:

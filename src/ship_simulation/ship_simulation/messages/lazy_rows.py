@@ -1,4 +1,4 @@
-"""Values derived from the samples of a voyage, computed on demand, so that memory does not grow with its length."""
+"""Values derived from samples on demand, so that memory does not grow with the length of the voyage."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache

@@ -31,7 +31,7 @@ class FaultKind(NamedTuple):
 
     Attributes:
         doc: effect of the kind on messages.
-        required: groups of sizes; each group requires one or more of its sizes.
+        required: groups of sizes; a fault needs at least one size of each group.
         optional: optional sizes.
     """
 
@@ -95,7 +95,7 @@ AXES = ("", "exchanged", "ned_frd")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one topic during a time."""
+    """A fault of one topic from ``start_s`` to ``end_s``."""
 
     topic: str = parameter(doc="topic, for example ins/imu")
     kind: str = parameter(doc="kind of the fault", choices=tuple(KINDS))
@@ -128,7 +128,7 @@ class Fault:
 
     @property
     def sizes(self) -> tuple[str, ...]:
-        """The sizes that belong to its kind."""
+        """Sizes that belong to the fault's kind."""
         return KINDS[self.kind].sizes
 
     @property

@@ -192,7 +192,7 @@ class StarSensor(StarImaging):
 
     @property
     def sight_masks(self) -> SensorMasks | None:
-        """Obstructions in its field of view."""
+        """Obstructions in the sensor's field of view; None if there are none."""
         return sensor_masks(self, "star_sensors")
 
 
@@ -221,7 +221,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class FusedAttitude:
-    """``ship/attitude`` as fused from INS and stars, for a voyage without ``ship_attitude``."""
+    """``ship/attitude`` as fused from INS and stars, for a voyage without the node ``ship_attitude``."""
 
     written: bool = parameter(False, doc="true: the bag contains the topic")
     rate_hz: float = parameter(20.0, doc="messages per second", **RATE)

@@ -58,7 +58,7 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Axes:
-    """Axis errors: known values, and standard deviations of the true ones."""
+    """Axis errors: known values, and standard deviations of the true values about the known values."""
 
     spread: str = parameter("normal", doc="distribution of the errors, sigma unchanged", choices=("normal", "uniform"))
     g_arcsec: float = parameter(0.0, doc="known zero point of the azimuth encoder", **_AXIS_ERROR)

@@ -101,7 +101,7 @@ def _correlated_ins_error(scenario: Scenario, stretch: Stretch, draws: Draws, de
 
 
 def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
-    """Return the errors of the INS's angular rates relative to the horizon, rad/s, shape (n, 3).
+    """Return measured minus true angular rate of the INS, rad/s, shape (n, 3); true rates are relative to the horizon.
 
     The errors are noise, a correlated error of the gyroscopes, and the Earth rate if the INS does not remove it.
 
@@ -154,8 +154,8 @@ class DeviceTruth:
     Attributes:
         installation_error_v: rotation vector m in the device frame, rad, shape (3,).
         rotation_dv: deck from device, its installation error included, shape (3, 3).
-        time_offset_s: for a star sensor, time of validity of a sample minus its stamp; for a reference, its stamp minus
-            the INS's for the same attitude.
+        time_offset_s: for a star sensor, time of validity of a sample minus its stamp; for a reference, stamp of the
+            reference minus stamp of the INS for the same attitude.
     """
 
     installation_error_v: FloatArray

@@ -18,7 +18,7 @@ class Deflection:
     """The deflection (xi, eta): gravity's zenith is Up + xi North + eta East.
 
     Args:
-        scenario: gravity, and the ship's track.
+        scenario: parameters of gravity, and the duration.
         track: the ship's position.
         draws: random draws of the run.
     """

@@ -35,7 +35,7 @@ RECORDING_MARGIN_S = 1.0
 
 
 class Carrier(Protocol):
-    """The motion of the ship; times in seconds after the start, of any shape (...)."""
+    """The motion of the ship. ``t_s`` contains times in seconds after the start, with any shape (...)."""
 
     def attitude(self, t_s: FloatArray) -> FloatArray:
         """Return horizon from deck, shape (..., 3, 3)."""

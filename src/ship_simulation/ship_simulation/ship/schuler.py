@@ -1,7 +1,7 @@
 """The attitude error of a simulated free-running INS due to its gyroscopes and accelerometers.
 
-The error is drawn second by second. Each second is exact, with the matrix exponential of the equations of motion and of
-the covariance of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978). The
+The error is drawn second by second. Each step of a second is exact: matrix exponentials give the transition and the
+covariance of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978). The
 equations are independent of the estimator's implementation.
 """
 
@@ -30,7 +30,7 @@ Attitude (north, up, east), velocity (north, east), latitude, drift of the gyros
 
 
 class SchulerError:
-    """The error of the INS's attitude, drawn up to the latest requested time; linear between whole seconds.
+    """The error of the INS's attitude, drawn up to the latest requested time and linear between whole seconds.
 
     Args:
         rng: source of all draws.

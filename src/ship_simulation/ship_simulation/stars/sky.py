@@ -146,7 +146,7 @@ def _true_air(station: WeatherStation, seed: int) -> Weather:
 
 
 def _draw_true_positions(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
-    """Return the catalogue's positions, each with an error drawn with its standard deviation in a year."""
+    """Return the catalogue's positions, each with an error drawn with its standard deviation at a Julian year."""
     stars = catalogue.at_j2000
     east, north = catalogue.position_sigma_at(np.arange(len(catalogue.hip)), year) * rng.standard_normal(
         (2, len(catalogue.hip))

@@ -91,7 +91,7 @@ def _radius(camera: StarCamera, detector: Detector) -> float:
 def swap_identities(
     rows: Rows, exposure: NDArray[np.int64], probability: float, rng: np.random.Generator
 ) -> Rows:
-    """Return star identities in which two are swapped in some exposures.
+    """Return reported star identities: in some exposures, the identities of two stars are swapped.
 
     Args:
         rows: rows of the catalogue, one per star, shape (k,).

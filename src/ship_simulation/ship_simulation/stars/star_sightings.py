@@ -38,7 +38,7 @@ class ReportedStars:
 
     Attributes:
         hip: reported HIP number, shape (k,); 0 if the sensor identifies stars by their directions, or not at all.
-        directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
+        directions_s: unit vectors from the centroids, in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
         positions: positions of the reported stars, J2000.0; NaN if the sensor reports no identity.
         position_sigma: error of ``positions``, rad per axis, shape (k,).
@@ -105,7 +105,9 @@ class SightingsTruth:
 def simulate_sightings(
     source: str, config: StarImaging, motion: DeviceExposures, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
-    """Return all exposures of a star sensor or theodolite camera, and their truth; by day and in outages without stars.
+    """Return all exposures of a star sensor or theodolite camera, and their truth.
+
+    Exposures by day and in outages contain no stars.
 
     Args:
         source: begin of the names of the random streams.

@@ -251,7 +251,7 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def _rates(scenario: Scenario) -> dict[str, Any]:
-    """Return the parameters of the INS's rates that are not zero; by default none."""
+    """Return the parameters of the INS's rates that are not zero; empty by default."""
     parameters = _select_parameters(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
     return {name: value for name, value in parameters.items() if value}
 

@@ -81,7 +81,7 @@ def _orbit_path(orbit: Orbit, t_s: FloatArray) -> FloatArray:
 
 
 def _leg_path(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
-    """Return straight legs with a stop at each end; constant before the first waypoint and after the last."""
+    """Return positions on straight legs with a stop at each waypoint, constant before the first and after the last."""
     waypoints = sorted(waypoints, key=lambda waypoint: waypoint.time_s)
     moments_s = np.array([waypoint.time_s for waypoint in waypoints])
     places = np.array([_position(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])

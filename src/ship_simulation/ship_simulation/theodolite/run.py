@@ -53,7 +53,7 @@ class PointingTruth:
 
 @dataclass(frozen=True)
 class TheodoliteRun:
-    """One draw of a theodolite with its lights, targets and stars; drones and star cameras by id."""
+    """One draw of a theodolite with its lights, targets and stars. Keys are the ids of drones or of star cameras."""
 
     encoder: EncoderSamples
     images: ImageSamples

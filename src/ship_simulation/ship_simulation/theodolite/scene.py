@@ -49,7 +49,7 @@ class TrueTheodolite:
 
 
 def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
-    """Return the true constants: the known constants plus drawn errors; N' also has the stated error of its survey."""
+    """Return the true constants: the known constants plus drawn errors. ``lens_m`` also contains ``lens_untold``."""
     telescope = config.telescope
     known, sigma = parallelism_of(telescope)
     focal_error = random_stream(seed, "theodolite.focal_length").standard_normal()

@@ -37,7 +37,7 @@ class TargetSamples:
         log_time_ns: arrival times, shape (n,).
         target_ids: ids of all targets of the scenario.
         target: index of the target of each image in ``target_ids``, shape (n,).
-        point_m: points on the detector, along its right and up, shape (n, 2).
+        point_m: points on the detector, along the detector's right and up, shape (n, 2).
         rotation: reported rotation of the detector, rad, shape (n,).
         range_m: reported range, shape (n,); NaN if there is none.
         range_sigma_m: sigma of the reported range, shape (n,); NaN if there is no range.

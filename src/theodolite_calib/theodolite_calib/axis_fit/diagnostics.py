@@ -3,7 +3,7 @@
 **Near dependencies.** Belsley, Kuh, Welsch, "Regression Diagnostics" (1980), ch. 3: the columns of the design are
 scaled to unit length. A singular value far below the largest (its condition index is far above 1) belongs to a
 combination of errors that hardly moves the pointing of these sightings. An error is involved in a combination if a
-large part of the error's variance comes from it.
+large part of the error's variance comes from this combination.
 
 **Other readings of the table.** The offsets in the table may have another sign or unit than assumed. Such readings are
 compared by the likelihood of the numbers in the table. Residuals on the sky are not comparable, because offsets already
@@ -124,7 +124,7 @@ def _combinations(fit: AxisFit) -> tuple[FloatArray, FloatArray]:
 
 
 _MIN_LOG_LIKELIHOOD_GAIN = 10.0
-"""Minimum gain of the log-likelihood of another reading that is reported; it is then 20 000 times as likely."""
+"""Minimum gain in log-likelihood for which another reading is reported: the reading is then 20 000 times as likely."""
 _LEAST_COSINE = 1e-3
 """Minimum cosine of the elevation, used near the zenith where it is a divisor."""
 
