@@ -1,4 +1,4 @@
-"""Mount model of a theodolite: direction of the main axis from encoder angles and axis errors, exact, and its inverse.
+"""Exact mount model of a theodolite: direction of the main axis from encoder angles and axis errors, and the inverse.
 
 In the deck frame the model is the exact form of [W18] (1)(2). The main frame m is (optical axis, up, right), the deck d
 is (bow, up, starboard):
@@ -26,8 +26,8 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, ske
 
 Angle = float | FloatArray
 
-# The initial elevation has the flexure as its error. A Newton step reduces an error e to at most flexure · e² / 2, so
-# that after three steps an error of 0.1 rad has become 1e-17 rad.
+# The error of the initial elevation is at most the flexure. A Newton step reduces an error e to at most flexure · e² /
+# 2, so that after three steps an error of 0.1 rad has become 1e-17 rad.
 _FLEXURE_STEPS = 3
 
 
@@ -70,7 +70,7 @@ class AxisErrors:
 
     @cached_property
     def by_tilt(self) -> FloatArray:
-        """Derivative of the main frame's rotation vector in d with respect to the tilt's, shape (..., 3, 3)."""
+        """Derivative of the main frame's rotation vector in d with respect to the tilt vector, shape (..., 3, 3)."""
         return left_jacobian(_tilt_vector(self))
 
 
@@ -97,7 +97,7 @@ class MainAxis:
 
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
-    """Return the main frame with its Jacobians; an encoder error has the effect of a change of the encoder's angle."""
+    """Return the main frame with its Jacobians; the error of an encoder angle acts as a change of this angle."""
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)
@@ -125,7 +125,7 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative (..., 3, n) of a direction fixed in a frame, from the frame's ``by_rotation``."""
+    """Return the derivative (..., 3, n) of a direction fixed in a frame, from that of the frame's rotation vector."""
     return -skew(direction) @ by_rotation
 
 
@@ -147,7 +147,7 @@ class AxisGeometry:
     """Axis geometry at one time.
 
     Attributes:
-        rotation_nd: horizon from deck, corrected, shape (3, 3).
+        rotation_nd: horizon from deck, corrected by the errors of attitude and time, shape (3, 3).
         rotation_dm: deck from main frame, deformation included, shape (3, 3).
         rotation_nm: horizon from main frame, shape (3, 3).
         by_error: derivatives of the main frame's rotation vector in n with respect to the errors, shape (3, 14); the

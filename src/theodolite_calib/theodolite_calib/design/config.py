@@ -15,7 +15,7 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import OpticalAxisConfig
 
-# Only plain names, because names of drones become headings and cells of tables.
+# Names of drones are plain, because these names become headings and cells of tables.
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _W18_BEACON = {"rtk": {"sigma_m": 0.027, "bias_sigma_m": 0.0}}

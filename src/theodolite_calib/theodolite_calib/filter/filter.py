@@ -32,7 +32,7 @@ Jump = EncoderJump | InsJump
 _NO_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 _STEPS = 5
-# Step size, rad, below which the non-linear remainder, its square, is negligible.
+# Step size, rad, below which the non-linear remainder, of the order of the step squared, is negligible.
 _SMALL_STEP = 1e-5
 
 

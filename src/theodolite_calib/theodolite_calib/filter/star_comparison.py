@@ -33,7 +33,7 @@ from theodolite_calib.filter.prediction import SightingModel
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _STEPS = 6
-# Step size, rad, below which the non-linear remainder, its square, is negligible.
+# Step size, rad, below which the non-linear remainder, of the order of the step squared, is negligible.
 _SMALL_STEP = 1e-5
 
 

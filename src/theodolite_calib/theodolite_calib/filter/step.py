@@ -121,7 +121,7 @@ class SightingStep:
     def _exclude_source(
         self, state: CalibrationState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> CalibrationState:
-        """Exclude a source; the subfilter without it becomes the main filter."""
+        """Exclude a source; all filters restart from the subfilter without this source, if this subfilter exists."""
         fault_state = self._fault_detector.exclude_source(state.fault_state, source, exclusion, explaining_subfilter)
         return replace(self._filter.exclude_source(state, source), fault_state=fault_state)
 
@@ -294,7 +294,8 @@ class SightingStep:
     def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Exclude an isolated source; ``explaining_subfilter`` is used for a source without a subfilter."""
+        """Exclude an isolated source; ``explaining_subfilter`` gives the innovation means if the source has no subfilter.
+        """
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
