@@ -121,8 +121,7 @@ class SightingGate:
     def _try_without_one(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> SightingDecision | None:
-        """Evaluate three or more beacons without each beacon in turn; return the acceptance of least NIS, or None.
-        """
+        """Evaluate three or more beacons without each beacon in turn; return the acceptance of least NIS, or None."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
             return None

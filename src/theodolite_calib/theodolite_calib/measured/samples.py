@@ -291,9 +291,10 @@ class PointingEstimate:
         light_count: number of beacons in the last accepted sighting; 0 if it is not recent.
         state: state of the filter from which the pointing was computed.
         text: reason if the status is not VALID.
-        by_error_n: rotation vector of the main axis in n per error of the axis geometry, shape (3, k).
+        by_error_n: derivative of the main axis' rotation vector in n with respect to the axis geometry's errors, shape
+            (3, k).
         rotation_dm: deck from main frame, shape (3, 3). The deck is the attitude that tf2 interpolates, so that tf2
-            computes ``rotation_nm`` from both. NaN without ship/attitude.
+            computes ``rotation_nm`` from this attitude and ``rotation_dm``. NaN without ship/attitude.
     """
 
     time_ns: int

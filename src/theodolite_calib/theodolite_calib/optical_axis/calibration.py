@@ -186,7 +186,7 @@ def state_from_prior(
         return initial, [text]
     saved = {one.name: one for one in _saved_quantities(filter_, config)}
     messages = []
-    # A quantity that was fixed in the saved calibration takes its uncertainty from the configuration.
+    # A quantity that was fixed in the saved calibration has its value and uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
     of_telescope = usable & [name in _TELESCOPE_NAMES for name in prior.names]
     if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
