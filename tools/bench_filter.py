@@ -27,11 +27,11 @@ STEP_ROUNDS = 5
 INTEGRITY_PAIRS = 7
 MAX_STEP_US = 30.0
 MAX_INTEGRITY_RATIO = 1.6
-"""Maximum ratio of step times with and without the estimates that exclude one source."""
+"""Maximum ratio of step times with and without subfilters."""
 
 
 def step_cost() -> list[Row]:
-    """Measure the median step time of a run, alternately with numpy's 3 x 3 SVD."""
+    """Measure the ship filter's step alternately with numpy's 3 x 3 SVD, and the theodolite's step by stars."""
     run = run_of("paper", 30.0)
     model = core_for(run.scenario).filter.model
     states, parts = model.size, len(model.sources)
@@ -53,7 +53,7 @@ def step_cost() -> list[Row]:
 
 
 class _WithPairs(ShipFilter):
-    """Filter whose step also computes the estimates that exclude a pair of sources."""
+    """Filter whose step also updates the subfilters that exclude a pair of sources."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         pairs = dataclasses.replace(config.integrity, pairs=True, max_hypotheses=64)
@@ -61,7 +61,7 @@ class _WithPairs(ShipFilter):
 
 
 def integrity_cost() -> list[Row]:
-    """Measure the filters' steps alternately with and without the estimates that exclude one source."""
+    """Measure the filters' steps alternately with and without subfilters."""
     ship, theodolite = run_of("three_sensors", 20.0), run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [

@@ -198,7 +198,7 @@ def _counts(path: Path) -> dict[str, int]:
 
 
 def _short_path(path: Path) -> Path:
-    """Return the path relative to the current folder, if that is shorter."""
+    """Return the path relative to the current folder if the path is within this folder."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 

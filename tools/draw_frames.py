@@ -35,7 +35,7 @@ class Panel:
     Args:
         axes: axes of the drawing.
         title: heading of the drawing.
-        view: azimuth and elevation of the view direction, degrees.
+        view: azimuth and elevation of the direction to the viewer, degrees.
     """
 
     def __init__(self, axes: Axes, title: str, view: tuple[float, float] = (208.0, 27.0)) -> None:

@@ -33,7 +33,7 @@ MOST_MB, MOST_GROWTH_MB = 130.0, 1.0
 _START_S = 30.0
 _LOOK_S = 2.0
 _BEGIN_SHARE = 0.05
-"""Share of the samples at the beginning, and of the samples at the end, whose medians are compared."""
+"""Fraction of the span at the beginning, and at the end, over which the compared medians are computed."""
 _MOST_MISSED_S = 60.0
 _STATM_RESIDENT = 1
 _LINES = 12
@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def growth(hours: np.ndarray, resident_mb: np.ndarray, settled_h: float) -> float:
-    """Return the growth of the resident memory from a time to the end, MB, by medians over a twentieth of this span.
+    """Return the growth of the resident memory over a span, MB: last minus first median over a twentieth of the span.
 
     Args:
         hours: hours since the start of the voyage, increasing, shape (n,).

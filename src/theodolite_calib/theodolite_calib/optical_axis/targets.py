@@ -164,8 +164,7 @@ class TargetProcessor:
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
     def _adjacent_pointings(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
-        """Return the last published pointing up to a time and the first from then on; None if missing or too far apart.
-        """
+        """Return the last published pointing up to a time and the first from then on; None if there is a gap."""
         before = [due for due in self._published if due.time_ns <= time_ns]
         after = [due for due in self._published if due.time_ns >= time_ns]
         if not (before and after):

@@ -106,7 +106,8 @@ def triangulate(
 
     Returns:
         Position, with its ``rejection`` set if the directions are inconsistent. A rejection alone if there are fewer
-            than two directions, or if they are parallel or nearly so, or meet behind a theodolite.
+            than two directions, if a number is not finite, if the directions are nearly parallel or meet behind a
+            theodolite, or if a distance is too uncertain.
     """
     if len(directions) < 2:
         return Rejection(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
