@@ -1,8 +1,8 @@
 """``make campaign``: is the covariance consistent over many seeds? Prints one line a case, exits 1 outside a band.
 
-Bands are two-sided chi² at 99.9 % for the number of seeds. They are mean NEES in [2.82, 3.18] and
-RMS/sigma in [0.95, 1.05] for 2000 seeds, [2.46, 3.60] and [0.84, 1.17] for 200 seeds. In the last case, ``isam2``, runs
-of a minute are estimated by the filter and, for comparison, by GTSAM.
+Bands are two-sided chi² at 99.9 % for the number of seeds. The bands are mean NEES in [2.82, 3.18] and RMS/sigma in
+[0.95, 1.05] for 2000 seeds, [2.46, 3.60] and [0.84, 1.17] for 200 seeds. In the last case, ``isam2``, runs of a minute
+are estimated by the filter and, for comparison, by GTSAM.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""A golden table of the outputs of replays. It detects each change of behaviour, and is renewed only on purpose.
+"""A golden table of the outputs of replays. The table detects each change of behaviour, and is renewed only on purpose.
 
 Each bag is replayed twice, in blocks and one message at a time. `test/golden_replays.yaml` holds a line for each topic:
 

@@ -177,7 +177,10 @@ def compile_modules(folder: Path) -> None:
 
 
 def build_messages(folders: list[Path], prefix: str) -> None:
-    """Build the message packages; without C++ if ROS is installed as wheels, because no node of the suite needs C++."""
+    """Build the message packages.
+
+    C++ is omitted if ROS is installed as wheels, because no node of the suite needs C++.
+    """
     for folder in folders:
         remove_compiled(folder)
     colcon("messages", folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])

@@ -125,7 +125,8 @@ def lines_to_install(lock: dict[str, list[str]], sections: tuple[str, ...], pref
 def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
     """Return lines for pip, and pip's options for the location of the wheels.
 
-    For wheels from the package index, the lines are from requirements.lock. For wheels from a bundle, they have hashes.
+    For wheels from the package index, the lines are from requirements.lock. For wheels from a bundle, the lines have
+    hashes.
     """
     bundled = own_wheels(ROOT)
     if not bundled:

@@ -22,7 +22,7 @@ from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPr
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 _MAX_SCATTER = np.deg2rad(1.0)
-"""Maximum scatter of the sightings about their fit, rad; above it the table has other units or other content."""
+"""Maximum scatter of the sightings about their fit, rad; a larger scatter shows other units or other content."""
 
 CALIBRATION = "calibration.yaml"
 OUTPUT_NAMES = (

@@ -151,7 +151,7 @@ def rms(residuals: FloatArray) -> float:
 
 
 def _initial_errors(sightings: Sightings) -> FloatArray:
-    """Return the initial errors: the mean zero point of the azimuth, which may have any value, and else zeros."""
+    """Return the initial errors: zeros, except for the zero point of the azimuth, which may have any value."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
     encoder_axis, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
     return np.array([np.angle(np.sum(encoder_axis * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
@@ -242,8 +242,9 @@ def _covariance(
 ) -> FloatArray:
     """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
-    The stiffness is the second derivative of the loss. For residuals beyond k s it is zero along the residual, and
-    equals the sighting's weight across the residual. The mean of these two values, half the weight, is used.
+    The stiffness is the second derivative of the loss. For residuals beyond k s the stiffness is zero along the
+    residual, and equals the sighting's weight across the residual. The mean of these two values, half the weight, is
+    used.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - used_degrees

@@ -5,14 +5,14 @@ is (bow, up, starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
-T is the tilt of the vertical axis by βm towards the azimuth Am. It has the rotation vector (βy, 0, -βx), with
-βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. The main frame in the horizon
-includes the error a of the ship's attitude and the deformation e, which are rotation vectors:
+T is the tilt of the vertical axis by βm towards the azimuth Am. The rotation vector of T is (βy, 0, -βx), with
+βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. The main frame in the horizon includes
+the error a of the ship's attitude and the deformation e, which are rotation vectors:
 
     rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
-Encoder angles and errors are floats or arrays (rad) that broadcast with each other. Their common shape becomes the
-leading axes of the results.
+Encoder angles and errors are floats or arrays (rad) that broadcast with each other. The common shape of angles and
+errors becomes the leading axes of the results.
 """
 
 import math
@@ -125,7 +125,7 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative (..., 3, n) of a direction fixed in a frame, from that of the frame's rotation vector."""
+    """Return the derivative (..., 3, n) of a direction fixed in a frame; ``by_rotation`` is the frame's derivative."""
     return -skew(direction) @ by_rotation
 
 

@@ -1,7 +1,7 @@
 """Results of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and keeps all others. It gives the error for the given beacons, and for beacons at the
-best positions within the limits of ``escort`` for each value of the quantity.
+Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons, and for beacons at
+the best positions within the limits of ``escort`` for each value of the quantity.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -69,7 +69,7 @@ class DesignStudy:
         given_n: positions of the given beacons, from the ship's antenna (N, U, E), m, shape (N, 3).
         given_arcsec: error with the given beacons in azimuth times cos E, in elevation and on the sky, shape (3,).
         unaided_arcsec: error on the sky from encoders and ship without beacons.
-        advice: best positions within the limits, and the accuracy there.
+        advice: best positions within the limits, and the accuracy at these positions.
         advised_arcsec: error with the advised positions, as ``given_arcsec``; NaN if no position is within the limits.
         budget: errors with the given and with the advised beacons by source; their root sums of squares are
             ``given_arcsec`` and ``advised_arcsec``.

@@ -60,7 +60,7 @@ class AllowedPlaces:
 
     @property
     def unmet_limit(self) -> str:
-        """Elevation limit that no position in the field meets; empty if there are positions."""
+        """Elevation limit that no position in the field meets; empty if a position meets both limits."""
         if self.least_elevation <= self.greatest_elevation:
             return ""
         low = self.elevation < np.deg2rad(self.limits.elevation_min_deg)

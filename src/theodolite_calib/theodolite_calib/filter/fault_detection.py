@@ -366,8 +366,8 @@ class FaultDetector:
             name: name of the beacon.
             innovation: innovation of the beacon in the main filter, which does not use the drone.
             time_ns: time of the sighting.
-            expected_rejection_m: residual on the detector that the fault would cause now, m. It must be detectable for
-                a reinstatement; 0 omits this test.
+            expected_rejection_m: residual on the detector that the fault would cause now, m. This residual must be
+                detectable for a reinstatement; 0 omits this test.
         """
         index, source = self._subfilters.beacons.index(name), BEACON_PREFIX + name
         record = fault_state.exclusions[source]

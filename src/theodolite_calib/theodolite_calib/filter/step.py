@@ -352,7 +352,7 @@ class SightingStep:
     def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, has_others: bool) -> float:
         """Return the residual on the detector that the fault of an excluded drone would cause now, m.
 
-        Without a jump it is 0 if beacons of other drones are used, which omits the test.
+        Without a jump the residual is 0 if beacons of other drones are used; 0 omits the test.
         """
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(exclusion.jump_sum_n, direction_n))

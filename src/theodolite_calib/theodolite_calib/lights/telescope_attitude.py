@@ -1,8 +1,8 @@
 """Attitude of the telescope from the image of N beacons: maximum likelihood, with covariance and error budget.
 
 The unknowns are the attitude (a rotation vector), the focal length and the errors of the lines of sight. Focal length
-and line errors have priors, and the image is practically linear in them. They are therefore marginalised exactly, as
-part of the covariance of the points' residuals,
+and line errors have priors, and the image is practically linear in them. These quantities are therefore marginalised
+exactly, as part of the covariance of the points' residuals,
 
     S = σ² I  +  F Σ_w Fᵀ  +  σ_f² p_f p_fᵀ          detection, joint errors of the directions, focal length
 
@@ -35,8 +35,8 @@ _CONVERGED = 1e-9
 class AttitudePrior:
     """Prior of the telescope's attitude, without the beacons.
 
-    The errors of prior and lines of sight are assumed to be independent. An error of the ship's attitude is in both,
-    but for a lever of 10 m and beacons at 2 km its effect on the lines of sight is 200 times smaller.
+    The errors of prior and lines of sight are assumed to be independent. An error of the ship's attitude is part of
+    both errors, but for a lever of 10 m and beacons at 2 km its effect on the lines of sight is 200 times smaller.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).

@@ -86,7 +86,7 @@ class EncoderCheck:
             PredictionBound(sigma_rad),
         )
         # Two readings predict the next reading: the last two accepted readings, or the last two of all readings.
-        # Without rejections both are equal.
+        # Without rejections both pairs are equal.
         self._last_accepted: tuple[EncoderSample, ...] = ()
         self._last_readings: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None

@@ -261,13 +261,14 @@ class TargetEstimate:
 class ExposureDecision(MeasurementDecision[AnyExposure]):
     """Decision about an exposure.
 
-    ``residual`` and ``sigma`` are angles. For each beacon they are x and z of the inverted image, positive to the left
-    and down on the sky; for each star they are up and to the right on the sky. ``rejected_parts`` are beacons or stars.
-    An exposure whose beacons had exchanged names is accepted, with the reason LIGHT_CONFLICT.
+    ``residual`` and ``sigma`` are angles. The angles of a beacon are x and z of the inverted image, positive to the
+    left and down on the sky. The angles of a star are up and to the right on the sky. ``rejected_parts`` are beacons or
+    stars. An exposure whose beacons had exchanged names is accepted, with the reason LIGHT_CONFLICT.
 
     Attributes:
         telescope_dt: deck from telescope, shape (3, 3), and the standard deviation about its worst axis, rad; None if
-            not determined. It comes from the beacons, or from the prediction if the beacons agree with it.
+            not determined. The attitude comes from the beacons, or from the prediction if the beacons are consistent
+            with the prediction.
         excluded_sources: sources that are excluded after the exposure.
     """
 

@@ -1,8 +1,8 @@
 """Calibration from the filter's state: values for the calibration topic, and a prior for the next session.
 
-:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation; with star
-cameras also N' and the parallelism of the main axis in each camera. :class:`CalibrationPrior` has the constants, which
-are saved. The deformation is not saved, because it will have changed at the next session.
+:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation. If there
+are star cameras, N' and the parallelism of the main axis in each camera are included. :class:`CalibrationPrior` has the
+constants, which are saved. The deformation is not saved, because it will have changed at the next session.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Remembered state of the calibration: restart from this state, and differences of beacons and other states from it.
+"""Remembered state of the calibration: restart from the state, and its differences from beacons and other states.
 
 The rules that use these functions are in :mod:`ship_estimation.recovery`. Stars are not compared with a remembered
 state, because beacons reinstate excluded sources.
