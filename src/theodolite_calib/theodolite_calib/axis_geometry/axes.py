@@ -6,8 +6,8 @@ is (bow, up, starboard):
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
 T is the tilt of the vertical axis by βm towards the azimuth Am. The rotation vector of T is (βy, 0, -βx), with
-βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. The main frame in the horizon includes
-the error a of the ship's attitude and the deformation e, which are rotation vectors:
+βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. The main frame in the horizon
+includes the error a of the ship's attitude and the deformation e, which are rotation vectors:
 
     rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
