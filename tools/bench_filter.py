@@ -114,7 +114,7 @@ def ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
 
 
 def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[float]:
-    """Return the time of each step over a session, us."""
+    """Return the time of each step over a run, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config)
     core._step_to, times_us = _TimedStep(kind(config, core.filter))
@@ -123,7 +123,7 @@ def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[fl
 
 
 def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
-    """Return the time of each step by an exposure of stars over a session, us."""
+    """Return the time of each step by an exposure of stars over a run, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config, sky=load_sky_model(config.sky))
     core._step_to_stars, times_us = _TimedStep(core._step_to_stars)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Cost of replay, message by message and in blocks, relative to a copy of the same bag by rosbags with decoding."""
+"""Cost of replay, message by message and in blocks, relative to rosbags' copy of the same bag with decoding."""
 
 import dataclasses
 import subprocess

@@ -33,7 +33,7 @@ from ship_testing.isam2_peer import isam2_error  # noqa: E402
 SEEDS = 2000
 PEER = "isam2"
 PEER_SEEDS = 200
-"""Maximum number of runs that the peer smooths, because each takes as long as four runs of the filter."""
+"""Maximum number of runs that the peer smooths, because smoothing a run takes as long as four runs of the filter."""
 
 
 def main() -> int:

@@ -1,6 +1,6 @@
 """``make demo``: simulated voyages through the real nodes over DDS, recorded, evaluated, drawn.
 
-First the ship's attitude from INS and stars, then the theodolite's optical axis from the lights of two drones.
+The first voyage gives the ship's attitude from INS and stars, the second the theodolite's optical axis from two lights.
 ``--offline`` replays the first bag without nodes (``make quick``).
 
 Exit code 0 done; 1 a process failed or a node published nothing; 2 bad input or usage. Messages lost on a computer that

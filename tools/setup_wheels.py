@@ -37,7 +37,7 @@ SECTIONS_OF_GROUPS = {BUILD_TOOLS: ("ros", "build"), PYTHON: ("python",), ALL_OT
 """Group of wheels → sections of requirements.lock in the group."""
 
 SPACE_NEEDED_GB = {BUILD_TOOLS: 0.5, PYTHON: 0.7, ALL_OTHER: 0.6}
-"""Free disk space needed by each group, GB; 0.9 GB, and 0.4 GB of the last group, are permanent."""
+"""Free disk space needed by each group, GB; 0.9 GB of the first two groups and 0.4 GB of the last group stay in use."""
 
 
 def ros_prefix() -> str:

@@ -37,7 +37,7 @@ _SAME_TOLERANCE = 1e-9
 
 
 def _axis_error(doc: str) -> Any:
-    """Return the field of the prior value of an axis error, at most 1°; larger zero points need ``fit_axes``."""
+    """Return the field of the prior value of an axis error, within ±1°; larger zero points need ``fit_axes``."""
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
 
 

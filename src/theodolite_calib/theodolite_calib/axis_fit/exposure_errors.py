@@ -26,7 +26,7 @@ def correlated_effects(
         prediction: exposure predicted with the configured values, with its Jacobian with respect to all errors.
         sighting: the exposure.
         rotation_nt: attitude of the telescope (horizon from telescope) from the beacons, shape (3, 3).
-        direction_d: direction of the main axis from this attitude, unit vector, shape (3,).
+        direction_d: direction of the main axis by this attitude, unit vector in d, shape (3,).
 
     Returns:
         Name and correlation time (s) → angles to the right and up, shape (2,), rad.

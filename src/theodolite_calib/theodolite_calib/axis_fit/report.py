@@ -144,7 +144,7 @@ def write_tables(fit: AxisFit, sightings: Sightings, table_warnings: list[str], 
     Args:
         fit: the fit.
         sightings: sightings of the fit.
-        table_warnings: warnings about the table as it was read.
+        table_warnings: warnings about the table that was read.
         folder: folder for the tables.
     """
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]

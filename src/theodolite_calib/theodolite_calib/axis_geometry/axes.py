@@ -39,7 +39,8 @@ class AxisErrors:
         g: zero point of the azimuth encoder; the axis points at A - g.
         h: zero point of the elevation encoder; the axis points at E - h.
         c: collimation: angle of the optical axis to the left of the normal to the horizontal axis.
-        I: non-perpendicularity: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
+        I: non-perpendicularity: tilt of the horizontal axis against the normal to the vertical axis, positive with the
+            right end up.
         beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers an optical axis that points to the bow.
         beta_y: tilt of the vertical axis towards starboard, βm sin Am.
         flexure: bending of the tube; it raises the optical axis by flexure · cos E.
@@ -125,7 +126,10 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative (..., 3, n) of a direction fixed in a frame; ``by_rotation`` is the frame's derivative."""
+    """Return the derivative of a direction fixed in a frame, shape (..., 3, n).
+
+    ``by_rotation`` is the derivative of the frame's rotation vector, shape (..., 3, n).
+    """
     return -skew(direction) @ by_rotation
 
 

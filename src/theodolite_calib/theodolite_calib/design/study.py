@@ -22,7 +22,7 @@ from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 SWEEP_COUNT = 25
 """Number of values of a sweep."""
 BEST_STEP = 4
-"""Step between values for which the best positions are computed, because their computation is slow."""
+"""Step between values for which the best positions are computed; for every value the computation would be slow."""
 _FACTORS = np.geomspace(0.2, 5.0, SWEEP_COUNT)
 _SURVEY_M = np.geomspace(1e-3, 0.2, SWEEP_COUNT)
 
@@ -300,7 +300,7 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the factor on the beacons' angles from their middle at which the first beacon leaves the field.
+    """Return the factor on the offsets of the tangents from their mean at which the first beacon leaves the field.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.

@@ -369,7 +369,7 @@ class SightingStep:
 
 @functools.lru_cache(maxsize=16)
 def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
-    """Return the sigma multipliers for the hypotheses of one faulty source each."""
+    """Return the sigma multipliers for hypotheses that each assume one faulty source."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
     return sigma_multipliers(config, [by_source.get(source, priors.beacon) for source in sources])
@@ -439,7 +439,7 @@ def _attitude_sigma(comparison: Comparison) -> float:
 
 
 def _disagreement_n(comparison: Comparison) -> FloatArray:
-    """Return the rotation between the telescope attitudes predicted and from beacons, as a covariance in n, rad²."""
+    """Return the rotation from the predicted telescope attitude to the beacons' attitude, as a covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     rotation_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(rotation_n, rotation_n)

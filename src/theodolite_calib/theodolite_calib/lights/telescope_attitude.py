@@ -82,7 +82,7 @@ class TelescopeAttitude:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
         covariance_by_source_n: covariance of the rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape
             (..., 3, 3) each.
-        focal_length_m: focal length estimated from the angles between beacons and its prior, shape (...).
+        focal_length_m: focal length estimated from its prior and the angles between beacons, shape (...).
         focal_length_sigma_m: standard deviation of the focal length, shape (...).
         chi2: rᵀ S⁻¹ r of the residuals after the fit, shape (...).
         degrees: degrees of freedom of chi2: 2 N - 3, and 3 more with a prior attitude.

@@ -105,9 +105,9 @@ def triangulate(
         gate_probability: probability that consistent directions pass the test of their residuals.
 
     Returns:
-        Position, with its ``rejection`` set if the directions are inconsistent. A rejection alone if there are fewer
-            than two directions, if a number is not finite, if the directions are nearly parallel or meet behind a
-            theodolite, or if a distance is too uncertain.
+        Position, with its ``rejection`` set if the directions are inconsistent. Only a rejection is returned for fewer
+            than two directions, for numbers that are not finite, for directions that are nearly parallel or meet behind
+            a theodolite, and for a too uncertain distance.
     """
     if len(directions) < 2:
         return Rejection(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
