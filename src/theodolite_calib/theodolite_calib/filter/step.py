@@ -439,7 +439,7 @@ def _attitude_sigma(comparison: Comparison) -> float:
 
 
 def _disagreement_n(comparison: Comparison) -> FloatArray:
-    """Return the rotation from the predicted telescope attitude to the beacons' attitude, as a covariance in n, rad²."""
+    """Return the rotation from the predicted telescope attitude to the beacons' attitude, as covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     rotation_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(rotation_n, rotation_n)
