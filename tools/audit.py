@@ -1,7 +1,7 @@
 """``make audit``: known vulnerabilities of the pinned versions, by pip-audit from OSV, in a separate environment.
 
-Exit code 0 no vulnerability is known; 1 at least one is known, or the service returned no result for a version; 2 the
-query failed.
+Exit code 0: no vulnerability is known; 1: at least one is known, or the service returned no result for a version; 2:
+the query failed.
 """
 
 import argparse

@@ -35,12 +35,12 @@ LATE_SENSOR_S = 1.9
 
 MOST_ON_TIME_MS, MOST_LATE_MS = 1.0 * WITH_INTEGRITY, 2.0 * WITH_INTEGRITY
 LATE_WITH_OPTICS = 1.3
-"""Factor of the bound for late single stars, which are applied again: a camera's optics add four states."""
+"""Factor of the bound for late single stars, because a camera's optics add four states to the repeated steps."""
 _INS, _SENSOR = "ins/imu", "fore"
 
 
 def behind_star_cost() -> list[Row]:
-    """Measure with attitudes of star sensors and with single stars, both on time and with one of two sensors late."""
+    """Measure the wait behind star sensors' attitudes and behind single stars, both sensors on time or one late."""
     return [*_rows("paper", "an attitude by stars"), *_rows("paper_stars", "eight single stars", LATE_WITH_OPTICS)]
 
 

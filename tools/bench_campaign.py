@@ -48,7 +48,7 @@ def campaign_workers() -> list[Row]:
 
 
 def monte_carlo_cost() -> list[Row]:
-    """Measure the processor time of some runs of a Monte Carlo, and the time of all runs on two processors."""
+    """Measure the processor time of some runs of a Monte Carlo test; extrapolate to all runs on two processors."""
     paper = load_scenario(SCENARIOS / "paper.yaml")
     ins = dataclasses.replace(paper.ins, rate_hz=MONTE_CARLO_INS_HZ)
     scenario = dataclasses.replace(paper, ins=ins, duration_s=MONTE_CARLO_RUN_S)

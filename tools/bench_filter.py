@@ -27,11 +27,11 @@ STEP_ROUNDS = 5
 INTEGRITY_PAIRS = 7
 MAX_STEP_US = 30.0
 MAX_INTEGRITY_RATIO = 1.6
-"""Maximum ratio of step times with and without the estimates that exclude one source."""
+"""Maximum ratio of step times with and without subfilters."""
 
 
 def step_cost() -> list[Row]:
-    """Measure the median step time of a run, alternately with numpy's 3 x 3 SVD."""
+    """Measure the ship filter's step alternately with numpy's 3 x 3 SVD, and the theodolite's step by stars."""
     run = run_of("paper", 30.0)
     model = core_for(run.scenario).filter.model
     states, parts = model.size, len(model.sources)
@@ -53,7 +53,7 @@ def step_cost() -> list[Row]:
 
 
 class _WithPairs(ShipFilter):
-    """Filter whose step also computes the estimates that exclude a pair of sources."""
+    """Filter whose step also updates the subfilters that exclude a pair of sources."""
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         pairs = dataclasses.replace(config.integrity, pairs=True, max_hypotheses=64)
@@ -61,7 +61,7 @@ class _WithPairs(ShipFilter):
 
 
 def integrity_cost() -> list[Row]:
-    """Measure the filters' steps alternately with and without the estimates that exclude one source."""
+    """Measure the filters' steps alternately with and without subfilters."""
     ship, theodolite = run_of("three_sensors", 20.0), run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [
@@ -114,7 +114,7 @@ def ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
 
 
 def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[float]:
-    """Return the time of each step over a session, us."""
+    """Return the time of each step over a run, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config)
     core._step_to, times_us = _TimedStep(kind(config, core.filter))
@@ -123,7 +123,7 @@ def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[fl
 
 
 def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
-    """Return the time of each step by an exposure of stars over a session, us."""
+    """Return the time of each step by an exposure of stars over a run, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config, sky=load_sky_model(config.sky))
     core._step_to_stars, times_us = _TimedStep(core._step_to_stars)  # type: ignore[arg-type]

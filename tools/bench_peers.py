@@ -1,9 +1,9 @@
 """Cost of the ship's filter relative to GTSAM's smoothers with the same measurements, and to a step of filterpy.
 
-The peers receive each measurement linearised and weighted by the filter, and do not keep its error budget by source.
-The time of a peer is the time for adding a measurement and computing the state and its covariance afterwards.
-GTSAM is installed by ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; there are no
-rows of a peer that is not installed.
+The peers receive each measurement linearised and weighted by the filter. The peers have no error budget by source. The
+time of a peer is the time for adding a measurement and computing the state and its covariance afterwards. GTSAM is
+installed by ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; there are no rows of a peer
+that is not installed.
 """
 
 import importlib

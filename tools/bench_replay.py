@@ -1,4 +1,4 @@
-"""Cost of replay, message by message and in blocks, relative to a copy of the same bag by rosbags with decoding."""
+"""Cost of replay, message by message and in blocks, relative to rosbags' copy of the same bag with decoding."""
 
 import dataclasses
 import subprocess
@@ -22,9 +22,11 @@ ROUNDS = 3
 DEMO_S, SUITE_S = 30.0, 15.0
 """Lengths of the voyages replayed message by message, s: the demo, and a voyage with every device."""
 SHIP_S, LONG_SUITE_S = 3600.0, 900.0
-"""Lengths of the voyages replayed in blocks, s: attitude at 100 Hz with twice 5 Hz; a voyage with every device."""
+"""Lengths of the voyages replayed in blocks, s: an INS at 100 Hz with two star sensors at 5 Hz; a voyage with every
+device."""
 SHORT_SHIP_S, SHORT_SUITE_S = 300.0, 60.0
-"""Lengths of shorter voyages, also replayed message by message; growth of memory is relative to the first."""
+"""Lengths of shorter voyages, also replayed message by message; the growth of memory is relative to the first
+voyage."""
 
 MOST_OF_DEMO, MOST_OF_SUITE = 6.0 * WITH_INTEGRITY, 12.0 * WITH_INTEGRITY
 """Bounds of replay message by message, relative to a copy."""
@@ -55,7 +57,7 @@ def replay_cost() -> list[Row]:
 
 
 def block_cost() -> list[Row]:
-    """Measure replay in blocks, relative to rosbags' copy and to replay message by message; and its peak memory."""
+    """Measure replay in blocks relative to rosbags' copy and to replay message by message, and its peak memory."""
     with tempfile.TemporaryDirectory() as name:
         long, short = Path(name) / "long", Path(name) / "short"
         long.mkdir()

@@ -14,7 +14,7 @@ Figure = TypeVar("Figure")
 WITH_INTEGRITY = 1.6
 """Factor of the bounds of a step, an output and a replay due to integrity.
 
-Nodes and replay always compute the estimates that exclude one source.
+Nodes and replay always update the subfilters.
 """
 
 

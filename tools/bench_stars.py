@@ -1,4 +1,4 @@
-"""Cost of the solution from two sensors of eight stars, relative to scipy and numpy, and cost of a late sensor."""
+"""Cost of the solution from two sensors with eight stars each, relative to scipy and numpy; cost of a late sensor."""
 
 import dataclasses
 from pathlib import Path
@@ -27,7 +27,8 @@ YARDSTICK_SVDS = 5
 """Number of singular value decompositions of a matrix (3, 3)."""
 
 MOST_SVD_RATIO = 5.5
-"""Maximum ratio to these decompositions. Half is a second linearisation, with weights by the errors of the optics."""
+"""Maximum ratio of the solution to these decompositions. A second linearisation, with the optics' errors, takes
+half."""
 LATE_SENSOR_S = 1.9
 """Delay of a late sensor, s; less than the two seconds of ``lag_s``."""
 
@@ -39,7 +40,7 @@ _SCIPY = "scipy align_vectors with sensitivity"
 
 
 def star_solution() -> list[Row]:
-    """Measure the solution from two sensors of eight real stars: attitude, covariance by source and residuals."""
+    """Measure the solution from two sensors with eight real stars each: attitude, covariance by source, residuals."""
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=1.0)
     run = simulate(scenario, seed=1)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
@@ -84,8 +85,8 @@ def star_solution() -> list[Row]:
 def late_star_cost() -> list[Row]:
     """Measure the ship's core over ten seconds, alternately with two sensors on time and with one of the sensors late.
 
-    On time, each exposure is one step, except the exposures before the first position fix, because later fixes change
-    no exposure.
+    With all sensors on time, each exposure is one step. Only exposures before the first position fix are applied again,
+    because later fixes change no exposure.
     """
     scenario = dataclasses.replace(load_scenario(SCENARIO), duration_s=10.0)
     late = dataclasses.replace(scenario.star_sensors["fore"], latency_s=LATE_SENSOR_S)

@@ -2,7 +2,7 @@
 
 Four parameter changes, among them removing and adding a star sensor, a rejected change, a save, a reset and a load;
 then the node is restarted with the saved alignment.
-Exit code 0 all boxes verified; 1 one was not, or a process failed; 2 bad input or usage.
+Exit code 0 all boxes verified; 1 a box was not, or a process failed; 2 bad input or usage.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """``make bundle``: one tar with the tracked files of HEAD and all wheels of its lock, for a setup without a network.
 
-``make release`` leaves out the wheels. Bundle and release contain the C that Cython generates of compiled modules. The
-same commit, Python, machine and wheels give the same bytes. Uncommitted changes are not included.
+``make release`` leaves out the wheels. Bundle and release contain the C files that Cython generates from the compiled
+modules. The same commit, Python, machine and wheels give the same bytes. Uncommitted changes are not included.
 
 Exit code 0 done; 2 bad input, or a wheel is not available.
 """

@@ -1,8 +1,8 @@
 """``make campaign``: is the covariance consistent over many seeds? Prints one line a case, exits 1 outside a band.
 
-Bands are two-sided chi² at 99.9 % for the number of seeds. They are mean NEES in [2.82, 3.18] and
-RMS/sigma in [0.95, 1.05] for 2000 seeds, [2.46, 3.60] and [0.84, 1.17] for 200 seeds. The last runs are smoothed by
-GTSAM for comparison.
+Bands are two-sided chi² at 99.9 % for the number of seeds. The bands are mean NEES in [2.82, 3.18] and RMS/sigma in
+[0.95, 1.05] for 2000 seeds, [2.46, 3.60] and [0.84, 1.17] for 200 seeds. In the last case, ``isam2``, runs of a minute
+are estimated by the filter and, for comparison, by GTSAM.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from ship_testing.isam2_peer import isam2_error  # noqa: E402
 SEEDS = 2000
 PEER = "isam2"
 PEER_SEEDS = 200
-"""Maximum number of runs that the peer smooths, because each takes as long as four runs of the filter."""
+"""Maximum number of runs that the peer smooths, because smoothing a run takes as long as four runs of the filter."""
 
 
 def main() -> int:
@@ -74,7 +74,7 @@ def _errors(
 
 
 def _compare_with_peer(console: Console, pool: Executor, seeds: int) -> bool:
-    """Run a minute by the filter and, if installed, by GTSAM's iSAM2; return True if both are in their bands."""
+    """Run a minute by the filter and GTSAM's iSAM2; return True if both are in their bands, or GTSAM is missing."""
     if find_spec("gtsam") is None:
         console.print(f"{PEER}: left out, GTSAM is not installed (pip install gtsam)")
         return True

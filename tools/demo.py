@@ -1,6 +1,6 @@
 """``make demo``: simulated voyages through the real nodes over DDS, recorded, evaluated, drawn.
 
-First the ship's attitude from INS and stars, then the theodolite's optical axis from the lights of two drones.
+The first voyage gives the ship's attitude from INS and stars, the second the theodolite's optical axis from two lights.
 ``--offline`` replays the first bag without nodes (``make quick``).
 
 Exit code 0 done; 1 a process failed or a node published nothing; 2 bad input or usage. Messages lost on a computer that
@@ -198,7 +198,7 @@ def _counts(path: Path) -> dict[str, int]:
 
 
 def _short_path(path: Path) -> Path:
-    """Return the path relative to the current folder, if that is shorter."""
+    """Return the path relative to the current folder if the path is within this folder."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 

@@ -35,7 +35,7 @@ class Panel:
     Args:
         axes: axes of the drawing.
         title: heading of the drawing.
-        view: azimuth and elevation of the view direction, degrees.
+        view: azimuth and elevation of the direction to the viewer, degrees.
     """
 
     def __init__(self, axes: Axes, title: str, view: tuple[float, float] = (208.0, 27.0)) -> None:
@@ -179,7 +179,7 @@ def draw_star_sensor(panel: Panel) -> None:
 
 
 def draw_device(panel: Panel) -> None:
-    """Draw the devices with their frames i, r and v."""
+    """Draw a device with its frame, which stands for i, r and v."""
     rotation = rotation_from_angles(*np.deg2rad([75.0, 10.0, -8.0]))
     box(_ORIGIN, rotation, panel, (0.8, 0.35, 0.5))
     panel.frame(_ORIGIN, rotation, ("forward", "up", "right"), 1.15)

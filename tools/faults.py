@@ -1,7 +1,7 @@
 """Voyages with faults, drawn by seed: is each reported, is the right source named, is any wrong output VALID?
 
 Each voyage is saved as a line of a results file when complete; a run that was killed continues there. Prints each
-bound of the voyages, and exits with 1 if one is not met.
+bound of the voyages, and exits with 1 if a bound is not met.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The C that Cython generates of compiled modules: in releases and bundles, for machines without Cython 3.1."""
+"""The C files that Cython generates from compiled modules: in releases and bundles, for machines without Cython 3.1."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ def generate_c(src: Path) -> list[Path]:
         src: folder of packages as exported from a commit, without build products.
 
     Returns:
-        Sorted paths of the generated files: C, and for each package the digest of the sources of its C.
+        Sorted paths of the generated files: C files, and for each package the digest of the sources of its C files.
 
     Raises:
         BadInput: a package's C cannot be generated.

@@ -1,4 +1,4 @@
-"""A golden table of the outputs of replays. It detects each change of behaviour, and is renewed only on purpose.
+"""A golden table of the outputs of replays. The table detects each change of behaviour, and is renewed only on purpose.
 
 Each bag is replayed twice, in blocks and one message at a time. `test/golden_replays.yaml` holds a line for each topic:
 
@@ -7,7 +7,7 @@ Each bag is replayed twice, in blocks and one message at a time. `test/golden_re
   changes by the ratio 1 + δ. The constant u is 1e-9 of the number's unit, and 1 for test statistics: near zero, test
   statistics are differences of nearly equal estimates and mainly rounding errors.
 - ``finite``: number of finite numbers in the messages.
-- ``sha256``: hash of the same numbers (first 16 digits). Texts are left out.
+- ``sha256``: hash of the same numbers (first 16 digits). Texts are not included.
 
 On other processors mathematical libraries round differently: the hashes differ there, and the sums agree.
 """
@@ -46,7 +46,7 @@ NAMES = (*KEPT, *SIMULATED_S, RECORDED)
 STATISTICS = "statistic", "nis"
 """Fields that are dimensionless test statistics."""
 TOLERANCE = 1e-9
-"""Mean ratio by which numbers may differ between processors."""
+"""Relative change of ``sum`` up to which the numbers of two processors count as equal."""
 
 Row = dict[str, int | float | str]
 
@@ -124,7 +124,7 @@ def differences(wanted: dict[str, Row], found: dict[str, Row], tolerance: float)
     Args:
         wanted: lines of the table.
         found: lines of a replay.
-        tolerance: mean ratio by which numbers may differ; 0 compares the hashes.
+        tolerance: relative change of ``sum`` up to which numbers count as equal; 0 compares the hashes.
     """
     for topic in sorted(wanted.keys() | found.keys()):
         old, new = wanted.get(topic), found.get(topic)

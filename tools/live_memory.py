@@ -1,4 +1,4 @@
-"""Memory of a live node over a voyage that is played faster than real time: its growth must stay within bounds.
+"""Memory of a live node over a voyage that is played faster than real time: its growth is bounded.
 
 The node is a separate process that receives simulated data over DDS. Its resident memory is sampled periodically. Exit
 code 0 within the bounds; 1 the growth or the memory is too large, or a process failed; 2 bad input or usage.
@@ -33,7 +33,7 @@ MOST_MB, MOST_GROWTH_MB = 130.0, 1.0
 _START_S = 30.0
 _LOOK_S = 2.0
 _BEGIN_SHARE = 0.05
-"""Share of the samples at the beginning, and of the samples at the end, whose medians are compared."""
+"""Fraction of the span at the beginning, and at the end, over which the compared medians are computed."""
 _MOST_MISSED_S = 60.0
 _STATM_RESIDENT = 1
 _LINES = 12
@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def growth(hours: np.ndarray, resident_mb: np.ndarray, settled_h: float) -> float:
-    """Return the growth of the resident memory from a time to the end, MB, by medians over a twentieth of this span.
+    """Return the growth of the resident memory over a span, MB: last minus first median over a twentieth of the span.
 
     Args:
         hours: hours since the start of the voyage, increasing, shape (n,).

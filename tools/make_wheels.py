@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def _build(package: Path, content: str, out: Path) -> None:
-    """Build a wheel of a Python package from a copy, which leaves no files in the sources."""
+    """Build a wheel of a Python package from a copy, so that no files are left in the sources."""
     with tempfile.TemporaryDirectory() as work:
         copy = Path(work) / package.name
         made = shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c", "compiled_*.sha256")
@@ -76,7 +76,7 @@ def _build(package: Path, content: str, out: Path) -> None:
 
 
 def _pack_messages(package: Path, content: str, out: Path) -> None:
-    """Pack the installed files of a message package below the prefix, as the wheels of ROS do."""
+    """Pack the installed files of a message package with their paths below the prefix, as the wheels of ROS do."""
     if read_stamp(stamp_of(package)) != content:
         raise OSError("the installed files were built from other sources: run make setup")
     root = ET.parse(package / "package.xml").getroot()

@@ -107,7 +107,7 @@ def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
     """Return the differences between the bags.
 
     Raises:
-        BadInput: the suite file is missing, or no joint solution has an INS attitude at its time.
+        BadInput: the suite file is missing, or no VALID joint solution has an INS attitude at its time.
     """
     truth = Truth(SHIP_ATTITUDE)
     with read_bag(bag_path) as bag:

@@ -1,9 +1,9 @@
 """Campaign of the theodolite's axis: accuracy, and consistency of its covariance, over many seeds of one scenario.
 
 The scenario is bags/scenarios/theodolite_sweep. Prints one line per time span: with lights, first half minute
-without lights, end. Exits with 1 if RMS/sigma is outside its band, or if the RMS is above its bound. The bounds are
-8.5" in the first half minute and 31" after ten minutes. In the same spans, the RMS must be 9 and 2.4 times smaller
-than the RMS of INS and encoders with unmodelled axis errors.
+without lights, end. Exits with 1 if RMS/sigma is outside its band, or if the RMS is above its bound. The bounds are 5"
+with lights, 8.5" in the first half minute and 31" after ten minutes. In the same spans, the RMS must be 10, 9 and 2.4
+times smaller than the RMS of INS and encoders with unmodelled axis errors.
 """
 
 import argparse
@@ -72,7 +72,7 @@ def main() -> int:
 
 
 def _quick(scenario: Scenario) -> Scenario:
-    """Return the scenario at the lowest rates without loss, at which devices sample at the times of the exposures."""
+    """Return the scenario with low rates, at which all devices still sample at the times of the exposures."""
     theodolite = dataclasses.replace(
         scenario.theodolite,
         encoder=dataclasses.replace(scenario.theodolite.encoder, rate_hz=6.0),

@@ -2,7 +2,7 @@
 
 The wheels are in prebuilt/, in a folder for each Python and machine. The version of a wheel ends in the digest of the
 package's sources, by which setup checks that the wheel fits the sources of the checkout. Setup uses only the compiled
-parts, modules and messages; Python sources are always taken from the checkout.
+modules and the messages of a wheel; Python sources are always taken from the checkout.
 
 Only Python's standard library is imported: setup starts before other packages are installed.
 """

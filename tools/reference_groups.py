@@ -1,4 +1,4 @@
-"""The pages into which tools/reference_pages.py splits the long references, and the split."""
+"""The pages into which tools/reference_pages.py splits the long references, and the function that splits them."""
 
 import re
 from collections.abc import Mapping

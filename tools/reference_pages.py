@@ -1,4 +1,4 @@
-"""Writes docs/reference: parameters, messages, topics, executables, glossary; each page generated from the code."""
+"""Writes docs/reference from the code: parameters, scenarios, limits, messages, topics, executables, glossary."""
 
 import contextlib
 import importlib

@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def errors(model: ModelName, elevation: FloatArray, weather: Weather) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a model's refraction, its error relative to the ray at the same apparent place, and its sigma, arcsec."""
-    # Iterate the ray's zenith distance with air: each step reduces the error to the slope of refraction, 4 % at 5°.
+    # Iterate the ray's zenith distance with air: each step multiplies the error by the slope of refraction, 4 % at 5°.
     ray = np.zeros_like(elevation)
     for _ in range(12):
         seen = 0.5 * np.pi - elevation - ray

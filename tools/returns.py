@@ -1,7 +1,7 @@
 """The return matrix: after every fault of every input the outputs become VALID again, within their bounds.
 
 Each cell is saved as a line of a results file when complete; an interrupted run continues there. Prints the table and a
-few lines for each cell that failed, and exits with 1 if there is one. --table writes the table into the page.
+few lines for each cell that failed, and exits with 1 if a cell failed. --table writes the table into the page.
 """
 
 import argparse

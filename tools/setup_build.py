@@ -89,7 +89,7 @@ def has_compiled_parts(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class CompiledParts:
-    """Compiled parts that are missing, by their source.
+    """Missing compiled parts: from prebuilt wheels, or to be compiled here.
 
     Attributes:
         prebuilt: prebuilt wheels that fit the sources.
@@ -101,7 +101,7 @@ class CompiledParts:
 
 
 def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
-    """Find the source of the compiled parts of packages.
+    """Find for each package whether a prebuilt wheel fits, or its parts must be compiled.
 
     Args:
         wanted: folder of each package → digest of its sources.
@@ -155,7 +155,7 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
 
 
 def remove_compiled(folder: Path) -> None:
-    """Remove a package's compiled parts and generated C, which may be newer than an outdated source."""
+    """Remove a package's compiled parts and generated C, whose times may be later than the time of a changed source."""
     stamp_of(folder).unlink(missing_ok=True)
     if is_of_messages(folder):
         for place in (BUILD, INSTALL):
@@ -177,7 +177,10 @@ def compile_modules(folder: Path) -> None:
 
 
 def build_messages(folders: list[Path], prefix: str) -> None:
-    """Build the message packages; without C++ if ROS is installed as wheels, because no node of the suite needs C++."""
+    """Build the message packages.
+
+    C++ is omitted if ROS is installed as wheels, because no node of the suite needs C++.
+    """
     for folder in folders:
         remove_compiled(folder)
     colcon("messages", folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])

@@ -1,12 +1,12 @@
 """Set up this checkout: virtual environment, pinned wheels, compiled modules, messages, packages.
 
 Each step writes a stamp when it is done. A second run therefore takes a moment, a change repeats only the steps that
-depend on it, and an interrupted run is completed by running it again. If an action of the user is needed, it prints one
-line and exits with code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of
+depend on it, and an interrupted run is completed by running it again. If the user must act, setup prints one line
+and exits with code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of
 requirements.lock).
 
-ROS 2 Jazzy is installed as wheels into the virtual environment. If a Jazzy installation is sourced, it is used instead,
-and the virtual environment on top of it has only the other wheels.
+ROS 2 Jazzy is installed as wheels into the virtual environment. If a Jazzy installation is sourced, it replaces these
+wheels, and the virtual environment on top of it has only the other wheels.
 
 Independent steps run in parallel. The wheels of ROS and of the build tools are first; messages and modules are compiled
 while the other wheels are installed.
@@ -81,8 +81,8 @@ class Plan:
     def fresh(self) -> bool:
         """True if setup starts from nothing.
 
-        A partly installed group cannot be distinguished from a complete group; a group without a stamp is incomplete.
-        Wheels of an older lock may hide packages of a sourced Jazzy installation; setup then also starts from nothing.
+        A group without a stamp counts as missing, because a partly installed group looks like a complete group. Wheels
+        of an older lock may hide packages of a sourced Jazzy installation; setup then also starts from nothing.
         """
         done = {group.name: read_stamp(group.stamp) for group in self.groups}
         if read_stamp(STAMP_VENV) != self.venv or not all(stamp for name, stamp in done.items() if name != ALL_OTHER):

@@ -37,7 +37,7 @@ SECTIONS_OF_GROUPS = {BUILD_TOOLS: ("ros", "build"), PYTHON: ("python",), ALL_OT
 """Group of wheels → sections of requirements.lock in the group."""
 
 SPACE_NEEDED_GB = {BUILD_TOOLS: 0.5, PYTHON: 0.7, ALL_OTHER: 0.6}
-"""Free disk space needed by each group, GB; 0.9 GB, and 0.4 GB of the last group, are permanent."""
+"""Free disk space needed by each group, GB; 0.9 GB of the first two groups and 0.4 GB of the last group stay in use."""
 
 
 def ros_prefix() -> str:
@@ -125,7 +125,8 @@ def lines_to_install(lock: dict[str, list[str]], sections: tuple[str, ...], pref
 def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
     """Return lines for pip, and pip's options for the location of the wheels.
 
-    Lines are from requirements.lock, for wheels of the package index, or hashed lines from a bundle, for its wheels.
+    For wheels from the package index, the lines are from requirements.lock. For wheels from a bundle, the lines have
+    hashes.
     """
     bundled = own_wheels(ROOT)
     if not bundled:

@@ -42,8 +42,8 @@ CASES = {
 }
 """Scenario → case.
 
-The voyages contain a million epochs of the ship's attitude, with the truth at each output. They contain a hundred
-thousand epochs of the pointing with lights, with the truth in the bag ten times a second.
+The voyages contain a million epochs of the ship's attitude, with the truth at each output. The voyages also contain a
+hundred thousand epochs of the pointing with lights, with the truth in the bag ten times a second.
 """
 
 

@@ -1,4 +1,4 @@
-"""[P15]: the worked example, step by step, and results of the paper's trial alongside."""
+"""[P15]: the worked example, step by step, and a note on the paper's trial on a moored ship."""
 
 from collections.abc import Iterator
 
@@ -62,7 +62,7 @@ that the paper replaces.
 
 
 def chain() -> list[tuple[str, FloatArray]]:
-    """Return corrections and the star's direction in the horizon, unrefracted, after each correction, shape (3,)."""
+    """Return each correction's name, and the star's unrefracted direction in n after this correction, shape (3,)."""
     ut1 = f"{float(ORIENTATION.ut1_minus_utc_s):.4f} s".replace("-", "−")
     return [
         ("no aberration, UT1 = UTC", without_aberration(UT1_TAKEN_AS_UTC, diurnal=False)),

@@ -41,7 +41,7 @@ class PaperReading:
     Attributes:
         name: name for tables and figures.
         baseline_sigma_m: sigma of the error of each baseline along each axis.
-        unsurveyed_lens_m: N' of which the method has no value, in the main frame, shape (3,).
+        unsurveyed_lens_m: part of the vector to N' that the method takes as zero, in the main frame, shape (3,).
         elevation_deg: elevation of the telescope's axis.
         focal_length_error_m: error of the focal length at all epochs; None for a random error at each epoch.
     """

@@ -70,13 +70,13 @@ def of_star_roll(reading: InstallationConvention, **swept_deg: FloatArray | floa
 
 
 def is_growing(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """True if the last size is larger than the first, and no decrease between is larger than the limit."""
+    """True if the last size exceeds the first by more than the limit, and no decrease in between exceeds the limit."""
     turned_back = np.max(np.maximum.accumulate(sizes) - sizes)
     return bool(turned_back <= turn_back_arcsec and sizes[-1] - sizes[0] > turn_back_arcsec)
 
 
 def is_falling(sizes: FloatArray, turn_back_arcsec: float) -> bool:
-    """True if the last size is smaller than the first, and no increase between is larger than the limit."""
+    """True if the last size is below the first by more than the limit, and no increase in between exceeds the limit."""
     return is_growing(sizes[::-1], turn_back_arcsec)
 
 
@@ -87,7 +87,7 @@ def is_falling_then_growing(sizes: FloatArray, turn_back_arcsec: float) -> bool:
 
 
 def is_oscillating(sizes: FloatArray) -> bool:
-    """True if sizes over a full turn return to the initial value, and increase and decrease in between."""
+    """True if sizes over a full turn return to the initial value, and vary by more than the sum of the small errors."""
     return bool(np.ptp(sizes) > _SMALL_ERRORS_ARCSEC and abs(sizes[-1] - sizes[0]) < _ROUNDING_ARCSEC)
 
 
@@ -207,7 +207,7 @@ def along_the_keel_roll_abeam_heading(reading: InstallationConvention) -> bool:
 
 
 def pitch_grows_and_the_others_depend_on_the_layout(reading: InstallationConvention) -> bool:
-    """Test in figure 6: pitch equal at all azimuths; heading and roll differ between azimuths."""
+    """Test in figure 6: pitch grows at all azimuths; the changes of heading and roll differ between azimuths."""
     courses = [curve_arcsec(6, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     gains = np.array([course[-1] - course[0] for course in courses])
     differ = bool(np.all(np.ptp(gains[:, [HEADING, ROLL]], axis=0) > _SMALL_ERRORS_ARCSEC))

@@ -161,7 +161,7 @@ def largest_difference(factor: Factor, angles: FloatArray) -> float:
 
 
 def jacobian_of_factors(angles: FloatArray) -> FloatArray:
-    """Return [Z14] (5)-(7) of the printed factors: heading, pitch, roll per error of the six angles, shape (..., 3, 6).
+    """Return the Jacobian of heading, pitch, roll by [Z14] (5)-(7) from the printed factors, shape (..., 3, 6).
 
     The three missing factors are replaced by exact factors. The missing parts of (5)-(7) in the scan are restored.
     """

@@ -33,11 +33,11 @@ _MAX_LEVER_M = 200.0
 _SHORTEST_FOCAL_LENGTH_M = 0.001
 
 _SAME_TOLERANCE = 1e-9
-"""Relative difference up to which two parameters count as equal, because their units may differ."""
+"""Relative difference up to which two parameters count as equal, because the conversion of their units rounds."""
 
 
 def _axis_error(doc: str) -> Any:
-    """Return the field of the prior value of an axis error, at most 1°; larger zero points need ``fit_axes``."""
+    """Return the field of the prior value of an axis error, within ±1°; larger zero points need ``fit_axes``."""
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
 
 
@@ -490,7 +490,10 @@ class OpticalAxisConfig:
             )
 
     def star_camera(self, id_: str) -> RequiredCameraConfig:
-        """Return the camera ``telescopes.<id>``; the calibration telescope gets the sigma of its focal length."""
+        """Return the camera ``telescopes.<id>``.
+
+        The calibration telescope gets ``telescope.focal_length_sigma_m`` unless this is 0.
+        """
         camera, sigma_m = self.telescopes[id_].camera, self.telescope.focal_length_sigma_m
         if id_ != self.telescope.telescope_id or not sigma_m:
             return camera

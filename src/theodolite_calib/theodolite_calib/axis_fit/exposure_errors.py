@@ -26,7 +26,7 @@ def correlated_effects(
         prediction: exposure predicted with the configured values, with its Jacobian with respect to all errors.
         sighting: the exposure.
         rotation_nt: attitude of the telescope (horizon from telescope) from the beacons, shape (3, 3).
-        direction_d: direction of the main axis from this attitude, unit vector, shape (3,).
+        direction_d: direction of the main axis by this attitude, unit vector in d, shape (3,).
 
     Returns:
         Name and correlation time (s) → angles to the right and up, shape (2,), rad.
@@ -36,7 +36,7 @@ def correlated_effects(
         sighting.image, prediction.camera, prediction.lines.direction_n, line_covariance, rotation_nt, None
     )
     gain = np.linalg.solve(equations.weighted_jacobian @ equations.jacobian, equations.weighted_jacobian)
-    # The beacons give the telescope's attitude without the axis geometry, so its part of the Jacobian is removed.
+    # The beacons give the telescope's attitude without the axis geometry, whose part is removed from the Jacobian.
     through_beacons = gain @ (prediction.jacobian - prediction.by_attitude_n @ prediction.by_state_n)
     turn_d = sighting.ship.rotation_nd.T @ (prediction.by_state_n + through_beacons)
     by_error = right_and_up(direction_d) @ direction_change(direction_d, turn_d)

@@ -22,9 +22,9 @@ _SIDES = ("to the right", "up")
 _ROOM = 1.12
 """Ratio of the axis limit to the farthest point."""
 _STEEP = 20.0
-"""Ratio of values above which each gets its own scale: zero points may be degrees, the other errors are arcseconds."""
+"""Ratio above which residuals without and with the model get separate scales, and a term's value lies off the scale."""
 _ARROW = 0.05
-"""Length of the arrow for a residual of one scale, in radii of the sky."""
+"""Length of the arrow for a residual as large as ``AxisFit.scale``, in radii of the sky."""
 _CORRELATION_COLOURS = "RdBu_r"
 _DARK_CELL = 0.6
 """Correlation above which a cell is dark, so that its number is white."""
@@ -43,7 +43,7 @@ def _figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]
 
 
 def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
-    """Return the figure of residuals without and with the model, on one scale if it can show both."""
+    """Return the figure of residuals without and with the model, on one scale unless their ratio exceeds _STEEP."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 6.6), layout="compressed")
     limits = [_ROOM * float(np.max(np.abs(part))) / ARCSEC for part in (fit.before, fit.residuals)]
     if limits[0] < _STEEP * limits[1]:

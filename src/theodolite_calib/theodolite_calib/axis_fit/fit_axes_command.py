@@ -22,7 +22,7 @@ from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPr
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 _MAX_SCATTER = np.deg2rad(1.0)
-"""Maximum scatter of the sightings about their fit, rad; above it the table has other units or other content."""
+"""Maximum scatter of the sightings about their fit, rad; a larger scatter shows other units or other content."""
 
 CALIBRATION = "calibration.yaml"
 OUTPUT_NAMES = (
@@ -47,7 +47,7 @@ def _parser() -> CommandParser:
         example="sightings.csv --out fit --flexure",
         description="Axis errors [arcsec, 1 sigma] of a theodolite from sightings of known directions.",
         epilog=f"columns of the table, all in degrees:\n{columns}\n  {LABEL_COLUMN:26}number or name, optional\n"
-        f"  {TIME_COLUMN:26}moment, UTC as POSIX time [s], optional\n"
+        f"  {TIME_COLUMN:26}time of the sighting, UTC as POSIX time [s], optional\n"
         "errors common to several sightings, as columns, optional:\n"
         "  slow_right_arcsec:NAME:T, slow_up_arcsec:NAME:T   effect of one sigma of the error NAME on a sighting;\n"
         f"{'':28}T is its correlation time [s], inf if it is constant; axis_sightings writes them\n"

@@ -88,11 +88,11 @@ def _residuals(fit: AxisFit) -> Iterator[str]:
     yield f"{'residuals':26}{'RMS':>8} {'median':>8}   [arcsec, angle on the sky]"
     for words, residuals in (
         ("without a model", fit.before),
-        ("of it common errors", fit.shared),
+        ("part due to common errors", fit.shared),
         ("with the fitted terms", fit.residuals),
-        ("each from a fit without it", fit.leave_one_out),
+        ("each left out of its fit", fit.leave_one_out),
     ):
-        if words == "of it common errors" and not np.any(residuals):
+        if words == "part due to common errors" and not np.any(residuals):
             continue
         yield f"{words:26}{rms(residuals) / ARCSEC:8.2f} {float(np.median(sizes(residuals))) / ARCSEC:8.2f}"
     if not np.all(fit.outliers):
@@ -144,7 +144,7 @@ def write_tables(fit: AxisFit, sightings: Sightings, table_warnings: list[str], 
     Args:
         fit: the fit.
         sightings: sightings of the fit.
-        table_warnings: warnings about the table as it was read.
+        table_warnings: warnings about the table that was read.
         folder: folder for the tables.
     """
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]

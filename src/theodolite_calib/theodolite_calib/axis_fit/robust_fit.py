@@ -1,4 +1,4 @@
-"""Robust fit of the axis errors of sightings, with the exact axis geometry.
+"""Robust fit of the axis errors to sightings, with the exact axis geometry.
 
 The sum of Huber's loss ρ over the sightings is minimised. r is the angle on the sky of a residual, and s the scale, the
 standard deviation of one component of a residual:
@@ -6,9 +6,9 @@ standard deviation of one component of a residual:
     ρ(r) = r² / 2  for r <= k s,   k s (r - k s / 2)  beyond,   k = 1.345
 
 A sighting has the weight 1 for r <= k s, and k s / r beyond. The loss is convex in the residuals, which are nearly
-linear in such small errors, so there is one minimum for any initial values. s is the median of r divided by 1.177, the
-median length of a vector of two normal components of sigma 1. The loss is minimised by iteratively reweighted
-Gauss-Newton steps.
+linear in such small errors, so there is one minimum for any initial values. s is the median of r divided by 1.177,
+times a correction for the degrees of freedom of the fit. 1.177 is the median length of a vector of two normal
+components of sigma 1. The loss is minimised by iteratively reweighted Gauss-Newton steps.
 
 Errors common to several sightings (:mod:`theodolite_calib.axis_fit.sightings`) are further unknowns, each with its
 sigma as prior; the rest of a residual is the sighting's own error. If a table states no common errors, the sightings
@@ -42,7 +42,7 @@ An unobservable error stays at zero, with its prior sigma. The prior hardly affe
 CORRELATION_LIMIT = 0.3
 """Maximum correlation between the residuals of neighbouring sightings for which sigmas are given.
 
-At this correlation the sigmas, which assume independence, are a third too small."""
+At this correlation the true sigmas are a third larger than the given sigmas, which assume independence."""
 
 _CHANCE_SIGMAS = 3.0
 """Maximum chance correlation of independent residuals, in standard deviations of the correlation."""
@@ -151,7 +151,7 @@ def rms(residuals: FloatArray) -> float:
 
 
 def _initial_errors(sightings: Sightings) -> FloatArray:
-    """Return the initial errors: the mean zero point of the azimuth, which may have any value, and else zeros."""
+    """Return the initial errors: zeros, except for the zero point of the azimuth, which may have any value."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
     encoder_axis, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
     return np.array([np.angle(np.sum(encoder_axis * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
@@ -242,8 +242,9 @@ def _covariance(
 ) -> FloatArray:
     """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
-    The stiffness is the second derivative of the loss. For residuals beyond k s it is zero along the residual, and
-    equals the sighting's weight across the residual. The mean of these two values, half the weight, is used.
+    The stiffness is the second derivative of the loss. For residuals beyond k s the stiffness is zero along the
+    residual, and equals the sighting's weight across the residual. The mean of these two values, half the weight, is
+    used.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - used_degrees

@@ -34,7 +34,7 @@ LABEL_COLUMN = "observation"
 """Column with the user's own numbers, optional; without this column the rows are numbered from 1."""
 
 TIME_COLUMN = "time_s"
-"""Column with the time of the sighting, UTC as POSIX time, needed only for errors correlated in time."""
+"""Column with the time of the sighting, UTC as POSIX time, required only for errors correlated in time."""
 
 GROUP_COLUMNS = ("group", "group_sigma_arcsec")
 

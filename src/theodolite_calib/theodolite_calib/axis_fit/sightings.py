@@ -5,8 +5,8 @@ error shifts the direction of a sighting by the stated effect, so that two sight
 
     sum over the errors of  effect_i effect_jᵀ exp(-|t_i - t_j| / T)
 
-:meth:`Sightings.correlated_map` is a root of that covariance. Each column is a further unknown of the fit with a prior
-variance of 1.
+:meth:`Sightings.correlated_map` is a root of this covariance. Each column of the root belongs to a further unknown of
+the fit, with the prior variance 1.
 """
 
 from dataclasses import dataclass
@@ -27,8 +27,9 @@ MAX_SIGHTINGS = 1000
 """Maximum number of sightings with errors correlated in time, whose joint covariance is decomposed as a whole."""
 
 _MIN_EFFECT_RAD = 0.1 * ARCSEC
-"""Minimum effect on the sightings, rad RMS, for a column of the map; smaller effects cannot be separated from the
-sightings' own errors."""
+"""Maximum joint effect of the columns that the map omits, rad RMS.
+
+So small an effect cannot be separated from the sightings' own errors."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def _covariance(time_correlated: list[SharedError], time_s: FloatArray) -> Float
 def _root(covariance: FloatArray) -> FloatArray:
     """Return a root of the covariance, without negligible columns, shape (2 n, q)."""
     values, vectors = np.linalg.eigh(covariance)
-    # Eigenvalues rise. The first, smallest eigenvalues have a negligible joint effect and are omitted.
+    # Eigenvalues are in ascending order. The first eigenvalues, with a negligible joint effect, are omitted.
     is_significant = np.cumsum(np.maximum(values, 0.0)) > _MIN_EFFECT_RAD**2 * len(values)
     root: FloatArray = vectors[:, is_significant] * np.sqrt(values[is_significant])
     return root
@@ -88,7 +89,7 @@ class Sightings:
     """Encoder readings for known directions of the optical axis.
 
     Attributes:
-        labels: label of each sighting, from the table or its row number.
+        labels: label of each sighting from the table; the row number if the table has no labels.
         azimuth: reading of the azimuth encoder, rad, shape (n,).
         elevation: reading of the elevation encoder, beyond the zenith if the telescope is plunged, rad, shape (n,).
         direction_d: true direction of the optical axis, unit vectors in the base's frame, shape (n, 3).
@@ -110,7 +111,7 @@ class Sightings:
         return correlated_map(self.correlated_errors, self.time_s, len(self.labels))
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """Return true azimuth and elevation, on the face of the reading, minus the reading, shape (n,) each, rad."""
+        """Return the offsets of azimuth and elevation, true minus reading on one face, shape (n,) each, rad."""
         plain, over = (encoder_angles(AxisErrors(), self.direction_d, plunged=plunged) for plunged in (False, True))
         is_over = np.cos(self.elevation) < 0.0
         azimuth, elevation = (np.where(is_over, *pair) for pair in zip(over, plain, strict=True))
@@ -143,7 +144,7 @@ def _sky_angles(true_d: FloatArray, model_d: FloatArray) -> FloatArray:
 
 
 def right_and_up(direction_d: FloatArray) -> FloatArray:
-    """Return unit vectors to the right (horizontal) and up, across a direction, shape (..., 2, 3)."""
+    """Return unit vectors to the right (horizontal) and up, perpendicular to a direction, shape (..., 2, 3)."""
     azimuth = np.arctan2(direction_d[..., 2], direction_d[..., 0])
     zero = np.zeros_like(azimuth)
     right = np.stack([-np.sin(azimuth), zero, np.cos(azimuth)], axis=-1)

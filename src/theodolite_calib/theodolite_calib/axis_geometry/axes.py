@@ -1,18 +1,18 @@
-"""Mount model of a theodolite: direction of the main axis from encoder angles and axis errors, exact, and its inverse.
+"""Exact mount model of a theodolite: direction of the main axis from encoder angles and axis errors, and the inverse.
 
 In the deck frame the model is the exact form of [W18] (1)(2). The main frame m is (optical axis, up, right), the deck d
 is (bow, up, starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
-T is the tilt of the vertical axis by βm towards the azimuth Am. It has the rotation vector (βy, 0, -βx), with
+T is the tilt of the vertical axis by βm towards the azimuth Am. The rotation vector of T is (βy, 0, -βx), with
 βx = βm cos Am and βy = βm sin Am. βx and βy are used because Am is undefined for βm = 0. The main frame in the horizon
 includes the error a of the ship's attitude and the deformation e, which are rotation vectors:
 
     rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
-Encoder angles and errors are floats or arrays (rad) that broadcast with each other. Their common shape becomes the
-leading axes of the results.
+Encoder angles and errors are floats or arrays (rad) that broadcast with each other. The common shape of angles and
+errors becomes the leading axes of the results.
 """
 
 import math
@@ -26,8 +26,8 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, ske
 
 Angle = float | FloatArray
 
-# The initial elevation has the flexure as its error. A Newton step reduces an error e to at most flexure · e² / 2, so
-# that after three steps an error of 0.1 rad has become 1e-17 rad.
+# The error of the initial elevation is at most the flexure. A Newton step reduces an error e to at most flexure · e² /
+# 2, so that after three steps an error of 0.1 rad has become 1e-17 rad.
 _FLEXURE_STEPS = 3
 
 
@@ -39,7 +39,8 @@ class AxisErrors:
         g: zero point of the azimuth encoder; the axis points at A - g.
         h: zero point of the elevation encoder; the axis points at E - h.
         c: collimation: angle of the optical axis to the left of the normal to the horizontal axis.
-        I: non-perpendicularity: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
+        I: non-perpendicularity: tilt of the horizontal axis against the normal to the vertical axis, positive with the
+            right end up.
         beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers an optical axis that points to the bow.
         beta_y: tilt of the vertical axis towards starboard, βm sin Am.
         flexure: bending of the tube; it raises the optical axis by flexure · cos E.
@@ -125,7 +126,10 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 
 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
-    """Return the derivative (..., 3, n) of a direction fixed in a frame that turns by ``by_rotation``."""
+    """Return the derivative of a direction fixed in a frame, shape (..., 3, n).
+
+    ``by_rotation`` is the derivative of the small rotation of the frame, shape (..., 3, n).
+    """
     return -skew(direction) @ by_rotation
 
 
@@ -147,7 +151,7 @@ class AxisGeometry:
     """Axis geometry at one time.
 
     Attributes:
-        rotation_nd: horizon from deck, corrected, shape (3, 3).
+        rotation_nd: horizon from deck, corrected by the errors of attitude and time, shape (3, 3).
         rotation_dm: deck from main frame, deformation included, shape (3, 3).
         rotation_nm: horizon from main frame, shape (3, 3).
         by_error: derivatives of the main frame's rotation vector in n with respect to the errors, shape (3, 14); the

@@ -15,7 +15,7 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import OpticalAxisConfig
 
-# Only plain names, because names of drones become headings and cells of tables.
+# Names of drones are plain, because these names become headings and cells of tables.
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _W18_BEACON = {"rtk": {"sigma_m": 0.027, "bias_sigma_m": 0.0}}
@@ -62,10 +62,8 @@ class DesignStudyConfig:
     elevation_deg: float = parameter(
         30.0, doc="elevation of the pointing, over the horizon of a level ship", unit="deg", minimum=-10.0, maximum=89.0
     )
-    ship_heading_sigma_arcsec: float = arcsec(
-        2.0, doc="error of ship/attitude about Up; unused with ins/imu as the source"
-    )
-    ship_tilt_sigma_arcsec: float = arcsec(1.5, doc="the same about North and about East")
+    ship_heading_sigma_arcsec: float = arcsec(2.0, doc="error of ship/attitude about Up; unused with ins/imu")
+    ship_tilt_sigma_arcsec: float = arcsec(1.5, doc="error of ship/attitude about North and about East; unused with ins/imu")
     pixel_pitch_m: float = parameter(
         6.5e-6, doc="of the telescope's detector, from pixel to pixel", unit="m", minimum=1e-7, maximum=1e-3
     )

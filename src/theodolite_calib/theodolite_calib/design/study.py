@@ -1,7 +1,7 @@
 """Results of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and keeps all others. It gives the error for the given beacons, and for beacons at the
-best positions within the limits of ``escort`` for each value of the quantity.
+Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons, and for beacons at
+the best positions within the limits of ``escort`` for each value of the quantity.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -22,7 +22,7 @@ from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 SWEEP_COUNT = 25
 """Number of values of a sweep."""
 BEST_STEP = 4
-"""Step between values for which the best positions are computed, because their computation is slow."""
+"""Step between values for which the best positions are computed; for every value the computation would be slow."""
 _FACTORS = np.geomspace(0.2, 5.0, SWEEP_COUNT)
 _SURVEY_M = np.geomspace(1e-3, 0.2, SWEEP_COUNT)
 
@@ -69,7 +69,7 @@ class DesignStudy:
         given_n: positions of the given beacons, from the ship's antenna (N, U, E), m, shape (N, 3).
         given_arcsec: error with the given beacons in azimuth times cos E, in elevation and on the sky, shape (3,).
         unaided_arcsec: error on the sky from encoders and ship without beacons.
-        advice: best positions within the limits, and the accuracy there.
+        advice: best positions within the limits, and the accuracy at these positions.
         advised_arcsec: error with the advised positions, as ``given_arcsec``; NaN if no position is within the limits.
         budget: errors with the given and with the advised beacons by source; their root sums of squares are
             ``given_arcsec`` and ``advised_arcsec``.
@@ -300,7 +300,7 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the factor on the beacons' angles from their middle at which the first beacon leaves the field.
+    """Return the factor on the offsets of the tangents from their mean at which the first beacon leaves the field.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.

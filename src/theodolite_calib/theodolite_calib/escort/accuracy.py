@@ -2,7 +2,8 @@
 
 The covariance after the filter's first update by one sighting is computed. P is the configured covariance of states,
 with the stated covariance of the ship's attitude. H and R are Jacobian and noise of the sighting
-(:mod:`theodolite_calib.filter.prediction`). T is the rotation of the main axis per state. The pointing has
+(:mod:`theodolite_calib.filter.prediction`). T is the derivative of the main axis' rotation vector with respect to the
+states. The pointing has
 
     C = T (P - P Hᵀ (H P Hᵀ + R/n)⁻¹ H P) Tᵀ + noise of the encoders and of the ship at a reading
 
@@ -125,7 +126,7 @@ class BeaconAccuracy:
         return self._filter.sightings.predict(self._mean, sighting)
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
-        """Return the main axis' rotation per state, shape (3, n), and the axis' noise at a reading, rad², (3, 3)."""
+        """Return the derivative T by the states, shape (3, n), and the noise of the axis at a reading, rad², (3, 3)."""
         by_state_n = prediction.by_state_n.copy()
         # The parallelism rotates the telescope, not the main axis.
         by_state_n[:, self._parallelism] = 0.0

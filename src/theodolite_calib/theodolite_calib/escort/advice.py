@@ -1,9 +1,9 @@
 """Advised positions of the drones: the positions within the limits with the most accurate pointing.
 
 The standard deviation of the pointing is smooth over the box coordinates of the allowed positions
-(:mod:`theodolite_calib.escort.places`). It is minimised with SLSQP from the best of some distributed starting points.
-The result is the best evaluated set of positions with sufficient separations of the drones. All box coordinates
-meet the other limits.
+(:mod:`theodolite_calib.escort.places`). The standard deviation is minimised with SLSQP from each of the two best
+starting points. The result is the best evaluated set of positions with sufficient separations of the drones. All box
+coordinates meet the other limits.
 """
 
 from collections.abc import Iterator

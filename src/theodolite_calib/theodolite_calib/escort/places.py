@@ -17,7 +17,7 @@ from theodolite_calib.config import EscortConfig
 _BOX_MARGIN = 1e-9
 """Margin of the box at each limit against rounding, as a ratio."""
 _LIMIT_MARGIN = 1e-3
-"""Distance of a box coordinate from 0 or 1 up to which the position is at a limit."""
+"""Distance from a limit up to which a position is at this limit: a ratio for lengths, radii of the field for angles."""
 _POLE = 1e-12
 _MIN_RANGE_M = 1.0
 """Minimum range of a beacon, m; a closer position is on board."""
@@ -60,7 +60,7 @@ class AllowedPlaces:
 
     @property
     def unmet_limit(self) -> str:
-        """Elevation limit that no position in the field meets; empty if there are positions."""
+        """Elevation limit that no position in the field meets; empty if a position meets both limits."""
         if self.least_elevation <= self.greatest_elevation:
             return ""
         low = self.elevation < np.deg2rad(self.limits.elevation_min_deg)

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Jacobian of beacon points with respect to the states of the filter, compiled because it has many small products.
+"""Compiled Jacobian of beacon points with respect to the states of the filter, which needs many small products.
 
 This file is the only source: Python with C types, compiled by Cython when the package is built. The caller,
 :mod:`theodolite_calib.filter.prediction`, gives indices of states instead of names.
@@ -108,7 +108,8 @@ def covariance_by_own_error(
     """Return the covariance of the points of N beacons due to an independent error of each beacon, shape (2 N, 2 N).
 
     Args:
-        by_error: derivative of the points with respect to the error, its first three columns, shape (N, 2, 3 or more).
+        by_error: its first three columns are the derivative of the points with respect to the error, shape (N, 2, 3 or
+            more).
         covariance: covariance of the errors, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = covariance.shape[0]

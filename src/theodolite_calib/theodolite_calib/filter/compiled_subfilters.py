@@ -21,9 +21,9 @@ from cython.cimports.libc.math import sqrt
 def _solve(
     matrix: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.bint:
-    """Replace the right-hand side b (size × columns) by A⁻¹ b, with A a symmetric matrix, by its Cholesky factor.
+    """Replace the right-hand side b (size × columns) by A⁻¹ b, with the Cholesky factor of the symmetric matrix A.
 
-    The matrix is overwritten. Returns False if the matrix has NaN or is not positive definite.
+    The matrix is overwritten. The result is False if the matrix has NaN or is not positive definite.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t

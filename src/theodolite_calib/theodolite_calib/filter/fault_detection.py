@@ -128,9 +128,12 @@ def isolate_step_fault(
 ) -> str | None:
     """Return the faulty source of a sudden contradiction between beacons and prediction; None if not isolated.
 
+    The telescope is faulty if no candidate source can have made the step.
+
     Args:
         source: source that the subfilters isolate: encoders or ship's attitude.
-        explaining_sources: sources whose fault explains the contradiction: if one is left out, the rest is consistent.
+        explaining_sources: sources whose fault explains the contradiction: if one is excluded, the others are
+            consistent.
         streams: largest steps of the two streams since the last accepted sighting.
         offset_rad: offset of the beacons on the sky, rad.
     """
@@ -156,7 +159,7 @@ def isolate_drift_fault(
 
     Args:
         source: source that the subfilters isolate, or None.
-        explaining_sources: sources whose fault explains the drift: if one is left out, the rest is consistent.
+        explaining_sources: sources whose fault explains the drift: if one is excluded, the others are consistent.
         is_common: True if all beacons drift together.
         has_ship_drifted: True if the ship's attitude has departed from the integral of its rates; None if unknown.
     """
@@ -300,7 +303,10 @@ class FaultDetector:
         return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
-        """True if an innovation mean is near its limit, and the subfilter without the ship's attitude is consistent."""
+        """True if an innovation mean is near its limit, and the subfilter without the ship's attitude is consistent.
+
+        False while a source is excluded or a fault is unresolved.
+        """
         is_recent = fault_state.innovation_means.last_measured_ns >= time_ns - MAX_MEASUREMENT_AGE_NS
         if (
             fault_state.excluded_sources
@@ -360,8 +366,8 @@ class FaultDetector:
             name: name of the beacon.
             innovation: innovation of the beacon in the main filter, which does not use the drone.
             time_ns: time of the sighting.
-            expected_rejection_m: residual on the detector that the fault would cause now, m. It must be detectable for
-                a reinstatement; 0 omits this test.
+            expected_rejection_m: residual on the detector that the fault would cause now, m. This residual must be
+                detectable for a reinstatement; 0 omits this test.
         """
         index, source = self._subfilters.beacons.index(name), BEACON_PREFIX + name
         record = fault_state.exclusions[source]

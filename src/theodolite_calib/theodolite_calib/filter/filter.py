@@ -32,7 +32,7 @@ Jump = EncoderJump | InsJump
 _NO_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 _STEPS = 5
-# Step size, rad, below which the non-linear remainder, its square, is negligible.
+# Step size, rad, below which the non-linear remainder, of the order of the step squared, is negligible.
 _SMALL_STEP = 1e-5
 
 
@@ -186,7 +186,7 @@ class CalibrationFilter:
         )
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
-        """Inflate the covariance of the INS's correlated error, or of the encoders' zero points, after their jump."""
+        """Inflate the covariance of the INS's correlated error, or of the encoders' zero points, after a jump."""
         if isinstance(jump, InsJump):
             state = self.propagate(state, jump.time_ns, None)
             states, source, covariance = self.model.state_indices("ship.attitude"), SOURCE_SHIP, jump.covariance_n
@@ -231,7 +231,7 @@ class CalibrationFilter:
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to the values that a sighting gives.
 
-        These errors may be degrees, too large for the linearised gate. Their previous values have no weight, because
+        These errors may be degrees, too large for the linearised gate. The previous values have no weight, because
         their covariance is large.
         """
         comparison = self.compare(state, sighting)

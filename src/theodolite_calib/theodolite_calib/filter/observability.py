@@ -5,8 +5,8 @@ If stars are observed as well as beacons, N' is included, because beacons depend
 A second covariance is propagated for this purpose. At the start axis errors, deformation and N' are practically
 unknown. The deformation is a random walk with the rate of the filter's process. All other states, correlated errors
 included, are as in the filter. If this covariance shows no information about a combination, the sightings contain no
-information about it, and more sightings of the same kind will not help. A ratio between N' and an angle is in metres
-per radian.
+information about it, and more sightings of the same kind will not help. In a combination, the ratio of N' to an angle
+is in metres per radian.
 
 In a covariance with such large variances, errors known to an arcsecond would be lost in rounding. The root of the
 covariance is therefore propagated. Stacked roots are combined by QR decomposition, so that no variance can become

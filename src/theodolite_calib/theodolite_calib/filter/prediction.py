@@ -54,7 +54,7 @@ class Prediction:
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
-        by_state_n: rotation vector of the telescope in n per state, shape (3, n).
+        by_state_n: derivative of the telescope's rotation vector in n with respect to the states, shape (3, n).
         noise_n: covariance of the white error of the telescope's rotation vector in n, by source, rad², shape (3, 3).
         camera: camera with the estimated focal length.
         lines: predicted lines of sight to the beacons.
@@ -107,11 +107,12 @@ class SightingModel:
         return self._config.telescope.focal_length_m + float(self._state_block(mean, "focal_length")[0])
 
     def by_state_n(self, geometry: AxisGeometry, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
-        """Return the rotation vector in n per state of a camera fixed to the main axis, shape (3, n).
+        """Return the derivative of a camera's rotation vector in n with respect to the states, shape (3, n).
 
         Args:
-            geometry: geometry of the main axis.
-            by_parallelism: rotation vector of the camera per angle of its parallelism, shape (3, 3).
+            geometry: geometry of the main axis, to which the camera is fixed.
+            by_parallelism: derivative of this rotation vector with respect to the angles of the parallelism, shape (3,
+                3).
             parallelism: name of the states of the parallelism.
         """
         by_state_n = np.zeros((3, self._model.size))

@@ -1,9 +1,10 @@
 """Innovation gate for sightings and their beacons.
 
 Two tests apply, each with the probability of the gate. The first tests all residuals together. The second tests only
-the angles between the beacons, which do not depend on the attitude of the telescope. A sighting that fails is tested
-for misidentification (:mod:`theodolite_calib.lights.beacon_check`), so that the rejection contains the cause. Beacons
-with exchanged names are used under the correct names. One wrong beacon among three or more is excluded.
+the angles between the beacons, which do not depend on the attitude of the telescope. A sighting of two or more beacons
+that fails is tested for misidentification (:mod:`theodolite_calib.lights.beacon_check`), so that the rejection contains
+the cause. Beacons with exchanged names are used under the correct names. One wrong beacon among three or more is
+excluded.
 """
 
 from dataclasses import dataclass, replace
@@ -75,7 +76,7 @@ class SightingGate:
     def _resolve_misidentification(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> SightingDecision:
-        """Evaluate two or more beacons that fail the gate with their given names for misidentification."""
+        """Test two or more beacons for misidentification after their given names have failed the gate."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
@@ -120,7 +121,7 @@ class SightingGate:
     def _try_without_one(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> SightingDecision | None:
-        """Evaluate three or more beacons with each beacon left out; return the best decision that passes, or None."""
+        """Evaluate three or more beacons without each beacon in turn; return the acceptance of least NIS, or None."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
             return None

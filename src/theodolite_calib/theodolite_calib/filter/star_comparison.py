@@ -5,10 +5,10 @@ The camera s is fixed to the main axis. The attitude of the camera follows from 
 
     rotation_ns = exp(a) R_ship · exp(e) · R_axes · R(ΔA, ΔE, Δω)ᵀ
 
-A star has no baseline, lever, N' or terrestrial refraction. Its direction in the horizon is the catalogue direction
-with aberration and refraction. Errors common to all stars are states (:mod:`ship_attitude_star.sky.shared_states`).
-The ship's filter uses the same identification, rejection and residuals of stars
-(:mod:`ship_attitude_star.stars.residuals`).
+A star has no baseline, lever, N' or terrestrial refraction. The direction of a star in the horizon is the catalogue
+direction with aberration and refraction. Errors common to all stars are states
+(:mod:`ship_attitude_star.sky.shared_states`). The ship's filter uses the same identification, rejection and residuals
+of stars (:mod:`ship_attitude_star.stars.residuals`).
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ from theodolite_calib.filter.prediction import SightingModel
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _STEPS = 6
-# Step size, rad, below which the non-linear remainder, its square, is negligible.
+# Step size, rad, below which the non-linear remainder, of the order of the step squared, is negligible.
 _SMALL_STEP = 1e-5
 
 

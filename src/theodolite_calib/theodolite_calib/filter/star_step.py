@@ -1,9 +1,10 @@
 """Filter step for one exposure of stars.
 
 The state is propagated to the time of the exposure and compared with the identified stars
-(:mod:`theodolite_calib.filter.star_comparison`). If the stars pass the gate, the main filter is updated, and each
-subfilter whose gate they pass. Stars that contradict encoders and ship are counted together with rejected beacons. The
-pointing is then DEGRADED until stars or beacons are accepted again.
+(:mod:`theodolite_calib.filter.star_comparison`). If the stars pass the gate of the main filter, the main filter is
+updated. Each subfilter is then updated if the stars pass the gate of this subfilter. Stars that contradict encoders and
+ship are counted together with rejected beacons. The pointing is then DEGRADED until stars or beacons are accepted
+again.
 """
 
 from dataclasses import replace

@@ -121,7 +121,7 @@ class SightingStep:
     def _exclude_source(
         self, state: CalibrationState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> CalibrationState:
-        """Exclude a source; the subfilter without it becomes the main filter."""
+        """Exclude a source; all filters restart from the subfilter without this source, if this subfilter exists."""
         fault_state = self._fault_detector.exclude_source(state.fault_state, source, exclusion, explaining_subfilter)
         return replace(self._filter.exclude_source(state, source), fault_state=fault_state)
 
@@ -294,7 +294,7 @@ class SightingStep:
     def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Exclude an isolated source; ``explaining_subfilter`` is used for a source without a subfilter."""
+        """Exclude an isolated source; a source without a subfilter gets the means of ``explaining_subfilter``."""
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
@@ -352,7 +352,7 @@ class SightingStep:
     def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, has_others: bool) -> float:
         """Return the residual on the detector that the fault of an excluded drone would cause now, m.
 
-        Without a jump it is 0 if beacons of other drones are used, which omits the test.
+        Without a jump the residual is 0 if beacons of other drones are used; 0 omits the test.
         """
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(exclusion.jump_sum_n, direction_n))
@@ -369,7 +369,7 @@ class SightingStep:
 
 @functools.lru_cache(maxsize=16)
 def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
-    """Return the sigma multipliers for the hypotheses of one faulty source each."""
+    """Return the sigma multipliers for hypotheses that each assume one faulty source."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
     return sigma_multipliers(config, [by_source.get(source, priors.beacon) for source in sources])
@@ -439,7 +439,7 @@ def _attitude_sigma(comparison: Comparison) -> float:
 
 
 def _disagreement_n(comparison: Comparison) -> FloatArray:
-    """Return the rotation between the telescope attitudes predicted and from beacons, as a covariance in n, rad²."""
+    """Return the rotation from the predicted telescope attitude to the beacons' attitude, as covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
     rotation_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(rotation_n, rotation_n)

@@ -3,8 +3,8 @@
 There is one subfilter for each source except the telescope, because a mounting shift of the telescope has the same
 effect on beacons as a slip of the encoders. The subfilter without a drone gives no weight to the drone's beacon. The
 subfilters without encoders or ship's attitude add an unknown change of the excluded source's error before every
-sighting. They still use the rotation that this source measures between two sightings, because there is no pointing
-without this rotation. No subfilter uses a source that fault detection has excluded.
+sighting. These subfilters still use the rotation that this source measures between two sightings, because there is no
+pointing without this rotation. No subfilter uses a source that fault detection has excluded.
 
 Subfilters have no error budget. Each covariance is one matrix, and one sighting updates all subfilters in one step.
 """
@@ -36,8 +36,8 @@ AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
 _UNKNOWN_CHANGE_SIGMA = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
 """Standard deviation of the unknown change of an error between two sightings, rad.
 
-It covers stuck encoders of a rotating axis, a drift of the ship's attitude (its rates reveal a larger step), and a
-shift of the telescope on the main axis."""
+This change covers stuck encoders of a rotating axis, a drift of the ship's attitude (its rates reveal a larger step),
+and a shift of the telescope on the main axis."""
 
 _ONLY_SOURCE = 0
 """Index of the only error source in the covariance of a subfilter."""

@@ -34,7 +34,7 @@ class BeaconCheckResult(Enum):
     SWAPPED = "swapped"
     """The beacons are inconsistent as named, and significantly more consistent with exactly one exchange of names."""
     CONFLICT = "conflict"
-    """The angles are consistent with no exchange of names, or with several: a beacon is not at its stated position."""
+    """No order of names fits the angles, or exchanged names fit, but no single exchange fits significantly better."""
     PRIOR_CONFLICT = "prior_conflict"
     """The angles are consistent as named or with exchanged names, but the attitude then disagrees with the prior."""
 
@@ -99,7 +99,7 @@ def angle_residuals(image: Image, camera: Camera, lines: LinesOfSight) -> AngleR
 def check_beacons(
     image: Image, camera: Camera, lines: LinesOfSight, probability: float, prior: AttitudePrior | None = None
 ) -> BeaconCheck:
-    """Check the beacons of one exposure, two or more.
+    """Check the two or more beacons of one exposure.
 
     Args:
         image: beacons on the detector, shape (N, 2).

@@ -79,7 +79,7 @@ class Survey:
     Attributes:
         theodolite_lever: vector from the ship's antenna to the intersection of the theodolite's axes, in the deck.
         principal_point: vector from this intersection to the principal point N' of the telescope's lens, in the main
-            frame. Its error shifts all beacons equally and appears in no residual.
+            frame. The error of this vector shifts all beacons equally and appears in no residual.
         beacon_lever: vector from the drone's antenna to its light, in the drone's frame.
         rtk_base_sigma_m: sigma of the error common to all baselines (N, U, E), due to the ship's antenna, shape (3,).
         rtk_bias_sigma_m: sigma of the correlated error of each single baseline (N, U, E), shape (3,).

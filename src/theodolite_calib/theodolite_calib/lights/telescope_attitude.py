@@ -1,8 +1,8 @@
 """Attitude of the telescope from the image of N beacons: maximum likelihood, with covariance and error budget.
 
 The unknowns are the attitude (a rotation vector), the focal length and the errors of the lines of sight. Focal length
-and line errors have priors, and the image is practically linear in them. They are therefore marginalised exactly, as
-part of the covariance of the points' residuals,
+and line errors have priors, and the image is practically linear in them. These quantities are therefore marginalised
+exactly, as part of the covariance of the points' residuals,
 
     S = σ² I  +  F Σ_w Fᵀ  +  σ_f² p_f p_fᵀ          detection, joint errors of the directions, focal length
 
@@ -35,8 +35,8 @@ _CONVERGED = 1e-9
 class AttitudePrior:
     """Prior of the telescope's attitude, without the beacons.
 
-    The errors of prior and lines of sight are assumed to be independent. An error of the ship's attitude is in both,
-    but for a lever of 10 m and beacons at 2 km its effect on the lines of sight is 200 times smaller.
+    The errors of prior and lines of sight are assumed to be independent. An error of the ship's attitude is part of
+    both errors, but for a lever of 10 m and beacons at 2 km its effect on the lines of sight is 200 times smaller.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
@@ -82,7 +82,7 @@ class TelescopeAttitude:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
         covariance_by_source_n: covariance of the rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape
             (..., 3, 3) each.
-        focal_length_m: focal length estimated from the angles between beacons and its prior, shape (...).
+        focal_length_m: focal length estimated from its prior and the angles between beacons, shape (...).
         focal_length_sigma_m: standard deviation of the focal length, shape (...).
         chi2: rᵀ S⁻¹ r of the residuals after the fit, shape (...).
         degrees: degrees of freedom of chi2: 2 N - 3, and 3 more with a prior attitude.

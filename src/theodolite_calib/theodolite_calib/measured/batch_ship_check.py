@@ -127,7 +127,7 @@ class BatchShipCheck:
 
 
 def stated_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
-    """Return by how much a source's attitude may step when its stated covariance changes, rad."""
+    """Return the possible step of a source's attitude at a change of the stated covariance, rad."""
     if covariance_n is None or before_n is None:
         return 0.0
     return _STATED_STEP_SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))

@@ -86,7 +86,7 @@ class EncoderCheck:
             PredictionBound(sigma_rad),
         )
         # Two readings predict the next reading: the last two accepted readings, or the last two of all readings.
-        # Without rejections both are equal.
+        # Without rejections both pairs are equal.
         self._last_accepted: tuple[EncoderSample, ...] = ()
         self._last_readings: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None
@@ -198,7 +198,7 @@ class EncoderCheck:
                 self._wrong_unit, self._opposite_count = beyond, 0
         if not (beyond or self._wrong_unit):
             return None
-        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, elevation within a turn; degrees?"
+        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, elevation up to 1.5 turns; degrees?"
         return Rejection(Reason.UNITS, text)
 
     def _check_jump(self, sample: EncoderSample) -> CheckedReading:

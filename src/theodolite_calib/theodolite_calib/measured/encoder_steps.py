@@ -3,7 +3,7 @@
 A reading is predicted by a cubic through the readings before it, which a rotating or roll-compensating mount follows. A
 prediction error far outside its estimated noise is a pending step, which the error of the next reading resolves. If
 both errors are equal, the encoders have slipped, or the mount has moved and stopped between two readings. If the second
-error is larger, a motion has begun or ended. If it is small, one reading was wrong.
+error is larger, a motion has begun or ended. If the second error is small, one reading was wrong.
 """
 
 import math

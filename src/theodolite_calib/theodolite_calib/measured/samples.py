@@ -261,13 +261,14 @@ class TargetEstimate:
 class ExposureDecision(MeasurementDecision[AnyExposure]):
     """Decision about an exposure.
 
-    ``residual`` and ``sigma`` are angles. For each beacon they are x and z of the inverted image, positive to the left
-    and down on the sky; for each star they are up and to the right on the sky. ``rejected_parts`` are beacons or stars.
-    An exposure whose beacons had exchanged names is accepted, with the reason LIGHT_CONFLICT.
+    ``residual`` and ``sigma`` are angles. The angles of a beacon are x and z of the inverted image, positive to the
+    left and down on the sky. The angles of a star are up and to the right on the sky. ``rejected_parts`` are beacons or
+    stars. An exposure whose beacons had exchanged names is accepted, with the reason LIGHT_CONFLICT.
 
     Attributes:
         telescope_dt: deck from telescope, shape (3, 3), and the standard deviation about its worst axis, rad; None if
-            not determined. It comes from the beacons, or from the prediction if the beacons agree with it.
+            not determined. The attitude comes from the beacons, or from the prediction if the beacons are consistent
+            with the prediction.
         excluded_sources: sources that are excluded after the exposure.
     """
 
@@ -291,9 +292,10 @@ class PointingEstimate:
         light_count: number of beacons in the last accepted sighting; 0 if it is not recent.
         state: state of the filter from which the pointing was computed.
         text: reason if the status is not VALID.
-        by_error_n: rotation vector of the main axis in n per error of the axis geometry, shape (3, k).
+        by_error_n: derivative of the main axis' rotation vector in n with respect to the axis geometry's errors, shape
+            (3, k).
         rotation_dm: deck from main frame, shape (3, 3). The deck is the attitude that tf2 interpolates, so that tf2
-            computes ``rotation_nm`` from both. NaN without ship/attitude.
+            computes ``rotation_nm`` from this attitude and ``rotation_dm``. NaN without ship/attitude.
     """
 
     time_ns: int

@@ -1,7 +1,7 @@
 """Check of the ship's attitude.
 
 Attitudes and the rates in the same messages are checked against each other, both with the INS alone and with
-``ship/attitude``. With the INS alone the rates have no other use, because the pointing uses only its attitudes.
+``ship/attitude``. With the INS alone the rates have no other use, because the pointing uses only the attitudes.
 """
 
 from collections.abc import Sequence

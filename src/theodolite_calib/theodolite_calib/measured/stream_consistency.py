@@ -66,7 +66,7 @@ class LargestStep(NamedTuple):
         return self.size_rad > _STEP_SIGMAS * self.sigma_rad and self.size_rad > 0.5 * expected_rad
 
     def is_ruled_out(self, step_rad: float) -> bool:
-        """True if a step of this size is ruled out; False for NaN."""
+        """True if a step of the size ``step_rad`` is ruled out; False for NaN."""
         would_be_seen = step_rad > 1.5 * _STEP_SIGMAS * self.sigma_rad
         return would_be_seen and self.size_rad < min(step_rad - _UNDERESTIMATE_SIGMAS * self.sigma_rad, 0.5 * step_rad)
 
@@ -78,7 +78,7 @@ class StreamConsistency:
     Attributes:
         encoder: largest step of the encoders; None if the readings do not allow a test.
         ship: largest step of the ship's attitude; None if the attitudes do not allow a test.
-        is_ship_unreliable: True if the ship's attitude was DEGRADED, or missing for a while.
+        is_ship_unreliable: True if the ship's attitude was DEGRADED or had a gap.
     """
 
     encoder: LargestStep | None

@@ -256,7 +256,7 @@ class MeasuredTracks:
     def has_ship_drifted(self, time_ns: int) -> bool | None:
         """True if the ship's attitude departed from the integral of its rates; None if unknown.
 
-        The last minute is compared, or the time since the last jump of the attitude if it is shorter.
+        The last minute is compared, or the time since the last jump of the attitude if this time is shorter.
         """
         until_ns = time_ns - self.ship_shift_ns
         first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)

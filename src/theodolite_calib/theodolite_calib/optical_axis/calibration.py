@@ -1,8 +1,8 @@
 """Calibration from the filter's state: values for the calibration topic, and a prior for the next session.
 
-:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation; with star
-cameras also N' and the parallelism of the main axis in each camera. :class:`CalibrationPrior` has the constants, which
-are saved. The deformation is not saved, because it will have changed at the next session.
+:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation. If there
+are star cameras, N' and the parallelism of the main axis in each camera are included. :class:`CalibrationPrior` has the
+constants, which are saved. The deformation is not saved, because it will have changed at the next session.
 """
 
 from collections.abc import Mapping
@@ -186,7 +186,7 @@ def state_from_prior(
         return initial, [text]
     saved = {one.name: one for one in _saved_quantities(filter_, config)}
     messages = []
-    # A quantity that was fixed in the saved calibration takes its uncertainty from the configuration.
+    # A quantity that was fixed in the saved calibration has its value and uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
     of_telescope = usable & [name in _TELESCOPE_NAMES for name in prior.names]
     if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):

@@ -83,5 +83,5 @@ class PointingLevels:
 
 
 def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
-    """Return the integrity of one pointing, from a state of the filter of that configuration."""
+    """Return the integrity of one pointing, from the filter's state in ``estimate``."""
     return PointingLevels(filter_, config, estimate.state).integrity_of(estimate)

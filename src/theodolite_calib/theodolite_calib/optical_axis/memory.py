@@ -1,4 +1,4 @@
-"""Remembered calibration: restart from this state, and its differences from beacons and from other states.
+"""Remembered state of the calibration: restart from the state, and its differences from beacons and other states.
 
 The rules that use these functions are in :mod:`ship_estimation.recovery`. Stars are not compared with a remembered
 state, because beacons reinstate excluded sources.

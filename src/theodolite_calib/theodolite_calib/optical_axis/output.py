@@ -53,7 +53,7 @@ class AxesAt(NamedTuple):
 
     Attributes:
         rotation_nm: horizon from main frame, shape (N, 3, 3).
-        by_error_n: rotation vector of the main axis in n per state in ``AXIS_STATES``, shape (N, 3, k).
+        by_error_n: derivative of the main axis' rotation vector in n with respect to ``AXIS_STATES``, shape (N, 3, k).
         covariance_by_source_n: error covariance of the main axis by source, rotation vector in n, rad², shape (N,
             n_sources, 3, 3).
     """

@@ -80,7 +80,7 @@ class TargetProcessor:
     def record_output(self, pointing: PendingPointing, oldest_ns: int) -> None:
         """Record a published pointing; later images are not older than ``oldest_ns``."""
         self._published.append(pointing)
-        # The last pointing before that time stays, because the oldest possible image needs it.
+        # The last pointing up to ``oldest_ns`` stays, because the oldest possible image needs this pointing.
         while len(self._published) > 1 and self._published[1].time_ns <= oldest_ns:
             self._published.popleft()
 
@@ -91,8 +91,8 @@ class TargetProcessor:
 
         Args:
             outcome: receives the directions and the rejections.
-            waiting_ns: time by the timeout clock at a tick; None at a message, so that an image that has waited too
-                long is answered at ticks only: a rejected message must not trigger its direction.
+            waiting_ns: time by the timeout clock at a tick; None at a message. An image that has waited too long is
+                thus processed at ticks only, because a rejected message must not trigger a direction.
             oldest_ns: time before which data can no longer come.
             state: returns the current state of the filter, for outputs.
         """
@@ -164,7 +164,7 @@ class TargetProcessor:
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
     def _adjacent_pointings(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
-        """Return the last published pointing up to a time and the first from then on; None if either is missing."""
+        """Return the last published pointing up to a time and the first from then on; None if there is a gap."""
         before = [due for due in self._published if due.time_ns <= time_ns]
         after = [due for due in self._published if due.time_ns >= time_ns]
         if not (before and after):
@@ -193,7 +193,7 @@ class TargetOutput:
         )
 
     def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
-        """Return the path on the detector of a target with constant direction in n, m, shape (m, 2).
+        """Return the path, in metres, of a target with constant direction in n over the detector, shape (m, 2).
 
         If the target's direction rotates at a constant rate instead, the mean of the path changes only by terms of
         second order, the products of this rotation and the mount's rotation.

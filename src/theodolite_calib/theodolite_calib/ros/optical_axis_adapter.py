@@ -246,7 +246,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
-        """Return ship_msgs/Innovation of a beacon, with its name, or of a star, rejected within its exposure."""
+        """Return ship_msgs/Innovation of a beacon, by its name, or of a star that was rejected within its exposure."""
         if source != "lights":
             return super().rejected_part_message(source, time_ns, name, rejection)
         return rejection_message(self.factory, f"light.{name}", time_ns, rejection)

@@ -155,7 +155,7 @@ class SmoothingAxisCore(OpticalAxisCore):
 
 
 class _SmoothedOutput:
-    """Pointings from smoothed states; :class:`CorrectedAxis` computes them from real-time states.
+    """Computes pointings from smoothed states, as :class:`PointingOutput` does from real-time states.
 
     Args:
         filter_: the filter.

@@ -75,7 +75,11 @@ class TracedFilter(CalibrationFilter):
 
 
 def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
-    """Record the update by a sighting; it does not count for the prediction if an axis source is excluded."""
+    """Record the update by a sighting.
+
+    The smoother takes no backward step over the update if an axis source is excluded or a subfilter became the main
+    filter.
+    """
     assert isinstance(predicted, TracedState)
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)

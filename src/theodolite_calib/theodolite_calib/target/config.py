@@ -47,7 +47,7 @@ class StationPositionConfig(PositionConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class RefractionConfig:
-    """Refraction on the path to the target: it raises its direction by k · (horizontal distance) / (2 R)."""
+    """Refraction on the path to the target; the target's direction is raised by k · (horizontal distance) / (2 R)."""
 
     coefficient: float = parameter(
         0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True
@@ -101,7 +101,7 @@ class TriangulationConfig(PositioningConfig):
     )
 
     def __post_init__(self) -> None:
-        """Check that each theodolite has a topic of its own.
+        """Check that each theodolite has a topic of its own, with a relative name.
 
         Raises:
             ParameterError: names the parameter.

@@ -105,8 +105,9 @@ def triangulate(
         gate_probability: probability that consistent directions pass the test of their residuals.
 
     Returns:
-        Position, with its ``rejection`` set if the directions are inconsistent. A rejection alone if there are fewer
-            than two directions, or if they are parallel or nearly so, or meet behind a theodolite.
+        Position, with its ``rejection`` set if the directions are inconsistent. Only a rejection is returned for fewer
+            than two directions, for numbers that are not finite, for directions that are nearly parallel or meet behind
+            a theodolite, and for a too uncertain distance.
     """
     if len(directions) < 2:
         return Rejection(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")

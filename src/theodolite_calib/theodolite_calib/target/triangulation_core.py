@@ -1,13 +1,13 @@
 """Core of the node ``triangulation``: positions of targets from the directions of several theodolites.
 
 Each direction of the leading theodolite (:mod:`theodolite_calib.target.common_times`) is answered once, by a position
-at its stamp or an INVALID position with the reason. It waits until the other theodolites that report on the target have
-reported on that time, or their next report is ``lag_s`` overdue. Positions of one target are published in the order of
-their stamps.
+at its stamp or an INVALID position with the reason. The direction waits until the other theodolites that report on the
+target have reported on that time, or their next report is ``lag_s`` overdue. Positions of one target are published in
+the order of their stamps.
 
-Reports of a theodolite are expected in order. If its messages overtake one another, the older message may come after
-the position of its time, and is rejected as LATE. Waiting for such messages would delay every position by ``lag_s``.
-Star sensors are combined by the same rule (:class:`ship_attitude_star.star_attitude.core.JointWindow`).
+Reports of a theodolite are expected in order. If messages of a theodolite overtake one another, the older message may
+come after the position of its time, and is rejected as LATE. Waiting for such messages would delay every position by
+``lag_s``. Star sensors are combined by the same rule (:class:`ship_attitude_star.star_attitude.core.JointWindow`).
 """
 
 from dataclasses import dataclass, field

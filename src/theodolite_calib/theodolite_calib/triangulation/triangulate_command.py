@@ -88,7 +88,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _configuration(path: Path) -> RecordedTriangulationConfig:
-    """Return the checked file.
+    """Return the checked configuration in a file.
 
     Raises:
         BadInput: names file, line, key, value and what was expected.
