@@ -63,7 +63,9 @@ class DesignStudyConfig:
         30.0, doc="elevation of the pointing, over the horizon of a level ship", unit="deg", minimum=-10.0, maximum=89.0
     )
     ship_heading_sigma_arcsec: float = arcsec(2.0, doc="error of ship/attitude about Up; unused with ins/imu")
-    ship_tilt_sigma_arcsec: float = arcsec(1.5, doc="error of ship/attitude about North and about East; unused with ins/imu")
+    ship_tilt_sigma_arcsec: float = arcsec(
+        1.5, doc="error of ship/attitude about North and about East; unused with ins/imu"
+    )
     pixel_pitch_m: float = parameter(
         6.5e-6, doc="of the telescope's detector, from pixel to pixel", unit="m", minimum=1e-7, maximum=1e-3
     )

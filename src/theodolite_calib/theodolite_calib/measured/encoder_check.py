@@ -198,7 +198,7 @@ class EncoderCheck:
                 self._wrong_unit, self._opposite_count = beyond, 0
         if not (beyond or self._wrong_unit):
             return None
-        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, elevation up to 1.5 turns; degrees?"
+        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, at most 1.5 turns; degrees?"
         return Rejection(Reason.UNITS, text)
 
     def _check_jump(self, sample: EncoderSample) -> CheckedReading:
