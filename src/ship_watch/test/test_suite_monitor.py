@@ -53,7 +53,7 @@ def health(ns: int, topic: str, received: int, rate_hz: float = 5.0, age_s: floa
 
 
 def monitor_after(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> SuiteMonitor:
-    """Return a monitor that has received a good suite for some seconds, at 10 Hz; its time starts at 1000 s."""
+    """Return a monitor that has received a suite without faults for some seconds at 10 Hz; times count from 1000 s."""
     monitor = SuiteMonitor()
     feed(monitor, start_s, until_s, **of_attitude)
     return monitor
@@ -317,7 +317,7 @@ def test_reason_of_a_caution_is_current_at_any_time() -> None:
     for tenth in range(121, 170):
         feed(monitor, tenth / 10, tenth / 10)
         (pitch,) = (angle for angle in monitor.current_state(at(tenth / 10)).angles if angle.name == "pitch")
-        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # the safety is evaluated before the message of its time
+        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # the safety is evaluated before the message of the same time
         assert (pitch.safety, pitch.reason) == (Safety.CAUTION, f"within 4″ again; SAFE in {left_s} s")
     feed(monitor, 17.0, 17.2)
     assert monitor.current_state(at(17.2)).angles[1].safety is Safety.SAFE
@@ -545,10 +545,10 @@ def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
     ]
     events = [event.text for event in shown.events if event.kind == "state"]
     assert "heading SAFE → CAUTION, over the limit" in events
-    assert monitor.history.safety[-1].safety["heading"] is Safety.SAFE  # of the second before
+    assert monitor.history.safety[-1].safety["heading"] is Safety.SAFE  # recorded in the second before
     feed(monitor, 20.2, 22.0)
     assert {angle.safety for angle in monitor.current_state(at(22.0)).angles} == {Safety.CAUTION}
-    # Two seconds without a state: its own safety again, at once.
+    # After two seconds without a published state, the monitor's own safety is shown again at once.
     feed(monitor, 22.1, 22.5)
     assert {angle.safety for angle in monitor.current_state(at(22.5)).angles} == {Safety.SAFE}
     # The state is published again and displayed; after the end of the alert node it is no longer used.
