@@ -141,8 +141,7 @@ def test_alert_uses_the_safety_without_hold() -> None:
 
 
 def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
-    """A brief excess is no alert of the output, but the alert of the source at fault names the lost function at
-    once."""
+    """A brief excess is no alert of the output; the alert of the source at fault names the lost function at once."""
     brief = {"over_limit_s": 4.9}
     assert conditions(suite_state(replace(angle_over_limit("roll"), **brief)), LIMITS) == []
     assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **brief)))) == ["attitude.degraded"]

@@ -339,8 +339,7 @@ def test_corrupt_file_is_refused(changes: dict[str, object]) -> None:
 
 
 def test_most_urgent_comes_first() -> None:
-    """Unacknowledged present alerts come first, then unacknowledged past ones, then acknowledged ones; each by
-    priority."""
+    """Unacknowledged present, unacknowledged past, then acknowledged alerts; each group by priority."""
     voyage = Voyage()
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.advance(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))

@@ -20,8 +20,7 @@ NOMINAL = np.deg2rad([30.0, 60.0, 5.0])
 
 
 def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str = "star.bow") -> SimpleNamespace:
-    """Return an AlignmentState with one INS angle and the angles of one device, which are shifted by ``shift``
-    (arcsec)."""
+    """Return an AlignmentState with an INS angle and the angles of a device, shifted by ``shift`` (arcsec)."""
     ends = ("azimuth", "elevation", "roll") if device.startswith("star") else ("roll", "pitch", "heading")
     angles = NOMINAL + np.asarray(shift) * ARCSEC
     if device.startswith("reference"):
@@ -36,8 +35,7 @@ def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str =
 
 
 def texts(shift: Any, sigma: float = 3.0, device: str = "star.bow") -> tuple[list[str], MountingShifts]:
-    """Return event texts and shifts of a voyage in which the device is OUT from 21 s to 80 s and then IN with a
-    shift."""
+    """Return event texts and shifts of a voyage: the device is OUT from 21 s to 80 s, then IN with a shift."""
     shifts, found = MountingShifts(), []
     for second in range(120):
         is_out = 21 <= second < 80

@@ -141,7 +141,7 @@ def test_old_output_recovers_after_five_seconds() -> None:
     ],
 )
 def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every: int, alerts: list[str]) -> None:
-    """The safety follows at once; an alert needs five seconds over the limit, short dips below it included."""
+    """The safety follows at once; an alert needs five seconds over the limit, including dips shorter than a second."""
     monitor, alert_list, shown = SuiteMonitor(), AlertList(Limits().alerts), set()
     for tenth in range(300):
         second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
