@@ -46,7 +46,7 @@ class ValidPointing:
 
 @functools.cache
 def valid_pointings() -> tuple[ValidPointing, ...]:
-    """Sightings at 5 Hz and an azimuth drift after 30 s; VALID pointings of each session before an exclusion."""
+    """Return VALID pointings of each session before an exclusion; sightings at 5 Hz, azimuth drift from 30 s on."""
     times_s, out, found = np.arange(0.0, START_S + 60.0, 0.2), PointingOutput(SETTINGS, FILTER), []
     for seed in range(SEEDS):
         given = session(SETTINGS, seed, times_s, sweep(times_s))

@@ -14,7 +14,8 @@ AT_S, DURATION_S = 10.0, 20.0
 
 
 def step_clocks(step_s: float, *topics: str) -> tuple[Arrival, ...]:
-    """Return the session with a step of the clocks of some topics, all without any, from a time on."""
+    """Return the session with a clock step from AT_S on in the stamps of these topics; of all topics if none is
+    given."""
 
     def change(message: Any) -> None:
         ns = stamp_of(message) + round(step_s * SECOND_NS)
