@@ -41,7 +41,7 @@ class Arrival:
 
 @dataclass
 class AdapterRun:
-    """Outputs of an adapter for some arrivals: (time of publishing, topic, message), in the steady waiting time."""
+    """Outputs of an adapter for some arrivals: (time of publishing by the timeout clock, topic, message)."""
 
     adapter: Adapter
     published: list[tuple[int, str, Any]] = field(default_factory=list)
@@ -132,7 +132,7 @@ def change_where(
 
 
 def delay_arrivals(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
-    """Return the arrivals, each delayed by this time after its stamp."""
+    """Return the arrivals, each received at its stamp plus its delay."""
     return sort_by_arrival(
         replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
         for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
@@ -140,7 +140,7 @@ def delay_arrivals(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
 
 
 def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
-    """Return ``factor`` arrivals for each of a topic: the others have earlier stamps, each by another time."""
+    """Return ``factor`` arrivals for each of a topic: the message, and copies with random earlier stamps."""
     rng = np.random.default_rng(seed)
 
     def set_earlier_stamp(message: Any) -> None:
@@ -170,11 +170,11 @@ def assert_flood_costs_little(
 
     Args:
         monkeypatch: counts the steps.
-        core: whose ``_step`` is counted.
+        core: class whose ``_step`` is counted.
         drive: runs some arrivals through a new adapter.
-        arrivals: those without the flood.
+        arrivals: arrivals without the flood.
         topic: flooded topic.
-        source: its name in innovations.
+        source: name of the topic's source in innovations.
         other_measurements: number of other measurements that cause steps.
     """
     steps, step = [0], core._step  # type: ignore[attr-defined]
@@ -200,7 +200,7 @@ def hand_over(
 ) -> None:
     """Give the arrivals to a run's adapter, with the ticks between them as in node and replay; then continue the ticks.
 
-    Arrivals are in the waiting time; ``node_ns`` returns the node's clock at that time.
+    Arrivals are by the timeout clock; ``node_ns`` returns the node's clock at a time of the timeout clock.
     """
     grid = TickGrid()
     for arrival in arrivals:

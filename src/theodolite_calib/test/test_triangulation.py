@@ -59,7 +59,7 @@ def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, 
     for seed in range(20):
         directions, target_n = random_stations(seed, noise=0.0, spread_m=spread_m, distance_m=distance_m)
         place = triangulate_directions(directions)
-        # Raised along the angle here, along Up there: they part by the square of 4" to 42".
+        # ``seen_direction`` raises by the angle, the tested code along Up: the two differ by the square of 4" to 42".
         np.testing.assert_allclose(place.position_n, target_n, atol=1e-3 * distance_m / 2000.0)
         assert place.rejection is None
 
