@@ -152,7 +152,7 @@ def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, see
 
 
 def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
-    """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
+    """Return the arrivals without the messages of a topic that innovations report as rejected, by their stamps."""
     rejected_ns = {stamp_of(message) for message in innovations}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in rejected_ns)
 
@@ -166,7 +166,8 @@ def assert_flood_costs_little(
     source: str,
     other_measurements: int = 0,
 ) -> None:
-    """Assert that fifty measurements with random stamps for each one cost few steps, and rejected ones change nothing.
+    """Assert that a flood, 50 measurements for each one, costs few steps, and that rejected measurements change
+    nothing.
 
     Args:
         monkeypatch: counts the steps.
@@ -200,7 +201,7 @@ def hand_over(
 ) -> None:
     """Give the arrivals to a run's adapter, with the ticks between them as in node and replay; then continue the ticks.
 
-    Arrivals are by the timeout clock; ``node_ns`` returns the node's clock at a time of the timeout clock.
+    Arrival times are by the timeout clock; ``node_ns`` converts them to the node's clock.
     """
     grid = TickGrid()
     for arrival in arrivals:

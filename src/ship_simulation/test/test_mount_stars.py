@@ -124,5 +124,5 @@ def test_detector_errors_are_drawn_for_this_camera_too():
         for sigma_px in (0.0, 0.5)
     )
     off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel
-    # Few positions on the detector have independent errors, so the RMS is within a factor of two of the sigma only.
+    # Few positions on the detector have independent errors, so the RMS is checked only to a factor of two.
     assert 0.25 < np.sqrt(np.mean(off_px**2)) < 1.0

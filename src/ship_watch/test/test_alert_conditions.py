@@ -33,7 +33,7 @@ LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
 
 
 def node(name: str, level: int = 2, **values: str) -> ComputerState:
-    """Return a computer with one status of a node."""
+    """Return the state of a computer with one status of a node."""
     return ComputerState((NodeStatus("ship_attitude", name, level, "text of the node", values),))
 
 
@@ -214,7 +214,7 @@ def test_suite_with_pointing_only_needs_no_attitude() -> None:
 
 
 def test_texts_have_no_changing_figures() -> None:
-    """The next update has the same text for the same situation."""
+    """A situation has the same text for other figures in its reasons."""
     texts = set()
     for count in (5, 81):
         shown = suite_state(
@@ -226,7 +226,7 @@ def test_texts_have_no_changing_figures() -> None:
 
 
 def test_black_box_may_lose_entries_within_the_limit() -> None:
-    """Lost entries within the limit are no alert; a black box that ended always is one."""
+    """Lost entries within the limit are no alert; a black box that has ended is always an alert."""
     patient = replace(LIMITS, machine=replace(LIMITS.machine, box_lost=20))
     assert conditions(suite_state(), patient, node("black box", lost="12")) == []
     assert len(conditions(suite_state(), patient, node("black box", lost="21"))) == 1
@@ -254,7 +254,7 @@ def test_lost_functions_come_before_those_over_their_limit() -> None:
 
 
 def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
-    """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
+    """Each function is listed with its limit and its sources; a source that causes a loss has the level ERROR."""
     angles = [unsafe_angle("heading", "ins"), angle_over_limit("roll", "ins", 2.0)]
     shown = suite_state(source_out("ins", "81 rejected in a row", disagreement="reads 9″ high"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(shown, PICTURED)}

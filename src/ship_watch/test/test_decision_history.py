@@ -125,7 +125,7 @@ def test_disagreement_is_the_component_furthest_off() -> None:
     [
         ("right", "forward", "up", ("high", "low")),  # the device's forward axis rises
         ("up", "forward", "right", ("to the right", "to the left")),
-        ("forward", "up", "right", ("clockwise", "counterclockwise")),  # looking forward, its top moves to the right
+        ("forward", "up", "right", ("clockwise", "counterclockwise")),  # looking forward, the top moves to the right
     ],
 )
 def test_sense_of_a_rotation_is_that_of_the_right_hand_rule(axis, pointer, effect, words, sign) -> None:

@@ -146,7 +146,7 @@ def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
 
 @pytest.mark.parametrize("period_s", [2.0, 12.0, 40.0])
 def test_accuracy_near_its_limit_changes_the_safety_once(period_s: float) -> None:
-    """The accuracy varies by ±2 % around its limit, and is within it for up to 20 s."""
+    """The accuracy varies by ±2 % around its limit, and is within the limit for up to 20 s."""
     accuracies = 5.0 * (1.0 + 0.02 * np.sin(2.0 * np.pi * np.arange(6000) / (10.0 * period_s)))
     assert changes_of(accuracies) == [Safety.SAFE, Safety.CAUTION]
 

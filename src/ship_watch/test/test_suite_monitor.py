@@ -479,7 +479,7 @@ def overload_report(ns: int, node: str, text: str) -> SimpleNamespace:
 
 
 def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
-    """`ship_attitude` is INVALID, and measurements are rejected because of messages that it dropped."""
+    """`ship_attitude` is INVALID, and measurements are rejected because of messages that the node dropped."""
     text = "ship_attitude is 3.2 s behind: the computer is too slow (2 cores, load 12)"
     monitor = monitor_after(10.0)
     for fifth in range(51, 70):
@@ -535,7 +535,7 @@ def published_message(monitor: SuiteMonitor, seconds: float) -> SimpleNamespace:
 
 
 def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
-    """While the state of another monitor is published, its angles and events replace those of this one."""
+    """While the state of another monitor is published, the angles and events of that state are shown."""
     other, monitor = monitor_after(20.0, sigma_arcsec=4.0), monitor_after(20.0)
     assert {angle.safety for angle in monitor.current_state(at(20.0)).angles} == {Safety.SAFE}
     monitor.process_suite_state(published_message(other, 20.0), at(20.1))
@@ -551,7 +551,7 @@ def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
     # After two seconds without a published state, the monitor's own safety is shown again at once.
     feed(monitor, 22.1, 22.5)
     assert {angle.safety for angle in monitor.current_state(at(22.5)).angles} == {Safety.SAFE}
-    # The state is published again and displayed; after the end of the alert node it is no longer used.
+    # The state is published again and displayed; after the end of the alert node the state is no longer used.
     monitor.process_suite_state(published_message(other, 20.0), at(22.6))
     assert {angle.safety for angle in monitor.current_state(at(22.6)).angles} == {Safety.CAUTION}
     monitor.clear_alerts()

@@ -115,8 +115,8 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
 
 
 def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
-    # The jump inflates the zero points. An earlier state has only the errors before the jump in common with the
-    # inflated state.
+    # The jump inflates the zero points. A state before the jump has only the earlier errors in common with the inflated
+    # state.
     filter_ = TracedFilter(config(**ERRORS))
     state = correlated_state(filter_, 1.0)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.prediction_input)

@@ -477,7 +477,7 @@ def test_encoder_in_degrees_is_rejected() -> None:
     later = change_where(session(), lambda a: a.topic == ENCODER and seconds_of(a) < 3.0, degrees)
     later = change_where(later, lambda a: a.topic == ENCODER and seconds_of(a) >= 3.0, small)
     run = run_adapter(new_adapter(), later)
-    # After a run of such readings they are used, and the lights contradict them.
+    # After a run of such readings the readings are used, and the lights contradict them.
     assert {m.status for m in run.pointings} == {Status.INVALID, Status.DEGRADED}
 
 

@@ -171,7 +171,7 @@ def test_published_calibration_is_the_state() -> None:
     assert np.max(np.abs(np.array(message.values) - truth) / sigma) < 4.0
     assert sigma[6] < 0.3 * 1e-4  # the focal length is known far better than before: 1.9e-5 m a sighting
     assert "g - deformation_up" in message.unobservable
-    assert message.sighting_count == 10  # eleven, the last of them after the report
+    assert message.sighting_count == 10  # eleven sightings, the last after the report
     # The residuals contain 1 cm of RTK at 2 km, and at most five arcseconds of image and encoder.
     assert 0.3 * ARCSEC < message.residual_rms < 60.0 * ARCSEC
     assert run.adapter.outputs[1].latched

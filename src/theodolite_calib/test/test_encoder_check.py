@@ -56,7 +56,7 @@ def stop_in_motion(rate: float = 0.02) -> tuple[EncoderCheck, int]:
 def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
     check, number = stop_in_motion()
     assert check.unconfirmed_reason
-    check.confirm((number - 3) * PERIOD_NS)  # before they stopped
+    check.confirm((number - 3) * PERIOD_NS)  # before the readings stopped
     assert check.unconfirmed_reason
     check.confirm((number + 1) * PERIOD_NS)
     assert not check.unconfirmed_reason
@@ -219,7 +219,8 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 
 def test_live_changes_reach_the_encoder_check() -> None:
-    """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
+    """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and a mount of 10°/s²
+    cannot."""
     arrivals = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
     half = index_at(arrivals, ENCODER, 3.0)
     for changes, rejected in (

@@ -87,7 +87,7 @@ def state_after_sweep(
 
 
 def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[np.ndarray, np.ndarray]:
-    """Return estimate minus truth, and sigma."""
+    """Return the error of the estimated N', and its sigma, m, shape (3,) each."""
     rows = filter_.model.slices["lens"]
     return state.mean[rows] - PER_AXIS_M, np.sqrt(np.diagonal(state.covariance)[rows])
 

@@ -155,6 +155,6 @@ def test_angles_of_the_papers_method():
 def test_focal_length_of_one_epoch():
     epochs, attitude = solve_epochs(30.0, 0.0)
     error = (attitude.focal_length_m - epochs.focal_length_m) / epochs.focal_length_m
-    # models.md §5: 1.9e-4 in all, against 1e-3 before.
+    # models.md §5: 1.9e-4 after one epoch, 1e-3 before.
     assert rms(error) == pytest.approx(1.9e-4, rel=0.05)
     assert rms(error / (attitude.focal_length_sigma_m / epochs.focal_length_m)) == pytest.approx(1.0, abs=0.03)

@@ -1,6 +1,7 @@
 """Pixel dwell of a fixed camera on the theodolite: stars stay on their pixels, with the errors of these pixels.
 
-The errors are those of a simulated detector (waves, a number for each pixel), drawn for each session.
+The errors are those of a simulated detector (waves over the field, and a number for each pixel), drawn for each
+session.
 """
 
 from dataclasses import replace

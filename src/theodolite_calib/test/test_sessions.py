@@ -108,7 +108,8 @@ def rms(values: FloatArray) -> float:
 
 @pytest.mark.slow
 def test_pointing_after_the_last_beacons() -> None:
-    """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, of which the deformation 26.3"."""
+    """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, to which the deformation contributes
+    26.3"."""
     left = coast_without_beacons()
     assert rms(left.sigma[:, :7]) < 8.5
     assert rms(left.sigma[:, 7]) == pytest.approx(29.7, rel=0.02)

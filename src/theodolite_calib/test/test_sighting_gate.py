@@ -151,7 +151,7 @@ def test_covariance_is_inflated_after_rejections_if_configured() -> None:
     reasons = [decision.reason for _, decision in found]
     assert "covariance inflated by 10000" in found[39][1].text
     assert set(reasons[45:]) == {Reason.NONE}
-    # The estimated axis returns to the direction given by the light: it moves by the slip of the encoders.
+    # For the same encoder readings, the estimated axis has moved by the slip of the encoders.
     settings, elevation = config(), sweep(np.array([59.0]))[0, 1]
     sightings, last = CalibrationFilter(settings).sightings, displaced_sightings()[-1]
     before, after = (sightings.predict(found[k][0].mean, last).rotation_nt[:, 0] for k in (29, -1))

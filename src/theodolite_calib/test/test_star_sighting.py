@@ -25,7 +25,7 @@ SEEN_S /= np.linalg.norm(SEEN_S, axis=-1, keepdims=True)
 
 
 def encoder_angles(time_s: float) -> FloatArray:
-    """Return the encoder angles of a manual search."""
+    """Return encoder angles as of a telescope that is moved by hand, rad."""
     azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
     return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
 

@@ -79,7 +79,7 @@ def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> 
 
 
 def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
-    """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
+    """Return RMS error and stated sigma of the pointing after one exposure (arcsec), and the mean NEES."""
     errors = []
     for seed in range(SEEDS):
         session, rng = mount.run(seed)

@@ -205,7 +205,8 @@ def test_beacon_behind_the_telescope_is_not_solved():
 
 
 def test_principal_point_off_its_place_is_seen_by_nothing():
-    """models.md §5: N' 60 mm off shifts both beacons equally, 6-7" that no residual shows; only the budget has it."""
+    """An error of N' of 60 mm shifts both beacons by 6-7" (models.md §5), which only the budget contains, no
+    residual."""
     truth = truth_of(np.full(500, 210.0), 15.0, 30.0)
     epochs = paper_epochs(truth, seed=17)
     lens = epochs.survey.principal_point.vector_m

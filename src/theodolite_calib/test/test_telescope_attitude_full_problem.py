@@ -114,7 +114,7 @@ class FullProblem:
 
 
 def make_prior(rotation_nt: FloatArray, sigma_deg: float) -> AttitudePrior:
-    """Return an anisotropic, correlated prior with errors of its stated size, of two sources."""
+    """Return an anisotropic, correlated prior from two sources, with an error of its stated size."""
     root = np.deg2rad(sigma_deg) * np.array([[1.0, 0.0, 0.0], [0.5, 0.8, 0.0], [-0.3, 0.2, 0.6]])
     off = root @ np.array([0.8, -1.1, 0.5])
     whole = root @ root.T

@@ -19,7 +19,7 @@ ABOUT = {"long before": -STEP_NS - 1, "before": -1, "at it": 0, "after": 1, "lon
 
 
 def encoder_angles(time_s: float) -> np.ndarray:
-    """Return the encoder angles of a manual search."""
+    """Return encoder angles as of a telescope that is moved by hand, rad."""
     azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
     return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
 

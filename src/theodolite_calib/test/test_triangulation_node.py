@@ -268,7 +268,7 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
     adapter, found = adapter_of(2), []
     arrivals = [(index, number) for index in range(11) for number in (0, 1)]
     if invalid_comes_first:
-        # All reports of the second precede those of the first for the same times.
+        # All reports of the second theodolite arrive before those of the first for the same times.
         arrivals = sorted(arrivals, key=lambda arrival: (arrival[0] > 2, arrival[0] > 2 and arrival[1] == 0, arrival))
     for index, number in arrivals:
         worth = Status.INVALID if number == 1 and 3 <= index < 10 else Status.VALID

@@ -179,7 +179,7 @@ def test_late_directions_to_dropped_targets_drop_no_other() -> None:
     def of(name: str, stamped: Arrival) -> Arrival:
         return changed_copy(stamped, lambda message: setattr(message, "target_id", name), early.receive_ns + SECOND_NS)
 
-    # The flood has more targets than are followed, so some are dropped. Then late directions to as many others arrive.
+    # The flood has more targets than are followed, so some are dropped. Then late directions to new targets arrive.
     flood = [of(f"x{number}", arrivals(0, [1.0])[0]) for number in range(MAX_TARGETS + 5)]
     late = [replace(of(f"y{number}", early), receive_ns=START_NS + 5 * SECOND_NS) for number in range(MAX_TARGETS)]
     run = run_of(config, *of_two, flood, late)

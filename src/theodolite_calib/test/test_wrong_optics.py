@@ -40,7 +40,7 @@ TIMES_S = np.arange(0.0, 30.0, 0.5)
 ENCODER = np.deg2rad(np.stack([40.0 + 0.4 * TIMES_S, 50.0 + 0.2 * TIMES_S], axis=-1))
 LENGTH_M = CAMERA["focal_length_m"]
 OWN_SIGMA = 2e-4
-"""Relative sigma of the focal length of a camera for which none is given."""
+"""Default relative sigma of a camera's focal length."""
 
 
 @cache
