@@ -41,7 +41,7 @@ class Arrival:
 
 @dataclass
 class AdapterRun:
-    """Outputs of an adapter for some arrivals: (time of publishing, topic, message), in the steady waiting time."""
+    """Outputs of an adapter for some arrivals: (time of publishing by the timeout clock, topic, message)."""
 
     adapter: Adapter
     published: list[tuple[int, str, Any]] = field(default_factory=list)
@@ -132,7 +132,7 @@ def change_where(
 
 
 def delay_arrivals(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
-    """Return the arrivals, each delayed by this time after its stamp."""
+    """Return the arrivals, each received at its stamp plus its delay."""
     return sort_by_arrival(
         replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
         for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
@@ -140,7 +140,7 @@ def delay_arrivals(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
 
 
 def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
-    """Return ``factor`` arrivals for each of a topic: the others have earlier stamps, each by another time."""
+    """Return ``factor`` arrivals for each of a topic: the message, and copies with random earlier stamps."""
     rng = np.random.default_rng(seed)
 
     def set_earlier_stamp(message: Any) -> None:
@@ -152,7 +152,7 @@ def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, see
 
 
 def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
-    """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
+    """Return the arrivals without the messages of a topic that innovations report as rejected, by their stamps."""
     rejected_ns = {stamp_of(message) for message in innovations}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in rejected_ns)
 
@@ -166,15 +166,16 @@ def assert_flood_costs_little(
     source: str,
     other_measurements: int = 0,
 ) -> None:
-    """Assert that fifty measurements with random stamps for each one cost few steps, and rejected ones change nothing.
+    """Assert that a flood, 50 measurements for each one, costs few steps, and that rejected measurements change
+    nothing.
 
     Args:
         monkeypatch: counts the steps.
-        core: whose ``_step`` is counted.
+        core: class whose ``_step`` is counted.
         drive: runs some arrivals through a new adapter.
-        arrivals: those without the flood.
+        arrivals: arrivals without the flood.
         topic: flooded topic.
-        source: its name in innovations.
+        source: name of the topic's source in innovations.
         other_measurements: number of other measurements that cause steps.
     """
     steps, step = [0], core._step  # type: ignore[attr-defined]
@@ -200,7 +201,7 @@ def hand_over(
 ) -> None:
     """Give the arrivals to a run's adapter, with the ticks between them as in node and replay; then continue the ticks.
 
-    Arrivals are in the waiting time; ``node_ns`` returns the node's clock at that time.
+    Arrival times are by the timeout clock; ``node_ns`` converts them to the node's clock.
     """
     grid = TickGrid()
     for arrival in arrivals:

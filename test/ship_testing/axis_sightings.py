@@ -13,7 +13,7 @@ STRAIGHT = {"flexure": 0.0}
 def random_angles(
     rng: np.random.Generator, count: int, elevations_deg: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return encoder angles all around between two elevations."""
+    """Return random encoder angles: any azimuth, and elevations between two limits."""
     return rng.uniform(0.0, 2.0 * np.pi, count), np.deg2rad(rng.uniform(*elevations_deg, count))
 
 

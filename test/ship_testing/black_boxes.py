@@ -41,7 +41,7 @@ class RecordedNode:
         bag: inputs of the node.
         file_parameter: parameter with the path of its saved file.
         noise_change: a live change of one parameter.
-        parameters: of the node, in addition to those of the bag.
+        parameters: parameters of the node, in addition to those of the bag.
     """
 
     adapter_class: Any
@@ -82,12 +82,12 @@ def make_black_box(
     """Record eight seconds of a bag, with all events of a node; the clock goes back at the end.
 
     Args:
-        path: of the black box.
-        saved_path: of the file that the node saves.
+        path: path of the black box.
+        saved_path: path of the file that the node saves.
         close: True if the node ends in order.
         node: node to record.
-        node_ns: node's clock at a waiting time, which is that of the bag; both ns since its start.
-        is_lost: waiting times, ns since the bag's start, without any arrival.
+        node_ns: function from the timeout clock (log time) to the node's clock; both ns since the bag's start.
+        is_lost: function that is True for times without any arrival, ns since the bag's start.
         autosave_s: period of automatic saving; 0 for never.
         is_overloaded: True if the node is behind its inputs from 6.5 s to 7.8 s.
         part_bytes: size at which the black box continues in a new file; 0 for never.
@@ -118,7 +118,7 @@ def make_black_box(
         plan.append((7_800_000_000, lambda ns: calls.overload(Overload(0.0, 2, 12.0), ns)))
     planned = len(plan)
     grid = TickGrid()
-    # If each flush begins a new file, the black box has time for one at each third: three files at least.
+    # With ``part_bytes``, wait for a new file at each third of the records, so that there are at least three files.
     pauses = {len(records) // 3: 2, 2 * len(records) // 3: 3} if part_bytes else {}
     for number, record in enumerate([*records, *records[:300]]):
         if number in pauses:

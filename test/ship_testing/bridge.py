@@ -22,7 +22,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class AttitudePublisher:
-    """Suite in the namespace demo that publishes its attitude, and subscribes to the diagnostics."""
+    """Suite in the namespace demo that publishes its attitude, and subscribes to diagnostics and alerts."""
 
     def __init__(self):
         self.context = Context()
@@ -103,7 +103,7 @@ class Display:
 
 
 def wait_until(ship, condition, publish=lambda: None):
-    """Return the result of ``condition`` as soon as it is true; call ``publish`` repeatedly until then."""
+    """Return the result of ``condition`` once it is true, and call ``publish`` until then; fail after TIMEOUT_S."""
     end_s = time.monotonic() + TIMEOUT_S
     while not (result := condition()) and time.monotonic() < end_s:
         publish()

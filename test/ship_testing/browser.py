@@ -27,7 +27,7 @@ _START_S = 60.0
 
 
 _POLL_S = 0.2
-"""Shorter periods delay the drawing of the page on a busy computer."""
+"""Period of polling, s. Shorter periods delay the drawing of the page on a busy computer."""
 
 
 class _LeftPage(Exception):
@@ -35,11 +35,11 @@ class _LeftPage(Exception):
 
 
 class Browser:
-    """One window.
+    """Headless browser with one window.
 
     Attributes:
         problems: errors of scripts, of the console and of requests since the last :meth:`open`.
-        addresses: URLs requested since then.
+        addresses: URLs requested since the last :meth:`open`.
     """
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ class Browser:
         return self._run(self._call(number, {"id": number, "method": method, "params": parameters}))
 
     async def _leave(self) -> None:
-        """Close the connection within its own loop: a test before may have left the thread without one."""
+        """Close the connection in the browser's event loop: an earlier test may have left the thread without a loop."""
         self._socket.close()
 
     async def _call(self, number: int, request: dict[str, Any]) -> dict[str, Any]:

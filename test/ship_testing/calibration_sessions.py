@@ -63,14 +63,14 @@ def write_session(
     leave_out: Sequence[str] = (),
     suite: Callable[[str], str] | None = lambda text: text,
 ) -> SimulatedRun:
-    """Simulate a session into a bag.
+    """Simulate a session and write it to a bag.
 
     Args:
-        path: of the bag.
-        scenario: of the session.
-        seed: of the run.
+        path: path of the bag.
+        scenario: scenario of the session.
+        seed: seed of the run.
         leave_out: topics left out of the bag.
-        suite: changes the attached configuration that fits; None attaches none.
+        suite: function that changes the scenario's suite configuration for the attachment; None for no attachment.
     """
     run = simulate(scenario, seed)
     with BagWriter(path) as bag:

@@ -1,4 +1,4 @@
-"""Functions of a campaign's items whose process is killed, as by the kernel when memory is short."""
+"""Functions for a campaign's items that kill their process, as the kernel does when memory is short."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""One property over many cases in one test: all are run before it fails, and each failed case is named."""
+"""One property over many cases in one test: the test runs all cases before it fails, and names each failed case."""
 
 import traceback
 from collections.abc import Callable, Iterable

@@ -1,9 +1,9 @@
 """Short simulated voyages with every input of the nodes, for tests of unusable messages.
 
 ``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, two antennas, the fix and the
-weather; ``star_attitude`` the same voyage, of which it uses the camera. ``optical_axis`` has lights, baselines, drones
-and images of targets. Its ship's attitude is from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu``,
-then with positions advised to the drones. ``triangulation`` has directions of three theodolites to a buoy.
+weather; ``star_attitude`` has the same voyage and uses only its camera. ``optical_axis`` has lights, baselines, drones
+and images of targets. The ship's attitude is from ``ship/attitude``. In ``optical_axis by ins`` it is from ``ins/imu``,
+and the drones get advised positions. ``triangulation`` has directions of three theodolites to a buoy.
 """
 
 import functools
@@ -99,7 +99,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
 
 
 def error_in_sigmas(known: Voyage, message: Any) -> float:
-    """Return the largest error of an attitude or a pointing, of East, North, Up, in its sigmas; 0 without a truth."""
+    """Return the largest error about East, North, Up in sigmas; 0 if INVALID or without a truth, inf if not finite."""
     true = known.truth.get(stamp_of(message))
     if true is None or message.status == Status.INVALID:
         return 0.0
@@ -119,7 +119,7 @@ def _rotation(message: Any) -> FloatArray:
 def worst_error_in_sigmas(
     known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)
 ) -> float:
-    """Return the largest error in sigmas of all outputs of a run with one of some statuses."""
+    """Return the largest error in sigmas of all outputs of a run whose status is in ``statuses``."""
     published = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
     return max((error_in_sigmas(known, message) for message in published), default=0.0)
 

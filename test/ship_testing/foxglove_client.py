@@ -34,9 +34,9 @@ class FoxgloveClient:
     """One connection.
 
     Attributes:
-        message: messages of the server as received: ``serverInfo``, ``status`` and so on.
+        server_messages: messages of the server as received: ``serverInfo``, ``status`` and so on.
         channels: advertised channels by topic, as in ``advertise``.
-        received: messages in their order.
+        received: messages of the subscribed channels, in order of arrival.
     """
 
     def __init__(self, address: str, origin: str = "https://app.foxglove.dev") -> None:
@@ -61,7 +61,7 @@ class FoxgloveClient:
         self.send_request({"op": "subscribe", "subscriptions": subscriptions})
 
     def unsubscribe(self, topic: str) -> None:
-        """Unsubscribe from channels."""
+        """Unsubscribe from the channels of a topic."""
         numbers = [number for number, name in self._topics.items() if name == topic]
         for number in numbers:
             del self._topics[number]
@@ -98,11 +98,11 @@ class FoxgloveClient:
         self._loop.close()
 
     async def _leave(self) -> None:
-        # In the loop of this client: that of the thread may have been closed by another test.
+        # Close in the loop of this client, because another test may have closed the loop of the thread.
         self._socket.close()
 
     async def _take(self, limit_s: float) -> None:
-        # A reading that was given up would lose its message: the one that waits is kept for the next time.
+        # A cancelled read would lose its message, so the pending read is kept for the next call.
         if self._reading is None:
             self._reading = asyncio.ensure_future(self._socket.read_message())
         done, _ = await asyncio.wait([self._reading], timeout=limit_s)

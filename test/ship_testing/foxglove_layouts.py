@@ -16,7 +16,7 @@ MessagesByTopic = dict[str, list[Any]]
 
 SCRIPTS = "/studio_script/"
 STEP = re.compile(r'\.(?P<name>\w+)|\[(?P<index>\d+|:)\]|\{(?P<field>\w+)==(?P<value>\$\w+|"[^"]*")\}')
-PANELS = {  # type: what its configuration must hold, and what it may
+PANELS = {  # panel type: required and optional keys of its configuration
     "Plot": (
         {"paths", "xAxisVal", "isSynced"},
         {"yAxisLabel", "minYValue", "showLegend", "legendDisplay", "showPlotValuesInLegend", "showXAxisLabels",
@@ -32,7 +32,7 @@ PANELS = {  # type: what its configuration must hold, and what it may
     "DiagnosticSummary": ({"topicToRender", "minLevel"}, {"pinnedIds", "hardwareIdFilter", "sortByLevel"}),
     "Tab": ({"activeTabIdx", "tabs"}, set()),
 }  # fmt: skip
-"""The panels in use, by the types of their settings in Lichtblick 1.28."""
+"""Panels in use; the keys are those of the settings in Lichtblick 1.28."""
 TITLES = {"lichtblickPanelTitle", "foxglovePanelTitle"}
 SERIES = {"value", "label", "enabled", "timestampMethod", "color"}
 ERROR_SOURCES = {

@@ -35,7 +35,7 @@ def put_garbage(message: Any, fields: list[Path], rng: np.random.Generator) -> N
     for index in rng.integers(0, len(fields), rng.integers(1, 4)).tolist():
         *parents, name = fields[index]
         holder = functools.reduce(value_at, parents, message)
-        # Beyond what a field of single precision or of eight bits can hold, nothing can come over the wire.
+        # Values beyond the range of a float32 or 8-bit field cannot be received: setting them raises an AssertionError.
         with contextlib.suppress(AssertionError):
             setattr(holder, str(name), garbage(getattr(holder, str(name)), str(name), rng))
 
@@ -53,7 +53,7 @@ def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
     if isinstance(value, float):
         return float(random_number(rng, value))
     if isinstance(value, np.ndarray) and rng.random() < 0.5:
-        # A covariance, but of any size and rank, none included.
+        # A covariance of any magnitude, and of rank 0 to 3.
         root = rng.normal(size=(3, rng.integers(0, 4))) * 10.0 ** rng.uniform([-20.0] * 3, [1.0] * 3)[:, None]
         return (root @ root.T).ravel()
     if isinstance(value, np.ndarray):

@@ -9,7 +9,7 @@ from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import quaternion_from_rotation
 
 START_NS = 1_700_000_000_050_000_000
-"""Half a tick after a whole second."""
+"""First stamp, ns: half a tick after a whole second."""
 
 PERIOD_NS = 10_000_000
 FACTORY = RosbagsFactory()

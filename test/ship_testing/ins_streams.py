@@ -36,7 +36,7 @@ def stream(
     earth_n: FloatArray | None = None,
     seed: int = 7,
 ) -> list[AttitudeSample]:
-    """Return the samples in order; ``earth_n`` is a rate of the horizon (North, Up, East), rad/s, part of the rates."""
+    """Return the samples in order; ``earth_n`` (North, Up, East), rad/s, is added to the rates."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
     noise = ARCSEC * rng.standard_normal((2, t_s.size, 3))

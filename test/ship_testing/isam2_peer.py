@@ -17,7 +17,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario, StarSensor
 
 _CLOCK = 0
-"""Key of the INS's clock. Those of the mountings are next, then those of the times."""
+"""Key of the INS's clock. The keys of the mountings are next, then the keys of the times."""
 _RELINEARIZE_THRESHOLD = 1e-7
 """Change of an unknown, rad or s, above which its factors are relinearised: 0.02 arcseconds."""
 
@@ -29,10 +29,10 @@ def isam2_error(scenario: Scenario, seed: int) -> FinalError:
 
 
 class _Graph:
-    """The graph of a run; star sensors give attitudes in the horizon, whose errors are their noise alone.
+    """The graph of a run; star sensors give attitudes in the horizon with noise as their only error.
 
     Args:
-        run: its samples and configured sigmas are used, not its truth.
+        run: run whose samples and configured sigmas are used, and not its truth.
     """
 
     def __init__(self, run: SimulatedRun) -> None:
@@ -88,7 +88,7 @@ class _Graph:
         return self._gtsam.CustomFactor(self._gtsam.noiseModel.Diagonal.Sigmas(sigma), [key], error)
 
     def _add_state(self, key: int, previous_ns: int | None, time_ns: int) -> tuple[Any, Any]:
-        """Add a new time, with the change of the INS's slow error since the one before: Gauss–Markov."""
+        """Add a new time, with the Gauss–Markov change of the INS's slow error since the time before."""
         gtsam, ins = self._gtsam, self._run.scenario.ins
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         sigma = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]) * ARCSEC
@@ -110,7 +110,7 @@ class _Graph:
         return graph, values
 
     def _sighting(self, key: int, time_ns: int, sensor_id: str, row: int) -> Any:
-        """Add R_star = exp(a) R_ins(t - tau) R0 exp(m) exp(noise), its residual in the sensor."""
+        """Return the factor R_star = exp(a) R_ins(t - tau) R0 exp(m) exp(noise), with the residual in the sensor."""
         sensor, samples = self._run.scenario.star_sensors[sensor_id], self._run.stars[sensor_id]
         mounting = self._mounting_keys[sensor_id]
         nominal_dv = rotation_from_angles(*np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg]))
@@ -152,7 +152,7 @@ def _mounting_sigma(sensor: StarSensor) -> FloatArray:
 
 
 class _Ins:
-    """INS between its samples: each extrapolated by its rates, and their mean weighted by distance in time."""
+    """INS between two samples: both are extrapolated by their rates, and their mean is weighted by the times."""
 
     def __init__(self, run: SimulatedRun) -> None:
         ins = run.ins
@@ -173,12 +173,12 @@ class _Ins:
         return by_left @ exp_rotation(part * log_rotation(by_left.T @ by_right)), rate_d
 
     def last_attitude(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the same at the last stamp: only that sample, extrapolated by its rates, with only its noise."""
+        """Return attitude and rate at the last stamp, from the last sample alone, extrapolated by its rates."""
         _, halfway_d = self.attitude_at(int(self.time_ns[-1]), 0.5 * offset_s)
         return self._rotation_nd[-1] @ exp_rotation(-halfway_d * offset_s), self._rate_d[-1]
 
     def white_variance(self, time_ns: int) -> float:
-        """Return the noise variance of such a mean, rad², each axis."""
+        """Return the noise variance of the interpolated attitude about each axis, rad²."""
         _, part, _ = self._interpolation(time_ns, 0.0)
         return float(self._white * ((1.0 - part) ** 2 + part**2))
 

@@ -23,9 +23,9 @@ _REALTIME_PRIORITY = "chrt", "--rr", "1"
 """Prefix of a command: real-time priority, if that is permitted."""
 _START_S = 15.0
 _LONGEST_S = 600
-# It finds its namespaces below /run/netns. On a /run of its own, two links do not meet, and nothing is left behind.
+# netem.py finds its namespaces below /run/netns. With a private /run, two links do not meet and nothing is left.
 _PRIVATE_RUN = 'mount -t tmpfs tmpfs /run && mkdir /run/netns && exec "$@"'
-# The share that is lost is a variable of its script, which it reads for each packet.
+# The loss is a variable of netem.py, which is read for each packet.
 _SWITCHABLE_LOSS = f"""
 import signal, sys
 sys.argv = sys.argv[1:]
@@ -57,7 +57,7 @@ class LossyLink:
 
     def __init__(self, loss: float, folder: Path) -> None:
         self._folder = folder
-        # Shared memory would go past the link.
+        # Shared memory would bypass the link.
         self._environment = live_environment(1, folder / "ros") | UDP_ONLY
         self._has_realtime_priority = bool(shutil.which("chrt")) and not subprocess.run(
             [*_REALTIME_PRIORITY, "true"], stderr=subprocess.DEVNULL, check=False

@@ -33,6 +33,6 @@ class MemorySink:
     def write_many(
         self, topics: Sequence[tuple[str, str]], of_topic: np.ndarray, data: Sequence[bytes], log_times_ns: np.ndarray
     ) -> None:
-        """Store messages of several topics: ``topics`` by the number in ``of_topic``."""
+        """Store messages of several topics; ``of_topic`` is the index of each message's topic in ``topics``."""
         for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
             self.published[topics[number][0]].append((time_ns, bytes(content)))

@@ -8,11 +8,11 @@ from ship_bags.message_store import message_store, serialize
 
 
 def type_name_of(message: Any) -> str:
-    """Return the name of its type, as ``sensor_msgs/msg/Imu``."""
+    """Return the name of a message's type, as ``sensor_msgs/msg/Imu``."""
     kind = type(message)
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def value_bytes(message: Any) -> bytes:
-    """Return all its values, bit-exact; the padding bytes of rclpy's serialisation are undefined."""
+    """Return all values of a message, bit-exact, without rclpy's padding bytes, which are undefined."""
     return serialize(message_store().deserialize_cdr(serialize_message(message), type_name_of(message)))

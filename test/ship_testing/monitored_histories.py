@@ -1,7 +1,7 @@
 """Ten minutes of a monitored suite, drawn with a seed: input of panels in tests without a suite.
 
-A star sensor is displaced half a minute before the end, stars were missing for half a minute before, and a light was
-hidden for a while: the situation of the design of the page.
+A star sensor is displaced 40 s before the end, stars are missing for 27 s about six minutes before the end, and an
+event reports the return of a light: the situation of the page's design.
 """
 
 from collections import deque
@@ -66,7 +66,7 @@ def simulated_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool
 
 
 def simulated_state(now_ns: int = NOW_NS) -> SuiteState:
-    """Return the suite state at the end of it."""
+    """Return the suite state at the end of the history."""
     good = source("star.fore", topics=("star/fore/observations",))
     bad = replace(SHIFTED_SENSOR, out_since_ns=now_ns - int(SHIFT_AGE_S * 1e9))
     topics = ("gnss/fix", "ins/imu", "met/pressure", *good.topics, *bad.topics)

@@ -34,7 +34,7 @@ FAULTS = {
     ),
 }
 TIMEOUT_S = 2.0
-"""A message is overdue after three periods, 2 s at least (docs/explanation/watch.md): before, it may only be late.
+"""A message is overdue after three periods, and at least 2 s (docs/explanation/watch.md): until then it may be late.
 Three periods of the star sensor are 0.6 s, of the encoder 0.06 s.
 """
 
@@ -46,8 +46,8 @@ DETECTABLE_S = {
 END_S = {"demo": 43.0, "theodolite": 35.0}
 DETECTION_LIMIT_S = 2.0
 TIMEOUT_DETECTION_LIMIT_S = 0.5
-"""An overdue message is reported without a further message: at the next update, 0.2 s, by the alerts 0.2 s later
-(AlertTimes.raise_after_s) and so an update later; measured 0.0 s and 0.2 s.
+"""Maximum time from a timeout to its detection, s. No further message is needed: the next update, within 0.2 s, detects
+the timeout, and the alert is raised 0.2 s later (AlertTimes.raise_after_s). Measured: 0.0 s and 0.2 s.
 """
 TIMED_OUT_SOURCES = ("star.fore", "encoder")
 
@@ -62,14 +62,14 @@ class MonitoredVoyage:
     """Monitored states of a voyage.
 
     Attributes:
-        monitor: state at the end.
+        monitor: monitor after the last message.
         start_ns: log time of the first message.
-        end_ns: of the last.
+        end_ns: log time of the last message.
         out_s: source → times of its exclusion, s.
         back_s: source → times of its return, s.
         shown_sources: source → its states at the times of exclusion.
-        root_causes: times of an exclusion by a fault of the source itself, s, with its name.
-        state_at: the suite state of each whole second.
+        root_causes: (time, name) of each exclusion that is due to a fault of the source itself, s.
+        state_at: whole second → suite state.
     """
 
     monitor: SuiteMonitor
@@ -94,8 +94,8 @@ class MonitoredVoyage:
 def replay_with_faults(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
     """Return a bag of the repository with faults (YAML of the group ``faults``), and the suite's outputs for it.
 
-    They are created once in a run of the tests, by the first worker that needs them, and must not be changed:
-    ``folder`` is one of pytest's, which gives the folder of that run.
+    The bags are created once in a run of the tests, by the first worker that needs them, and must not be changed.
+    ``folder`` is a temporary folder of pytest, inside the folder of the run.
     """
     run = folder.parents[1] if "PYTEST_XDIST_WORKER" in os.environ else folder.parent
     place = run / f"replayed_{bag}_{hashlib.sha256(faults.encode()).hexdigest()[:16]}"

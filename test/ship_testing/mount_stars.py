@@ -1,6 +1,7 @@
 """Stars in a camera on the theodolite, with all errors drawn: exposures for the filter, and the true main axis.
 
-The camera is that of [W18]: 100 mm, 6.5 µm pixels, a tenth of one. Its stars are real ones, at random within ±4°.
+The camera is that of [W18]: 100 mm, 6.5 µm pixels, centroids to a tenth of a pixel. The stars are real, drawn at random
+within ±4°.
 """
 
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 CAMERA_ID = "night"
 FIELD = np.deg2rad(4.0)
 STAR_SIGMA = 0.1 * 6.5e-6 / 0.1
-"""A tenth of a pixel, rad."""
+"""Sigma of a star: a tenth of a pixel, rad."""
 CAMERA = {"focal_length_m": 0.1, "pixel_pitch_m": 6.5e-6, "principal_u_px": 1100.0, "principal_v_px": 1100.0}
 MOUNTED_DEG = {"azimuth_deg": 0.2, "elevation_deg": -0.1, "roll_deg": 3.0}
 
@@ -56,7 +57,7 @@ def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int
 
 
 def anchored_readings(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFix | AirReading]:
-    """Return position and weather inputs of such a ship."""
+    """Yield position and weather readings of a ship at anchor."""
     for second in range(-3, seconds):
         yield PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0)
     for quantity, value, sigma in (("pressure", 1013.0, 0.5), ("temperature", 12.0, 1.0), ("humidity", 0.7, None)):
@@ -68,11 +69,11 @@ class MountErrors:
     """Constant errors of one session: true minus configured.
 
     Attributes:
-        axes: rad, shape (7,).
+        axes: axis errors, rad, shape (7,).
         deformation_d: rotation vector, rad, shape (3,).
-        ship_n: of the ship's attitude, rotation vector, rad, shape (3,).
-        parallelism: rad, shape (3,).
-        sky: in sigmas, shape (4,), or (5,) where UTC may be wrong.
+        ship_n: error of the ship's attitude, rotation vector, rad, shape (3,).
+        parallelism: error of the camera's parallelism, rad, shape (3,).
+        sky: errors that all stars share, in sigmas, shape (4,), or (5,) where UTC may be wrong.
     """
 
     axes: FloatArray
@@ -106,20 +107,20 @@ def observe_stars(
     lens: TrueOptics | None = None,
     optics: OpticsErrors | None = None,
 ) -> StarExposure:
-    """Return this many stars of the field, drawn at random; for optics with errors the brightest, always the same.
+    """Return ``count`` stars of the field: random ones, or the brightest if ``detector`` or ``lens`` is given.
 
     Args:
         sky_model: the sky.
         rotation_ns: true attitude of the camera (horizon from camera), shape (3, 3).
         sky_errors: errors that all stars share, in sigmas.
-        count: of the stars.
-        rng: of the noise.
+        count: number of stars.
+        rng: random numbers of the noise and of the selection.
         time_ns: middle of the exposure.
-        camera_id: of the camera.
+        camera_id: id of the camera.
         spatial: model of the detector's position-dependent errors.
-        detector: these errors.
-        lens: true optics of the camera; None where they are those configured.
-        optics: model of the errors of its lens.
+        detector: true position-dependent errors of the detector; None for none.
+        lens: true optics of the camera; None for the configured optics.
+        optics: model of the errors of the lens.
     """
     sky_at_time, catalogue = sky_model.sky_at(time_ns), sky_model.catalogue
     rows = sky_at_time.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
@@ -160,7 +161,7 @@ class MountSession:
         settings: configuration, with the sigmas of the noise.
         errors: constant errors.
         sky_model: the sky.
-        rng: of the noise.
+        rng: random numbers of the noise.
         detector: position-dependent errors of the camera's detector; None for none.
     """
 
@@ -212,7 +213,7 @@ class MountSession:
         )
 
     def sighting(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarSighting:
-        """Return the same with the ship's attitude and the encoders."""
+        """Return an exposure of ``count`` stars with the ship's attitude and the encoder angles."""
         angles = self.reading(encoder).vector
         variance = (self.settings.encoder.sigma_arcsec * ARCSEC) ** 2
         exposure = self.exposure(encoder, count, time_ns)

@@ -43,16 +43,16 @@ class NmeaInPeer:
     """The node under test and its peer.
 
     Args:
-        path: path of its parameter file.
+        path: path of the node's parameter file.
         sources: id → parameters of a source.
-        namespace: of the node.
+        namespace: namespace of the node.
         use_sim_time: True to use /clock.
-        as_process: run it as a separate process, whose log is next to the parameter file; otherwise in a thread.
+        as_process: True to run the node as a process, whose log is next to the parameter file; False for a thread.
 
     Attributes:
         received: topic → the messages received.
-        process: of the node; None if it runs in a thread.
-        log: file of its log, if it is a process.
+        process: process of the node; None if the node runs in a thread.
+        log: log file of the node, if the node is a process.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class NmeaInPeer:
         for topic, type_name in topics.items():
             take = self.received[topic].append
             self.peer.create_subscription(message_class(type_name), topic, take, QoSProfile(depth=_DEPTH))
-        # It is matched when its first report is here: the report's topic was the first to be published.
+        # The node is connected when its first report has arrived, because its publisher of reports is the first.
         self.wait_until(lambda: self._diagnostics)
         self.wait_until(lambda: all(self.peer.count_publishers(topic) == 1 for topic in topics))
 

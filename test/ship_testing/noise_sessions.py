@@ -22,7 +22,7 @@ STILL = CarrierMotion(
 
 
 def scenario(duration_s: float, rate_hz: float = 0.1, star: dict[str, Any] | None = None, **ins: Any) -> Scenario:
-    """Return two star sensors at right angles on a ship that hardly moves; samples of all devices at one rate."""
+    """Return a scenario: two star sensors at right angles, a ship with constant attitude, all devices at one rate."""
     mounted = {"elevation_deg": 45.0, "rate_hz": rate_hz} | (star or {})
     return Scenario(
         carrier=STILL,
@@ -58,10 +58,10 @@ def simulated_noise_session(
     """Return the session of a simulated voyage.
 
     Args:
-        of: the voyage.
-        seed: of the random numbers.
+        of: scenario of the voyage.
+        seed: seed of the random numbers.
         ins_changes: changed parameters of ``ins`` in the suite.
-        with_fixes: True to simulate position fixes.
+        with_fixes: True to use position fixes although the suite does not need them.
     """
     suite = suite_configuration(of)
     thin = {"max_gap_s": 1.5 / of.ins.rate_hz, "silence_s": 20.0}

@@ -43,7 +43,7 @@ class StateSource:
         self.history = self.history if history is None else history
 
     def controls(self, _on_move: Callable[[], None]) -> None:
-        """None."""
+        """Return None: the source has no controls."""
 
 
 @contextlib.contextmanager

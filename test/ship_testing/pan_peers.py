@@ -1,9 +1,9 @@
 """Methods with which [P15] is compared, as described in its §1: the peers of star vectors.
 
-Its [6] joins two boresights: each sensor solves its attitude, and the ship's attitude is that of the two boresights.
-Its [5] applies refraction to the observations: an attitude without air, elevations by it, the observed vectors
-lowered, and repeated. Directions are from ERFA's one-call chain, attitudes from scipy; of the suite only the tables of
-the catalogue and of Earth orientation are used.
+[6] of [P15] combines two boresights: each sensor solves its attitude, and the two boresights give the ship's attitude.
+[5] of [P15] corrects the observations for refraction: it solves an attitude without air, computes elevations from this
+attitude, lowers the observed vectors, and repeats. Directions are from ERFA's ``atco13``, attitudes from scipy; of the
+suite only the tables of the catalogue and of Earth orientation are used.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ class SensorView:
 
 @dataclass(frozen=True)
 class ErfaSky:
-    """Sky of a ship at rest, with its input of time, place and air; without air where that is None."""
+    """Sky of a ship at rest at a time and a position; without air if ``weather`` is None."""
 
     time_ns: int
     position: GeodeticPosition
@@ -91,7 +91,7 @@ class ErfaSky:
 
 
 def refraction_on_reference(view: SensorView, sky: ErfaSky, fewest: int = MIN_STARS) -> FloatArray | None:
-    """Return horizon from sensor by the stars of one sensor, refraction on the reference; None with too few stars."""
+    """Return horizon from sensor by one sensor's stars, refraction in the reference; None with too few stars."""
     return _wahba(sky.directions(view.stars), view.measured_s) if len(view) >= fewest else None
 
 
@@ -101,7 +101,8 @@ def refraction_on_observed(
     """Return horizon from sensor by the stars of one sensor, refraction removed from the observations, by [5].
 
     Returns:
-        The attitude, and the number of rounds to convergence after the first attitude; None with too few stars.
+        The attitude, and the number of rounds to convergence after the first attitude; None with too few stars or
+        without convergence.
     """
     if len(view) < fewest:
         return None

@@ -13,7 +13,7 @@ EXACT_OPTICS = {"focal_length_sigma_m": 1e-12, "principal_sigma_px": 0.0, "disto
 
 
 def paper_stars(**changes) -> Scenario:
-    """Return ten seconds of it with few INS samples and exact optics, fields of the scenario changed."""
+    """Return ten seconds of the case with the INS at 10 Hz and exact optics; ``changes`` replace scenario fields."""
     scenario = with_exact_optics(load_scenario(PAPER_STARS))
     quick = dataclasses.replace(scenario, duration_s=10.0, ins=dataclasses.replace(scenario.ins, rate_hz=10.0))
     return dataclasses.replace(quick, **changes)

@@ -104,7 +104,7 @@ def drift_encoders(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: floa
 
 
 def drift_ship_attitude(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """Let ``ship/attitude`` drift about North, Up and East from FAULT_S on; its rates do not contain it."""
+    """Let ``ship/attitude`` drift about North, Up and East from FAULT_S on; its rates do not contain the drift."""
     fused, turning_n = run.fused, ARCSEC * np.array(arcsec_n_per_s)
     rotation_nd = exp_rotation(_fault_duration_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
@@ -122,7 +122,7 @@ def shift_telescope(
 
 
 def shift_beacon_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """Delay or advance the stamps of the images from FAULT_S on."""
+    """Delay or advance stamps and arrivals of the images from FAULT_S on."""
     images = run.theodolite.images
     late_ns = round(delay_s * 1e9) * _is_faulty(run, images.time_ns, until_s)
     late = replace(images, time_ns=images.time_ns + late_ns, log_time_ns=images.log_time_ns + late_ns)
@@ -143,18 +143,18 @@ def _fault_duration_s(run: SimulatedRun, time_ns: np.ndarray, until_s: float) ->
 
 @dataclass(frozen=True)
 class PointingErrors:
-    """Outputs of the core at the stamps of the truth, k of them.
+    """The k outputs of the core at stamps of the truth that are not INVALID.
 
     Attributes:
-        time_s: after the start, shape (k,).
-        status: shape (k,).
+        time_s: time after the start, s, shape (k,).
+        status: status of each output, shape (k,).
         sigmas: largest error of azimuth·cosE, elevation and image rotation in their sigmas, shape (k,).
-        errors: of these three, rad, shape (k, 3).
+        errors: errors of these three, rad, shape (k, 3).
         levels: their protection levels, rad, shape (k, 3); NaN where there is none.
         estimates: the outputs.
-        core: after the session.
-        rejected_count: inputs and exposures that were not used.
-        start_ns: of the session.
+        core: core after the session.
+        rejected_count: number of inputs and exposures that were not used.
+        start_ns: start of the session.
         excluded_sources: sources that were ever excluded.
     """
 
@@ -170,7 +170,7 @@ class PointingErrors:
     excluded_sources: set[str]
 
     def worst(self, *statuses: Status, from_s: float = FAULT_S) -> float:
-        """Return the largest error in sigmas of outputs with one of some statuses; 0 for none."""
+        """Return the largest error in sigmas of outputs with one of these statuses; 0 without such outputs."""
         chosen = np.isin(self.status, statuses) & (self.time_s >= from_s)
         return float(np.max(self.sigmas[chosen], initial=0.0))
 
@@ -190,8 +190,8 @@ class CoreRun:
 
     Attributes:
         core: the core.
-        outcomes: of each arrival.
-        levels: by stamp of the truth.
+        outcomes: outcome of each arrival.
+        levels: protection levels by stamp of the truth, rad.
     """
 
     def __init__(self, config: OpticalAxisConfig) -> None:
@@ -214,9 +214,9 @@ class CoreRun:
 
 
 _BEFORE_FAULTS: dict[tuple[int, str], CoreRun] = {}
-"""Outputs before FAULT_S by configuration and by truth, which all faults of a clean session share.
+"""Core runs until FAULT_S by truth and configuration; all faults of a session share them.
 
-Only the newest few: each is tens of megabytes.
+Only the newest _MAX_CACHED are kept, because each has tens of megabytes.
 """
 _MAX_CACHED = 3
 
@@ -226,8 +226,8 @@ def run_core(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes
 
     Args:
         run: the session.
-        stamps_of: the same session with correct stamps of the encoders, if these are wrong.
-        changes: parameters.
+        stamps_of: the same session with correct encoder stamps, if those of ``run`` are wrong.
+        changes: changed parameters.
     """
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     if changes:

@@ -1,4 +1,4 @@
-"""Rows of a voyage computed in blocks: equal to those computed all at once, for any order of access."""
+"""Rows that are computed in blocks equal those computed all at once, for any order of access."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_rows_equal_those_computed_all_at_once():
 def test_blocks_are_computed_once_in_order_of_time():
     counted = CountedRows()
     rows = LazyRows(counted)
-    # Order of arrival: some samples out of the order of their stamps, here across the ends of blocks.
+    # Some samples arrive out of the order of their stamps, here across the ends of blocks.
     order = np.argsort(np.arange(COUNT) + np.random.default_rng(1).uniform(0.0, 50.0, COUNT))
     assert [rows[int(row)] for row in order] == (order**2).tolist()
     assert counted.parts == [slice(start, start + BLOCK_ROWS) for start in range(0, COUNT, BLOCK_ROWS)]

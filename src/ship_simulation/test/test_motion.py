@@ -46,7 +46,7 @@ def test_body_rate_is_the_derivative_of_the_attitude(name):
     t_s = np.arange(0.1317, 57.0, 0.37)
     turned = np.swapaxes(carrier.attitude(t_s - half_step_s), -1, -2) @ carrier.attitude(t_s + half_step_s)
     differenced = log_rotation(turned) / (2.0 * half_step_s)
-    # The error of a central difference is h²/6 of the third derivative, here below 1 rad/s³: 2e-7.
+    # The error of a central difference is h²/6 times the third derivative, which is below 1 rad/s³ here: 2e-7 rad/s.
     np.testing.assert_allclose(carrier.body_rate(t_s), differenced, rtol=0.0, atol=2e-6)
 
 
@@ -97,7 +97,7 @@ def test_a_spline_through_one_sample_a_second_follows_a_rolling_ship():
     error = Rotation.from_matrix(motion.attitude(between_s)).inv() * Rotation.from_matrix(
         CARRIERS["paper"].attitude(between_s)
     )
-    # Error of a cubic spline: h⁴/384 of the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
+    # Error of a cubic spline: h⁴/384 times the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
     assert np.rad2deg(error.magnitude().max()) < 0.004
 
 
@@ -121,7 +121,7 @@ def test_the_ships_response_has_the_variance_of_the_integral_over_the_spectrum()
     w = np.linspace(0.5 * modal, 4.0 * modal, 20_001)
     spectrum = elevation_spectrum(w, sea.significant_height_m, sea.modal_period_s)
     expected = [trapezoid(spectrum * np.abs(r.transfer(w)) ** 2, w) for r in sea_responses(sea)]
-    # Random frequencies in their bands make realisations scatter; the mean of 50 scatters by a seventh of that.
+    # The frequencies are random in their bands, so realisations scatter; the mean of 50 scatters a seventh as much.
     motions = [make_carrier(CarrierMotion(kind="sea_state", sea=sea), seed) for seed in range(50)]
     variance = np.mean([0.5 * np.sum(np.abs(m.phasor) ** 2, axis=0) for m in motions], axis=0)
     np.testing.assert_allclose(variance, expected, rtol=0.02)

@@ -22,7 +22,7 @@ FOCAL_LENGTH_M, PIXEL_PITCH_M, MIDDLE_PX = 0.1, 6.5e-6, 1100.0
 
 
 def short_run(duration_s=4.0, **changes):
-    """Return the star scenario without lights and targets; changes by path of its camera."""
+    """Return the night scenario without beacons and targets; ``changes`` replace nested fields of its star camera."""
     scenario = with_exact_optics(load_scenario(SCENARIOS / "theodolite_night.yaml"))
     camera = replace_nested(scenario.telescopes["night"], **changes)
     return dataclasses.replace(scenario, duration_s=duration_s, beacons={}, targets={}, telescopes={"night": camera})
@@ -35,8 +35,8 @@ def stars_of(run):
 @pytest.mark.parametrize("exposure_s", [0.0, 0.8])
 def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
     # The expected image is the mean of the star's path, by the trapezoidal rule; the mount sweeps 12' in the longer
-    # exposure. The simulation holds the sky constant meanwhile. The remaining difference is the product of its turn of
-    # 12" and that of the image of 2°: 0.03" or 0.002 px.
+    # exposure. The simulation holds the sky constant during an exposure. The remaining difference is a twelfth of the
+    # sky's rotation, 12", times the image's rotation, 2°: 0.03" or 0.002 px.
     settings = {"identified": True, "false_stars": 0.0, "camera__centroid_sigma_px": 1e-6}
     run = simulate(short_run(exposure_s=exposure_s, **settings), seed=1)
     truth, sky, found = run.theodolite.truth, run.truth.sky, stars_of(run)
@@ -124,5 +124,5 @@ def test_detector_errors_are_drawn_for_this_camera_too():
         for sigma_px in (0.0, 0.5)
     )
     off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel
-    # Few positions of the detector are independent: the sigma is within a factor of two.
+    # Few positions on the detector have independent errors, so the RMS is checked only to a factor of two.
     assert 0.25 < np.sqrt(np.mean(off_px**2)) < 1.0

@@ -22,7 +22,7 @@ def test_gauss_markov_is_stationary_from_the_start_with_its_correlation_time():
     process = GaussMarkov(random_stream(1, "test"), 1.0, sigma, time_s).take(41)
     for index in (0, 1, 20, 40):
         assert_sigma(process[index], 5.0)
-    # x(20 s) contains exp(-1) of x(0); the rest is independent of it.
+    # x(20 s) contains exp(-1) times x(0); the rest is independent of x(0).
     assert_sigma(process[20] - np.exp(-1.0) * process[0], 5.0 * np.sqrt(1.0 - np.exp(-2.0)))
     correlation = np.mean(process[20] * process[0]) / 25.0
     assert correlation == pytest.approx(np.exp(-1.0), abs=3.3 / np.sqrt(count))

@@ -67,7 +67,7 @@ def test_imu_uses_enu_and_forward_left_up():
     assert ns_from_stamp(message.header.stamp) == run.ins.time_ns[7]
     assert log == run.ins.log_time_ns[7]
     assert message.header.frame_id == "ins"
-    # By hand, without ros_axes: ENU yaw is 90° - heading, ROS pitch is bow down, ROS roll starboard down.
+    # By hand, without ros_axes: ENU yaw is 90° - heading, ROS pitch is positive bow down, ROS roll starboard down.
     heading, pitch, roll = angles_from_rotation(run.ins.rotation_nd[7])
     yaw = np.pi / 2.0 - heading
     half = 0.5 * np.array([yaw, -pitch, roll])

@@ -69,7 +69,7 @@ def by_atco13(sky, rows, time_ns):
 
 
 def test_directions_with_air_are_those_of_atco13():
-    # UT1 1 s off and air far from the known one: the drawn values are used.
+    # UT1 and the air are drawn far from their known values: the sky must use the drawn ones.
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=30.0, temperature_sigma_k=10.0)
     sky = draw(1, earth_rotation_sigma_s=1.0, weather=weather)
     assert abs(sky.ut1_error_s) > 0.1
@@ -80,7 +80,7 @@ def test_directions_with_air_are_those_of_atco13():
         high = elevation_of(direction_n) > np.deg2rad(15.0)
         assert np.count_nonzero(high) > 100
         difference = angle_between(direction_n[high], by_atco13(sky, rows[high], stamp_ns))
-        # ERFA evaluates the refraction of its two constants differently: 0.03 mas at 15°.
+        # atco13 evaluates the refraction from ERFA's two constants by another formula: 0.03 mas at 15°.
         assert np.max(difference) < 0.1 * MAS
 
 
@@ -108,7 +108,7 @@ def test_the_almanacs_refraction_is_another():
     rows = erfas.catalogue.rows_brighter_than(2.0)
     ours, theirs = (sky.directions(sky.positions[rows], np.array(START_NS)) for sky in (erfas, almanacs))
     elevation = elevation_of(ours)
-    # models.md §2: 0.4″ apart at 42°; none below 14° and 5°.
+    # models.md §2: the two models differ by 0.4″ at 42°; the almanac gives none below 14°, ERFA none below 5°.
     middle = (elevation > np.deg2rad(30.0)) & (elevation < np.deg2rad(60.0))
     difference = angle_between(ours, theirs)[middle] / ARCSEC
     assert np.all((difference > 0.1) & (difference < 1.0))
@@ -116,7 +116,7 @@ def test_the_almanacs_refraction_is_another():
 
 
 def test_the_horizon_rotation_equals_that_of_erfas_cirs_chain():
-    """Without aberration and deflection, ICRS → CIRS → observed by angles must be the one rotation."""
+    """ERFA's ICRS → CIRS → observed, without aberration and deflection, must equal ``rotation_horizon_from_icrs``."""
     sky = draw(2)
     time_ns = np.array(START_NS + 1234 * SECOND_NS)
     place, orientation = sky.track.position_at(time_ns), sky.orientation(time_ns)
@@ -155,7 +155,7 @@ def test_the_refraction_rotation_is_about_the_horizontal():
     visible = np.isfinite(seen[:, 0])
     lifted = (sky.refraction_rotation(seen[visible]) @ without_air[visible][..., None])[..., 0]
     assert np.max(angle_between(lifted, seen[visible])) < 0.01 * MAS
-    # Its axis is horizontal, to the sensor's right: no rotation about the boresight or about Up.
+    # The rotation axis is horizontal and perpendicular to the line of sight.
     turns_n = log_rotation(sky.refraction_rotation(seen[visible]))
     np.testing.assert_allclose(turns_n[:, 1], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.sum(turns_n * seen[visible], axis=1), 0.0, atol=1e-12)
@@ -236,7 +236,7 @@ def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
     sigma_m = np.sqrt(2.0**2 + 10.0**2)
     np.testing.assert_allclose(fixes.covariance_m2, sigma_m**2 * np.eye(3))
     for axis in range(3):
-        # Every fifth: after five correlation times 0.7 % of the correlated error remains.
+        # Only every fifth fix: after five correlation times 0.7 % of the correlated error remains.
         assert_sigma(error_m[::5, axis], sigma_m)
         # From fix to fix, exp(-1) of the correlated part remains.
         neighbours = np.mean(error_m[1:, axis] * error_m[:-1, axis]) / 10.0**2

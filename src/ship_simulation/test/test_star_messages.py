@@ -20,7 +20,7 @@ OBSERVATIONS, INERTIAL = "star/fore/observations", "star/fore/inertial_attitude"
 
 
 def entries_of(run, topic):
-    """Return (message, log time) of one topic, through the bytes of a bag."""
+    """Return pairs (message, log time) of one topic, each message serialised and read back."""
     store = message_store()
     found = [(message, log) for name, message, log in generate_messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
@@ -52,18 +52,18 @@ def test_an_inertial_attitude_uses_forward_left_up():
     # By hand: columns forward, left, up from forward, up, right.
     forward, up, right = samples.rotation_cv[3].T
     np.testing.assert_allclose(rotation_if, np.stack([forward, -right, up], axis=1), rtol=0.0, atol=1e-14)
-    # About forward, left, up: 60″, that about right, that about up.
+    # Sigmas about forward, left, up: 60″, 5″ as about right, 3″.
     expected = np.diag([60.0**2, 5.0**2, 3.0**2]) * ARCSEC**2
     np.testing.assert_allclose(message.covariance.reshape(3, 3), expected, rtol=1e-12)
 
 
 def in_window(entries, run):
-    """Return the entries stamped from 1 s to 2 s."""
+    """Return the messages stamped from 1 s to 2 s after the start."""
     return [m for m, _ in entries if SECOND_NS <= ns_from_stamp(m.header.stamp) - run.start_ns < 2 * SECOND_NS]
 
 
 def faulty(scenario, topic, kind, **changes):
-    """Return the run, and the entries of a topic without and with a fault from 1 s to 2 s."""
+    """Return the run without a fault, and a topic's entries without and with a fault from 1 s to 2 s."""
     fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
     clean, changed = simulate(scenario, 1), simulate(dataclasses.replace(scenario, faults={"fault": fault}), 1)
     return clean, entries_of(clean, topic), entries_of(changed, topic)

@@ -41,7 +41,7 @@ def share_band(count, share):
 
 
 def by_atco13(sky, rows, time_ns):
-    """Return observed directions (N, U, E) with refraction of stars, at one time or one time per star."""
+    """Return observed star directions (N, U, E) with refraction, at one time or at one time per star."""
     stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.position_at(time_ns)
     air = sky.weather
     azimuth, zenith_distance, *_ = erfa.atco13(
@@ -63,7 +63,7 @@ def stars_by_exposure(sightings, truth):
 
 @pytest.mark.parametrize("most_stars", [1000, 5])
 def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
-    """Compared with the same voyage without the mast; each star is looked up in the mast's rectangle."""
+    """The stars are those of the same voyage without the mast, except the stars in the mast's rectangle."""
     mast = MaskConfig(azimuths_deg=(340.0, 361.0, 361.0, 340.0), elevations_deg=(-5.0, -5.0, 47.0, 47.0))
     free = with_sensor(paper_stars(), most_stars=1000, camera=QUIET)
     sightings, truth, sky = sightings_of(free)
@@ -103,7 +103,7 @@ def test_each_star_is_imaged_according_to_attitude_and_erfa():
     exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
     valid_ns = sightings.time_ns[exposure] + 300_000_000
     expected_n = by_atco13(sky, sky.catalogue.rows(truth.hip), valid_ns)
-    # Through the camera and back: a millionth of a pixel is 0.02 mas.
+    # The centroid noise of a millionth of a pixel is 0.02 mas.
     seen_n = (truth.rotation_nv[exposure] @ sightings.stars.directions_s[..., None])[..., 0]
     assert np.max(angle_between(seen_n, expected_n)) < 0.3 * MAS
     assert len(sightings.stars) == 8 * sightings.time_ns.size
@@ -141,7 +141,7 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
     error_px = sightings.pixel - camera.pixels(truth.direction_s)
     assert_sigma(error_px[:, 0], 0.13222)
     assert_sigma(error_px[:, 1], 0.13222)
-    # 3″ on the sky, as stated to the estimator; the same from the directions, two degrees of freedom each.
+    # The stated sigma is 3″ on the sky; the directions scatter by it, with two degrees of freedom each.
     assert sightings.stars.sigma == pytest.approx(np.full(len(sightings.stars), 3.0 * ARCSEC), rel=0.05)
     angle = angle_between(sightings.stars.directions_s, truth.direction_s)
     low, high = mean_nees_band(angle.size, 2)
@@ -150,7 +150,7 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
 
 
 def paths_of(scenario, sightings, truth, count=200):
-    """Return the true points of each star at many times of its exposure, shape (count, k, 2)."""
+    """Return the true pixels of each star at ``count`` times of its exposure, shape (count, k, 2)."""
     sensor, carrier = scenario.star_sensors[FORE], make_carrier(scenario.carrier, 1)
     camera, first_ns = sensor.camera.camera("camera"), sightings.time_ns[0]
     exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
@@ -169,7 +169,7 @@ def test_a_simulated_centroid_is_the_mean_of_the_star_s_true_path(exposure_s):
     way = paths_of(scenario, sightings, truth)
     off = np.abs(way.mean(axis=0) - way[100]).max()
     np.testing.assert_allclose(sightings.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
-    # Points without an exposure are unchanged.
+    # The points differ from those of an exposure time of zero.
     still, _, _ = sightings_of(paper_stars_one(camera={**QUIET, **DISTORTED}))
     assert np.max(np.abs(sightings.pixel - still.pixel)) > 0.05
 
@@ -234,7 +234,7 @@ def test_false_stars_are_poisson_uniform_in_the_field_with_any_identity():
     expected = false.sum() / 64.0
     assert np.sum((cells - expected) ** 2) / expected < chi2.ppf(0.9995, 63)
     assert cells.sum() == false.sum()
-    # The identity is independent of the position: distributed as the catalogue's stars, rarely in the field itself.
+    # False identities do not depend on the position: they are distributed as the catalogue's stars.
     rows = sky.catalogue.rows(sightings.stars.hip[false])
     bright = sky.catalogue.rows_brighter_than(6.0)
     north = np.mean(sky.catalogue.at_j2000.declination[bright] > 0.0)
@@ -297,7 +297,7 @@ def test_clouds_and_daylight_leave_exposures_empty():
     counts = np.diff(cloudy.first)
     assert not counts[inside].any()
     assert counts[~inside].min() >= 8
-    # At dawn: exposures end when the Sun reaches the limit.
+    # At dawn, exposures are empty from the time when the Sun reaches the limit.
     dawn = dataclasses.replace(paper_stars(duration_s=1200.0), start_utc="2014-07-09T20:10:00Z")
     sightings, _, sky = sightings_of(with_sensor(dawn, rate_hz=0.2, sun_limit_deg=-8.0))
     too_light = np.rad2deg(sky.sun_elevation(sightings.time_ns)) >= -8.0
@@ -314,7 +314,7 @@ def test_stars_below_the_models_lowest_elevation_are_not_seen():
         exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
         up = (truth.rotation_nv[exposure] @ truth.direction_s[..., None])[:, 1, 0]
         elevation[model] = np.rad2deg(np.arcsin(up))
-    # 5° and 14° without air; refraction lifts by 0.16° and 0.06°.
+    # The limits are 5° and 14° without air; refraction there is 0.16° and 0.06°.
     assert 5.1 < elevation["erfa"].min() < 5.5
     assert 14.0 < elevation["almanac"].min() < 14.4
 
@@ -341,7 +341,7 @@ def test_the_boresight_of_an_inertial_attitude_is_without_aberration_and_with_re
     elevation = np.arcsin(bare_nv[:, 1, 0])
     lifted = np.arcsin(true_nv[:, 1, 0]) - elevation
     np.testing.assert_allclose(lifted, refraction("erfa", elevation, sky.weather).angle, rtol=0.0, atol=0.1 * MAS)
-    # Only a rotation about the horizontal axis across the boresight.
+    # The difference is only a rotation about the horizontal axis perpendicular to the boresight.
     turn_n = log_rotation(true_nv @ np.swapaxes(bare_nv, -1, -2))
     np.testing.assert_allclose(turn_n[:, 1], 0.0, atol=0.1 * MAS)
     np.testing.assert_allclose(np.sum(turn_n * true_nv[:, :, 0], axis=1), 0.0, atol=0.1 * MAS)
@@ -365,7 +365,7 @@ def test_clouds_daylight_and_the_horizon_leave_no_inertial_attitude():
     assert kept.sum() == kept.size - 10
     np.testing.assert_array_equal(cloudy.rotation_cv, whole.rotation_cv[kept])
     assert simulate(inertial(sun_limit_deg=-20.0), seed=1).stars[FORE].time_ns.size == 0
-    # The roll of the ship moves a boresight at 5° below the limit and back.
+    # The ship's pitch moves a boresight of 5° elevation below the limit and back.
     low = simulate(with_sensor(inertial(20.0), elevation_deg=5.0), seed=1).stars[FORE]
     assert 10 < low.time_ns.size < 95
 

@@ -26,7 +26,7 @@ FAULTS = {
 
 
 def scenario_with_everything(**changes):
-    """All devices, late and out of order, with false spots, wrong identities and a sensor without stars."""
+    """Return a scenario with all devices, late and unordered messages, false stars, wrong identities and clouds."""
     found = load_scenario(SCENARIOS / "everything.yaml")
     stars = dict(found.star_sensors)
     stars["bow"] = dataclasses.replace(stars["bow"], jitter_s=1.3)

@@ -22,7 +22,7 @@ FOCAL_LENGTH_M, EARTH_RADIUS_M = 1.5, 6_371_000.0
 
 
 def short_run(duration_s=6.0, detector=None, **target):
-    """Return the scenario without lights and stars; changes by path of its detector and of its target."""
+    """Return the night scenario without beacons and star cameras, with changed fields of its detector and target."""
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
     changes = {f"main_detector__{name}": value for name, value in (detector or {}).items()}
     balloon = replace_nested(scenario.targets["balloon"], **target)
@@ -33,7 +33,7 @@ def short_run(duration_s=6.0, detector=None, **target):
 
 
 def exact(**target):
-    """Return a run without errors, with images at the stamps of the true main axis in the bag."""
+    """Return the scenario without errors, with images at the stamps of ``truth/pointing``."""
     detector = {"sigma_m": 1e-9, "focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "exposure_s": 0.0}
     return without_errors(short_run(detector=detector, **target))
 
@@ -51,7 +51,7 @@ def by_stamp(found):
 
 
 def direction_n(image, pointing, focal_length_m=FOCAL_LENGTH_M, principal_x_m=1e-4):
-    """Return the direction of an inverted image, rotated by the rotation of the detector, right side down."""
+    """Return the direction (N, U, E) of an inverted image; the detector rotation is positive right side down."""
     rho = image.detector_rotation
     right_v, up_v = -(image.x - principal_x_m) / focal_length_m, -image.z / focal_length_m
     up, right = up_v * np.cos(rho) - right_v * np.sin(rho), right_v * np.cos(rho) + up_v * np.sin(rho)
@@ -73,7 +73,7 @@ def test_images_show_the_direction_of_the_truth():
         stamp_ns = ns_from_stamp(image.header.stamp)
         truth = truths[stamp_ns]
         true_n = of_vector(truth.direction)
-        # Five times the noise of 1 nm on 1.5 m.
+        # Six times the noise of 1 nm at the focal length of 1.5 m.
         np.testing.assert_allclose(direction_n(image, pointings[stamp_ns]), true_n, atol=4e-9)
         np.testing.assert_allclose(
             [truth.azimuth, truth.elevation],
@@ -123,7 +123,7 @@ def test_a_target_off_the_detector_has_no_image():
 
 
 def test_an_exposure_shows_the_mean_of_the_path():
-    # A detector that rotates by 60° while the mount sweeps: 2001 times by the trapezoidal rule.
+    # The expected points are means over two exposures while the mount sweeps: 1001 times each, by the trapezoidal rule.
     turning = {"exposure_s": 1.0, "rotation_rate_deg_per_s": 0.0, "rate_hz": 1.0, "phase_s": 2.0, "sigma_m": 1e-9}
     turning |= {"focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "width_m": 0.2, "height_m": 0.2}
     hanging = {"course__kind": "hover", "course__hover__azimuth_deg": 61.0, "course__hover__elevation_deg": 36.0}

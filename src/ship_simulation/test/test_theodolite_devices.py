@@ -62,12 +62,12 @@ def test_uniform_axis_errors_fill_their_range_and_no_more():
 
 
 def test_correlated_errors_are_gauss_markov_at_any_time():
-    # Independent at twenty correlation times; between grid points as on them.
+    # Values twenty correlation times apart are independent; these times lie between grid points.
     times_s = 10.0 * np.arange(2000) + 0.005
     process = CorrelatedError(random_stream(1, "test"), times_s[-1] + 1.0, np.array([3.0]), 0.5)
     first, later = process.values_at(times_s)[:, 0], process.values_at(times_s + 0.15)[:, 0]
     assert_sigma(first, 3.0)
-    # exp(-0.15/0.5), with the standard deviation of a correlation of 2000 pairs.
+    # The correlation is exp(-0.15/0.5), within 3.3 standard deviations for 2000 pairs.
     assert np.corrcoef(first, later)[0, 1] == pytest.approx(np.exp(-0.3), abs=3.3 * (1 - np.exp(-0.6)) / np.sqrt(2000))
 
 
@@ -111,7 +111,7 @@ def test_baselines_have_noise_a_bias_of_their_own_and_the_ship_antenna_in_common
     steps = np.diff(errors, axis=2)
     assert steps.std() == pytest.approx(np.sqrt(2.0) * 0.02, rel=0.05)
     mean = errors.mean(axis=2)
-    # The mean of eleven epochs contains a third of the noise.
+    # The mean of eleven epochs has 0.3 times the sigma of the noise.
     own = np.hypot(0.03, 0.02 / np.sqrt(11.0))
     assert_sigma((mean[:, 0] - mean[:, 1]) / np.sqrt(2.0), own)
     assert_sigma(mean[:, 0], np.hypot(0.05, own))

@@ -71,7 +71,8 @@ def test_baselines_are_east_north_up_and_drones_have_their_attitude(run):
     message, _ = entries_of(run, DRONE)[5]
     q = message.orientation
     yaw_deg = np.rad2deg(np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2)))
-    # The nose at 20° from North, sway of 2°, errors of 1°: ROS yaw is from East, counterclockwise.
+    # The drone's nose is 20° east of North, with 2° of sway and 1° of error; ROS yaw counts from East,
+    # counterclockwise.
     assert yaw_deg == pytest.approx(70.0, abs=4.0)
     east_var, north_var, up_var = np.diag(message.orientation_covariance.reshape(3, 3))
     assert east_var == north_var == pytest.approx(np.deg2rad(0.3) ** 2 + np.deg2rad(0.05) ** 2)
@@ -136,7 +137,7 @@ def faulty(topic, kind, **changes):
 
 
 def changed_entries(clean, changed):
-    """Return the pairs (clean, faulty) that differ; they are those from 1 s to 2 s."""
+    """Check that exactly the messages from 1 s to 2 s differ; return these as pairs (clean, faulty)."""
     assert len(clean) == len(changed)
     start_ns = 1_404_906_607_800_000_000
     pairs = []
@@ -152,7 +153,7 @@ def test_a_stuck_encoder_has_new_stamps_and_the_old_angles():
     clean, stuck = faulty(ENCODER, "freeze")
     pairs = [(before, after) for (before, _), (after, _) in zip(clean, stuck, strict=True)]
     window = [after for before, after in pairs if serialize(before) != serialize(after)]
-    # Fifty in a second, of which the first is unchanged.
+    # The window contains fifty messages, of which the first is unchanged.
     assert len(window) == 49
     assert len({ns_from_stamp(message.header.stamp) for message in window}) == 49
     angles = {(message.azimuth, message.elevation) for message in window}

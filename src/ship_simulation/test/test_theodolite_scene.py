@@ -74,7 +74,7 @@ def test_a_sighting_without_errors_obeys_the_equations():
     camera = Camera(telescope.focal_length_m, 0.0, np.array([telescope.principal_x_m, telescope.principal_z_m]))
     rotation_tm = rotation_from_angles(*parallelism_of(telescope)[0])
     direction_t = lines.direction_n @ (rotation_nd @ rotation_dm @ rotation_tm.T)
-    # The simulated detection noise is 1 nm: 1e-8 rad; without it the scene gives the exact points.
+    # The simulated detection noise is 1 nm, 1e-8 rad; the scene's directions below are without noise.
     points = theodolite.images.point_m.reshape(-1, 2, 2)
     assert np.abs(camera.points(direction_t) - points).max() < 6e-9
     scene = theodolite.truth.scene
@@ -97,7 +97,8 @@ def test_the_image_is_inverted_and_the_lights_are_at_the_scenario_positions():
     level = dataclasses.replace(level, roll=replace_nested(level.roll, waves={}))
     run = simulate(dataclasses.replace(scenario, carrier=level), seed=1)
     first = dict(run.theodolite.images.sightings(0))
-    # a is 3° right and 2° above the axis: both negative by [W18] (12), f tan; levers of half a metre are 50" here.
+    # Beacon a is 3° right of and 2° above the axis: both coordinates are -f tan by [W18] (12). Levers of half a metre
+    # are 50" here.
     np.testing.assert_allclose(first["a"], -0.1 * np.tan(np.deg2rad([3.0, 2.0])), atol=1e-4)
     np.testing.assert_allclose(first["b"], -0.1 * np.tan(np.deg2rad([-2.0, -3.0])), atol=1e-4)
 
@@ -175,12 +176,12 @@ def test_the_mount_follows_the_lights_and_then_sweeps_on_from_there():
     expected = np.where(seconds < 40.0, 2, np.where(seconds < 60.0, 1, 0))
     np.testing.assert_array_equal(np.diff(theodolite.images.first), expected)
     axis_n = theodolite.truth.mount.rotation_nm[:, :, 0]
-    # Never faster than the sweep of 1.2°/s and the transition to its elevation: no jump in 0.1 s.
+    # The axis is never faster than the sweep of 1.2°/s plus the transition to its elevation: no jump in 0.1 s.
     steps_deg = np.rad2deg(angle_between(axis_n[1:-1], axis_n[:-2]))
     assert steps_deg.max() < 1.0
     at_s = 0.1 * np.arange(len(axis_n))
     azimuth_deg = np.rad2deg(np.unwrap(np.arctan2(axis_n[:, 2], axis_n[:, 0])))
-    # After a ramp of 20 s, the rate and elevation of the programme.
+    # After a ramp of 20 s, the mount has the rate and the elevation of the programme.
     late = at_s > 80.0
     np.testing.assert_allclose(np.diff(azimuth_deg[late])[:-1], 0.12, atol=1e-9)
     programme_deg = 40.0 - 30.0 * np.cos(2.0 * np.pi * at_s[late] / 110.0)
@@ -198,7 +199,7 @@ def test_a_light_off_the_detector_is_not_seen():
 
 
 def test_a_line_along_the_vertical_axis_is_refused():
-    # Pitch by 4° bow up over azimuth 0 puts the vertical axis of the deck at elevation 86° behind the ship.
+    # A pitch of 5° bow up at heading 0° puts the deck's vertical axis at azimuth 180° and elevation 85°.
     scenario = with_theodolite(
         bag_scenario(),
         programme__least_elevation_deg=85.0,

@@ -53,6 +53,6 @@ def test_the_boresight_stays_on_its_pixel_and_the_sensor_is_not_rolled():
         optics = draw_optics(np.random.default_rng(seed), DETECTOR, "camera")
         np.testing.assert_allclose(optics.pixels(np.array([1.0, 0.0, 0.0])), [1023.5, 1000.5], atol=1e-6)
         np.testing.assert_allclose(optics.rotation_cs @ optics.rotation_cs.T, np.eye(3), atol=1e-14)
-        # A star above the boresight stays above it: 0.1 px in 900.
+        # A star 900 px above the boresight stays above it to 0.1 px.
         above = optics.pixels(np.array([1.0, 0.1, 0.0]))
         assert abs(above[0] - 1023.5) < 0.1

@@ -33,7 +33,7 @@ LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
 
 
 def node(name: str, level: int = 2, **values: str) -> ComputerState:
-    """Return a computer with one status of a node."""
+    """Return the state of a computer with one status of a node."""
     return ComputerState((NodeStatus("ship_attitude", name, level, "text of the node", values),))
 
 
@@ -89,7 +89,7 @@ CASES: dict[tuple[str, str], tuple[SuiteState, ComputerState | None]] = {
 
 
 def alerts_of(shown: SuiteState, machine: ComputerState | None = None) -> dict[str, Condition]:
-    """Return id → situation of those that have an alert after 20 s."""
+    """Return id → situation for the situations that have an alert after 20 s."""
     alert_list = AlertList(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
     for tenth in range(200):
@@ -122,7 +122,7 @@ def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
 
 
 def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
-    """The diagnostics of a function within its limit again have the current reason."""
+    """If a function is within its limit again, its diagnostics have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(angle_over_limit("roll", share=0.8), unheld_safety=(Safety.SAFE, ""), reason=reason)
     branches = {
@@ -141,7 +141,7 @@ def test_alert_uses_the_safety_without_hold() -> None:
 
 
 def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
-    """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
+    """A brief excess is no alert of the output; the alert of the source at fault names the lost function at once."""
     brief = {"over_limit_s": 4.9}
     assert conditions(suite_state(replace(angle_over_limit("roll"), **brief)), LIMITS) == []
     assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **brief)))) == ["attitude.degraded"]
@@ -185,7 +185,7 @@ def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None
 
 
 def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
-    """Two reasons are two situations; sensors that need another source are covered by its alert."""
+    """Two reasons are two situations; sensors that need another source are covered by the alert of that source."""
     taken = angle_over_limit("heading", "star.fore")
     both = alerts_of(suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
@@ -207,14 +207,14 @@ def test_ended_node_is_one_situation() -> None:
 
 
 def test_suite_with_pointing_only_needs_no_attitude() -> None:
-    """A suite with a pointing that never published an attitude has no attitude functions."""
+    """A suite that publishes a pointing and never an attitude has no attitude functions."""
     shown = suite_state(*angles_without_data(*ATTITUDE))
     assert alerts_of(shown) == {}
     assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
 
 
 def test_texts_have_no_changing_figures() -> None:
-    """The next update has the same text for the same situation."""
+    """A situation has the same text for other figures in its reasons."""
     texts = set()
     for count in (5, 81):
         shown = suite_state(
@@ -226,7 +226,7 @@ def test_texts_have_no_changing_figures() -> None:
 
 
 def test_black_box_may_lose_entries_within_the_limit() -> None:
-    """Lost entries within the limit are no alert; a black box that ended always is one."""
+    """Lost entries within the limit are no alert; a black box that has ended is always an alert."""
     patient = replace(LIMITS, machine=replace(LIMITS.machine, box_lost=20))
     assert conditions(suite_state(), patient, node("black box", lost="12")) == []
     assert len(conditions(suite_state(), patient, node("black box", lost="21"))) == 1
@@ -254,7 +254,7 @@ def test_lost_functions_come_before_those_over_their_limit() -> None:
 
 
 def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
-    """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
+    """Each function is listed with its limit and its sources; a source that causes a loss has the level ERROR."""
     angles = [unsafe_angle("heading", "ins"), angle_over_limit("roll", "ins", 2.0)]
     shown = suite_state(source_out("ins", "81 rejected in a row", disagreement="reads 9″ high"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(shown, PICTURED)}

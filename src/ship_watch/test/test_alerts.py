@@ -45,7 +45,7 @@ class Voyage:
 
 
 def test_situation_is_raised_once_and_over_after_its_hold() -> None:
-    """A warning is raised, acknowledged, and over five seconds after its situation."""
+    """A warning is raised and acknowledged, and ends five seconds after its situation."""
     voyage = Voyage()
     changes = voyage.advance(30.0, OUT)
     assert [change.description for change in changes] == ["raised"]
@@ -96,7 +96,7 @@ def test_slow_flapping_is_held_longer_each_time() -> None:
 
 
 def test_random_flapping_never_gives_two_alerts_of_one_situation() -> None:
-    """For any pattern one id has one alert, its instances count up by one, and it never ends unacknowledged."""
+    """For any pattern, one id has one alert, whose instances count up by one and which never ends unacknowledged."""
     for seed in range(20):
         draws = np.random.default_rng(seed)
         voyage = Voyage()
@@ -133,7 +133,7 @@ def test_random_situations_keep_the_rules() -> None:
 
 
 def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
-    """A tilt lost after the acknowledgement of the heading is a new instance; before it, a new text of the same one."""
+    """A further loss before the acknowledgement changes only the text; a further loss after it is a new instance."""
     voyage = Voyage()
     heading = replace(OUT, text="out; heading", lost_functions=frozenset({"heading"}))
     both = replace(OUT, text="out; heading and tilt", lost_functions=frozenset({"heading", "tilt"}))
@@ -151,7 +151,7 @@ def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
 
 
 def test_flickering_text_is_not_taken_over() -> None:
-    """A text is taken over when it has lasted; one that flips at each update is not."""
+    """A new text is taken over only after it has lasted; a text that changes every half second is not."""
     voyage = Voyage()
     voyage.advance(1.0, OUT)
     voyage.acknowledge("star.bow.out")
@@ -261,7 +261,7 @@ def test_escalation_is_a_new_instance_and_deescalation_waits() -> None:
 
 
 def test_situation_explained_by_another_alert_has_no_alert() -> None:
-    """Angles lost by a source are covered by its alert, unless their priority is higher."""
+    """An alert for angles lost because of a source is covered by the source's alert, unless its priority is higher."""
     lost = Condition("heading.lost", Priority.WARNING, "star.bow", "heading lost", explained_by=("star.bow.out",))
     voyage = Voyage()
     voyage.advance(10.0, lost, OUT)
@@ -270,7 +270,7 @@ def test_situation_explained_by_another_alert_has_no_alert() -> None:
     assert list(voyage.states()) == ["heading.lost", "star.bow.out"]
     at_once = Voyage()
     at_once.advance(5.0, replace(lost, priority=Priority.CAUTION))
-    # At the update in which the cause appears it is not escalated first.
+    # In the update in which the cause appears, the covered alert is not escalated first.
     assert [change.alert.id for change in at_once.advance(0.25, lost, OUT)] == []
     assert {(change.alert.id, change.description) for change in at_once.advance(0.25, lost, OUT)} == {
         ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
@@ -339,7 +339,7 @@ def test_corrupt_file_is_refused(changes: dict[str, object]) -> None:
 
 
 def test_most_urgent_comes_first() -> None:
-    """Unacknowledged before acknowledged, then by priority; past situations after present ones."""
+    """Unacknowledged present, unacknowledged past, then acknowledged alerts; each group by priority."""
     voyage = Voyage()
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.advance(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))

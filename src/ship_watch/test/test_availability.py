@@ -40,7 +40,7 @@ def safe_share(outputs: Path, limits: Limits) -> float:
 
 @pytest.mark.parametrize("tilt_arcsec", [2.0, 3.0, 3.2, 4.0])
 def test_share_equals_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> None:
-    """The fractions include the hysteresis; 20 s of clouds and 5 s after them are ignored in both."""
+    """The fractions include the hysteresis; 20 s of clouds and some seconds around them are ignored in both."""
     _, outputs = replay_with_faults(tmp_path, "demo")
     limits = Limits(tilt_arcsec=tilt_arcsec)
     found = record_of(outputs, limits).availability("tilt")

@@ -23,7 +23,7 @@ def test_variances_equal_those_of_rotated_attitudes(azimuth_deg: float, elevatio
     scale = 1.0 if is_deck else np.cos(elevation)
     drawn = np.var(angles * [scale, 1.0, 1.0], axis=0)
     computed = angle_variances({"all": covariance_enu}, azimuth, elevation, is_deck=is_deck)
-    # A variance of n draws has the relative sigma √(2/n) = 1 %: 3.3 of them are 99.9 %.
+    # A variance of n draws has the relative sigma √(2/n) = 1 %; 3.3 sigma cover 99.9 %.
     in_order = [by_source["all"] for by_source in computed.values()]
     assert in_order == pytest.approx(drawn[: len(computed)], rel=3.3 * np.sqrt(2.0 / DRAWS))
 

@@ -29,7 +29,7 @@ def innovation(accepted: bool, reason: Reason = Reason.GATE, arcsec: Any = (), n
 
 
 def record_decisions(history: DecisionHistory, decisions: str, start: int = 0, period_ns: float = PERIOD) -> int:
-    """Record decisions, + accepted and - rejected; return the number of the next one."""
+    """Record decisions, + accepted and - rejected; return the number of the next decision."""
     for i, decision in enumerate(decisions, start):
         stamp = 100 * SECOND + i * PERIOD
         history.record(stamp, innovation(decision == "+"), stamp, period_ns)
@@ -85,7 +85,7 @@ def test_revised_decision_replaces_the_first() -> None:
 
 def test_distant_rejections_are_no_run_if_acceptances_are_not_reported() -> None:
     streak = DecisionHistory(5, 10)
-    for i in range(50):  # one sample of the INS in ten
+    for i in range(50):  # every tenth INS sample is rejected
         stamp = 100 * SECOND + i * SECOND // 10
         streak.record(stamp, innovation(False), stamp, SECOND / 100)
     assert not streak.is_out
@@ -113,7 +113,7 @@ def test_disagreement_is_the_component_furthest_off() -> None:
         streak.record(stamp, message, stamp, PERIOD)
     assert streak.disagreement.text == "reads 49″ high"
     assert streak.disagreement.sigmas == pytest.approx(49.0 / 3.0)
-    # Excluded and estimated again it agrees; the disagreement stays until it is IN again.
+    # The estimate adapts to an excluded source, so the residuals are small; the reported disagreement stays.
     message = innovation(False, Reason.EXCLUDED, arcsec=(0.0, 1.0, 0.0), names=("forward", "up", "right"))
     streak.record(102 * SECOND, message, 102 * SECOND, PERIOD)
     assert streak.disagreement.text == "reads 49″ high"
@@ -123,9 +123,9 @@ def test_disagreement_is_the_component_furthest_off() -> None:
 @pytest.mark.parametrize(
     ("axis", "pointer", "effect", "words"),
     [
-        ("right", "forward", "up", ("high", "low")),  # the bow of the device rises
+        ("right", "forward", "up", ("high", "low")),  # the device's forward axis rises
         ("up", "forward", "right", ("to the right", "to the left")),
-        ("forward", "up", "right", ("clockwise", "counterclockwise")),  # looking forward, its top moves to the right
+        ("forward", "up", "right", ("clockwise", "counterclockwise")),  # looking forward, the top moves to the right
     ],
 )
 def test_sense_of_a_rotation_is_that_of_the_right_hand_rule(axis, pointer, effect, words, sign) -> None:
@@ -140,7 +140,7 @@ def test_sense_of_a_rotation_is_that_of_the_right_hand_rule(axis, pointer, effec
 @pytest.mark.parametrize(
     ("axis", "arcsec", "sense"),
     [
-        # An image point of a light with x > 0 or z > 0 is of a light to the left or low (BeaconSighting.msg).
+        # The image is inverted: a light with x > 0 is to the left, a light with z > 0 is low (BeaconSighting.msg).
         ("x", 30.0, "to the left"), ("x", -30.0, "to the right"), ("z", 30.0, "low"), ("z", -30.0, "high"),
         ("up", 30.0, "high"), ("up", -30.0, "low"), ("right", 30.0, "to the right"), ("right", -30.0, "to the left"),
     ],

@@ -22,7 +22,7 @@ def test_defaults_are_those_of_the_suite() -> None:
 
 
 def test_file_of_a_ship_changes_only_its_own_limits(tmp_path: Path) -> None:
-    """Other limits keep their defaults; an input has its own limits, else those of its kind, else of every input."""
+    """Other limits keep their defaults; an input has its own limits, else those of its kind, else ``every_input``."""
     path = tmp_path / "ship.yaml"
     path.write_text(
         "heading_arcsec: 8.0\nevery_input: {refusals: 7}\ninputs:\n  star: {rate_hz: 1.0}\n  star_bow: {rate_hz: 2.0}\n"

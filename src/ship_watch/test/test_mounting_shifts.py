@@ -20,7 +20,7 @@ NOMINAL = np.deg2rad([30.0, 60.0, 5.0])
 
 
 def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str = "star.bow") -> SimpleNamespace:
-    """Return an AlignmentState with one device whose angles are shifted (arcsec), after an INS state."""
+    """Return an AlignmentState with an INS angle and the angles of a device, shifted by ``shift`` (arcsec)."""
     ends = ("azimuth", "elevation", "roll") if device.startswith("star") else ("roll", "pitch", "heading")
     angles = NOMINAL + np.asarray(shift) * ARCSEC
     if device.startswith("reference"):
@@ -35,11 +35,11 @@ def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str =
 
 
 def texts(shift: Any, sigma: float = 3.0, device: str = "star.bow") -> tuple[list[str], MountingShifts]:
-    """Return the texts of a voyage in which the device is OUT from 21 s to 80 s and reinstated with a shift."""
+    """Return event texts and shifts of a voyage: the device is OUT from 21 s to 80 s, then IN with a shift."""
     shifts, found = MountingShifts(), []
     for second in range(120):
         is_out = 21 <= second < 80
-        # From 20 s on the fault has changed the estimate, and its covariance is inflated.
+        # From 20 s on the fault has changed the estimate; the covariance is inflated until 80 s.
         wide = 20 <= second < 80
         shifts.record_alignment(alignment(second, shift if second >= 20 else 0.0, 200.0 if wide else sigma, device))
         source = replace(OUT if is_out else IN, name=device)

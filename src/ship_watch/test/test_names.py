@@ -73,7 +73,7 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
     assert all(
         len(of) <= MAX_NAMES for of in (history.innovations, history.beacons, history.star_exposures, history.budgets)
     )
-    # The second set of names needs only the memory for the points of the known source.
+    # The third set of names needs only the memory for the points of the known source.
     assert sizes[2] - sizes[1] < 0.25 * sizes[0]
     assert len(history.innovations[known]) == 3 * MAX_NAMES
     lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]

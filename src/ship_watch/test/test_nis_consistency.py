@@ -19,7 +19,8 @@ def filled_window(sigma_ratio: float, seed: int, count: int = 300, degrees: int 
 
 
 def test_correct_sigmas_are_consistent() -> None:
-    # One run in a thousand is outside 3.3 sigma: about 2 of 2000, more than 9 in one of 20 000 such tests (Poisson).
+    # One run in a thousand is outside 3.3 sigma: about 2 of 2000. The probability of more than 9 is 1 in 20 000
+    # (Poisson).
     found = [filled_window(1.0, seed, count=60, degrees=15).consistency(12 * SECOND) for seed in range(2000)]
     assert all(one.degrees_of_freedom == 900 for one in found)
     assert 1 <= sum(not one.is_consistent for one in found) <= 9

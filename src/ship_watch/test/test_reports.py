@@ -36,7 +36,7 @@ def received_reports(seconds: int, longest_s: float = 0.0, **of_report: float) -
 
 def test_age_counts_from_arrival_not_from_the_stamp() -> None:
     reports = received_reports(10)
-    # Stamped 0.2 s ago, as messages arrive 0.1 s after their stamps.
+    # The last message was stamped 0.2 s ago and arrived 0.1 s after its stamp.
     assert reports.age_s(at(10.0)) == pytest.approx(0.1)
     assert reports.age_s(at(10.9)) == pytest.approx(0.1)  # the next report is not due
     assert reports.age_s(at(12.0)) == pytest.approx(2.1)

@@ -119,7 +119,7 @@ def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
     assert held.safety is Safety.UNSAFE
     assert not held.update(NO_DATA, 2 * SECOND)
     assert held.displayed_safety(NO_DATA, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
-    assert held.update(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
+    assert held.update(SAFE, 6 * SECOND)  # 5 s after UNSAFE, 4 s after CAUTION
     assert (held.safety, held.since_ns) == (Safety.CAUTION, 6 * SECOND)
     assert held.displayed_safety(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "no data from star.bow")
     assert not held.update(SAFE, 7 * SECOND - 1)
@@ -135,7 +135,7 @@ def test_flickering_safety_changes_once() -> None:
 
 
 def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
-    """Return the displayed safeties in order, for the accuracy of each tenth of a second."""
+    """Return the sequence of displayed safeties for one accuracy each tenth of a second."""
     hysteresis = SafetyHysteresis(5.0)
     at_each = [
         (hysteresis.update(over_limit(accuracy), i * SECOND // 10), hysteresis.safety)
@@ -146,7 +146,7 @@ def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
 
 @pytest.mark.parametrize("period_s", [2.0, 12.0, 40.0])
 def test_accuracy_near_its_limit_changes_the_safety_once(period_s: float) -> None:
-    """The accuracy varies by ±2 % around its limit, and is within it for up to 20 s."""
+    """The accuracy varies by ±2 % around its limit, and is within the limit for up to 20 s."""
     accuracies = 5.0 * (1.0 + 0.02 * np.sin(2.0 * np.pi * np.arange(6000) / (10.0 * period_s)))
     assert changes_of(accuracies) == [Safety.SAFE, Safety.CAUTION]
 

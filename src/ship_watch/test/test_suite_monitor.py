@@ -53,7 +53,7 @@ def health(ns: int, topic: str, received: int, rate_hz: float = 5.0, age_s: floa
 
 
 def monitor_after(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> SuiteMonitor:
-    """Return a monitor that has received a good suite for some seconds, at 10 Hz; its time starts at 1000 s."""
+    """Return a monitor that has received a suite without faults for some seconds at 10 Hz; times count from 1000 s."""
     monitor = SuiteMonitor()
     feed(monitor, start_s, until_s, **of_attitude)
     return monitor
@@ -141,7 +141,7 @@ def test_old_output_recovers_after_five_seconds() -> None:
     ],
 )
 def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every: int, alerts: list[str]) -> None:
-    """The safety follows at once; an alert needs five seconds over the limit, short dips below it included."""
+    """The safety follows at once; an alert needs five seconds over the limit, including dips shorter than a second."""
     monitor, alert_list, shown = SuiteMonitor(), AlertList(Limits().alerts), set()
     for tenth in range(300):
         second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
@@ -317,7 +317,7 @@ def test_reason_of_a_caution_is_current_at_any_time() -> None:
     for tenth in range(121, 170):
         feed(monitor, tenth / 10, tenth / 10)
         (pitch,) = (angle for angle in monitor.current_state(at(tenth / 10)).angles if angle.name == "pitch")
-        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # the safety is evaluated before the message of its time
+        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # the safety is evaluated before the message of the same time
         assert (pitch.safety, pitch.reason) == (Safety.CAUTION, f"within 4″ again; SAFE in {left_s} s")
     feed(monitor, 17.0, 17.2)
     assert monitor.current_state(at(17.2)).angles[1].safety is Safety.SAFE
@@ -479,7 +479,7 @@ def overload_report(ns: int, node: str, text: str) -> SimpleNamespace:
 
 
 def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
-    """`ship_attitude` is INVALID, and measurements are rejected because of messages that it dropped."""
+    """`ship_attitude` is INVALID, and measurements are rejected because of messages that the node dropped."""
     text = "ship_attitude is 3.2 s behind: the computer is too slow (2 cores, load 12)"
     monitor = monitor_after(10.0)
     for fifth in range(51, 70):
@@ -535,7 +535,7 @@ def published_message(monitor: SuiteMonitor, seconds: float) -> SimpleNamespace:
 
 
 def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
-    """While the state of another monitor is published, its angles and events replace those of this one."""
+    """While the state of another monitor is published, the angles and events of that state are shown."""
     other, monitor = monitor_after(20.0, sigma_arcsec=4.0), monitor_after(20.0)
     assert {angle.safety for angle in monitor.current_state(at(20.0)).angles} == {Safety.SAFE}
     monitor.process_suite_state(published_message(other, 20.0), at(20.1))
@@ -545,13 +545,13 @@ def test_published_state_replaces_the_own_one_while_it_is_current() -> None:
     ]
     events = [event.text for event in shown.events if event.kind == "state"]
     assert "heading SAFE → CAUTION, over the limit" in events
-    assert monitor.history.safety[-1].safety["heading"] is Safety.SAFE  # of the second before
+    assert monitor.history.safety[-1].safety["heading"] is Safety.SAFE  # recorded in the second before
     feed(monitor, 20.2, 22.0)
     assert {angle.safety for angle in monitor.current_state(at(22.0)).angles} == {Safety.CAUTION}
-    # Two seconds without a state: its own safety again, at once.
+    # After two seconds without a published state, the monitor's own safety is shown again at once.
     feed(monitor, 22.1, 22.5)
     assert {angle.safety for angle in monitor.current_state(at(22.5)).angles} == {Safety.SAFE}
-    # The state is published again and displayed; after the end of the alert node it is no longer used.
+    # The state is published again and displayed; after the end of the alert node the state is no longer used.
     monitor.process_suite_state(published_message(other, 20.0), at(22.6))
     assert {angle.safety for angle in monitor.current_state(at(22.6)).angles} == {Safety.CAUTION}
     monitor.clear_alerts()

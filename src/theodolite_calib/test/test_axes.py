@@ -38,17 +38,17 @@ def all_directions() -> tuple[FloatArray, FloatArray]:
 
 
 def rx(q: float) -> FloatArray:
-    """models.md §1."""
+    """Return R_x(q) of models.md §1."""
     return np.array([[1.0, 0.0, 0.0], [0.0, np.cos(q), np.sin(q)], [0.0, -np.sin(q), np.cos(q)]])
 
 
 def ry(q: float) -> FloatArray:
-    """models.md §1."""
+    """Return R_y(q) of models.md §1."""
     return np.array([[np.cos(q), 0.0, -np.sin(q)], [0.0, 1.0, 0.0], [np.sin(q), 0.0, np.cos(q)]])
 
 
 def rz(q: float) -> FloatArray:
-    """models.md §1."""
+    """Return R_z(q) of models.md §1."""
     return np.array([[np.cos(q), np.sin(q), 0.0], [-np.sin(q), np.cos(q), 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -76,7 +76,8 @@ def test_axis_without_errors_follows_the_encoder_angles() -> None:
 
 
 def first_order(errors: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Direction by [W18] (2), with E where the paper prints A; errors as (g, h, c, I, βm, Am), shape (n, 6)."""
+    """Return the direction by [W18] (2), with E where the paper prints A; errors as (g, h, c, I, βm, Am), shape (n,
+    6)."""
     g, h, c, i, beta_m, azimuth_m = errors.T
     tangent = np.tan(elevation)
     azimuth_z = azimuth - g - beta_m * np.sin(azimuth - azimuth_m) * tangent - c / np.cos(elevation) - i * tangent
@@ -86,7 +87,7 @@ def first_order(errors: FloatArray, azimuth: FloatArray, elevation: FloatArray) 
 
 @pytest.mark.parametrize(("elevation_deg", "bound_arcsec"), [(-5.0, 0.1), (30.0, 0.1), (60.0, 0.1), (75.0, 0.2)])
 def test_first_order_is_that_of_the_paper(elevation_deg: float, bound_arcsec: float) -> None:
-    """models.md §5: errors of 40″ each: 0.1″ on the sky at 60°, 0.2″ at 75°."""
+    """The first order is within 0.1″ on the sky at 60° and 0.2″ at 75° for errors of 40″ each (models.md §5)."""
     signs = np.array(list(product([-40.0, 40.0], repeat=4))) * ARCSEC
     azimuths_m = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     errors = np.array([[*sign, 40.0 * ARCSEC, azimuth_m] for sign, azimuth_m in product(signs, azimuths_m)])
@@ -111,7 +112,7 @@ def test_flexure_raises_the_axis_by_its_cosine() -> None:
 
 @pytest.mark.parametrize("errors", [AxisErrors(), SMALL, LARGE])
 def test_jacobians_are_finite_differences(errors: AxisErrors) -> None:
-    """Central differences of the rotation vector in the deck frame; at the zenith too."""
+    """The Jacobians equal central differences of the rotation vector in the deck frame, also at the zenith."""
     azimuth, elevation = all_directions()
     elevation[3] = 0.5 * np.pi
     axis = main_axis(errors, azimuth, elevation)
@@ -172,7 +173,8 @@ def test_both_solutions_look_in_the_wanted_direction(errors: AxisErrors) -> None
         found = main_axis_rotation(errors, azimuth, elevation)[reached, :, 0]
         assert np.max(angle_between(found, wanted[reached])) <= 1e-12
         azimuths.append(azimuth)
-    # Near the edge of what the axes reach the two come together; 25° off it they are 2 asin(4° / 25°) from half a turn.
+    # Near the edge of the reachable directions the two azimuths come together. 25° from the vertical axis they differ
+    # by half a turn to within 2 asin(4° / 25°).
     low = np.abs(wanted[:, 1]) < 0.9 * np.linalg.norm(wanted, axis=1)
     assert np.min(np.abs(wrap_pi(azimuths[0] - azimuths[1]))[low]) > 0.85 * np.pi
 
@@ -196,7 +198,7 @@ def test_zenith_is_reached_only_if_the_errors_allow() -> None:
     azimuth, elevation = encoder_angles(AxisErrors(g=0.1), up)
     assert azimuth == pytest.approx(0.1)
     assert elevation == pytest.approx(0.5 * np.pi, abs=1e-15)
-    # c and I that cancel let the optical axis through the vertical axis; c + I = 60″ keep it 60″ away.
+    # If c and I cancel, the optical axis reaches the vertical axis; with c + I = 60″ it stays 60″ away.
     through = main_axis_rotation(AxisErrors(c=30.0 * ARCSEC, I=-30.0 * ARCSEC), 0.7, 0.5 * np.pi)[:, 0]
     assert angle_between(through, up) <= 1e-15
     axes = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
@@ -223,7 +225,7 @@ def test_vector_form() -> None:
 
 
 def test_the_compiled_chain_is_that_of_arrays() -> None:
-    """Ship and deformation by rotations, the axes by :func:`main_axis`."""
+    """The expected values use rotations for ship and deformation, and :func:`main_axis` for the axes."""
     rng = np.random.default_rng(2)
     azimuths, elevations = all_directions()
     for errors, azimuth, elevation in product((SMALL, LARGE), azimuths[0, ::5].tolist(), elevations[:, 0].tolist()):

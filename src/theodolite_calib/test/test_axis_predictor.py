@@ -25,7 +25,7 @@ ERRORS = {
     **{f"beacons__{name}__rtk__bias_sigma_m": 0.02 for name in BEACONS_DEG},
 }
 
-# Stated size of the ship's error at the sighting before, at the times between, and at the sighting after.
+# Factor of STATED_N at the sighting before, at the times between, and at the sighting after; None if not stated.
 STATED = {
     "steady": (1.0, 1.0, 1.0),
     "slowly changing": (1.0, 1.3, 0.8),
@@ -48,7 +48,7 @@ def predictor_of(filter_: TracedFilter, size: float | None) -> AxisStatePredicto
 
 
 def correlated_state(filter_: TracedFilter, size: float | None):
-    """Return a state as after sightings: correlated, away from zero."""
+    """Return a state as after sightings: correlated, with a mean other than zero."""
     rng, n = np.random.default_rng(4), filter_.model.size
     state = filter_.propagate(filter_.initial_state(), START_NS, random_array(size))
     sigma = np.sqrt(state.covariance.diagonal())
@@ -61,7 +61,7 @@ def correlated_state(filter_: TracedFilter, size: float | None):
 @pytest.mark.parametrize("sizes", STATED.values(), ids=STATED)
 def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     before, between_sizes, after = sizes
-    # Of the INS alone the configuration states the error.
+    # If the INS is the ship source, the configuration states the ship's error.
     source = "ins/imu" if between_sizes is None else "ship/attitude"
     filter_ = TracedFilter(config(ship__source=source, **ERRORS))
     state = correlated_state(filter_, before)
@@ -79,12 +79,13 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
         np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
         both_sigmas = np.outer(sigma, sigma)
         np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_states / both_sigmas, atol=1e-9)
-        # Both times are of one distribution for any stated size: no combination of them has a negative variance.
+        # The states at both times have a joint distribution for any stated size: no combination has a negative
+        # variance.
         whole = np.block([[found.covariance[place], cross[place]], [cross[place].T, then.covariance]])
         both = np.concatenate([sigma, scale])
         assert np.linalg.eigvalsh(whole / np.outer(both, both))[0] > -1e-9
     if between_sizes == after:
-        # At the later sighting itself it is that prediction.
+        # At the later sighting, the cross-covariance equals the predicted covariance.
         np.testing.assert_allclose(
             cross[-1] / scale, then.covariance[between.state_indices] / scale, atol=1e-9 * scale.max()
         )
@@ -114,7 +115,8 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
 
 
 def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
-    # The jump adds to the zero points: the time has only the errors before it in common with the inflated state.
+    # The jump inflates the zero points. A state before the jump has only the earlier errors in common with the inflated
+    # state.
     filter_ = TracedFilter(config(**ERRORS))
     state = correlated_state(filter_, 1.0)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.prediction_input)

@@ -49,7 +49,7 @@ Change = Callable[[Any], None]
 
 
 def set_field(path: str, value: Any) -> Change:
-    """Set a field (``orientation.x``) or all of an array."""
+    """Return a change that sets a field (``orientation.x``), or all elements of an array field."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:
@@ -121,13 +121,13 @@ def has_reason(run: Run, reason: Reason) -> list[tuple[str, str]]:
 
 
 def assert_within_covariance(run: Run) -> bool:
-    """Assert that no VALID or COASTING error exceeds six standard deviations."""
+    """True if all errors of VALID and COASTING pointings are below six standard deviations."""
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return max(error_in_sigmas(message) for message in claimed) < 6.0
 
 
 def make_sighting(message: Any, name: str) -> Any:
-    """Return a beacon in an image."""
+    """Return the sighting of a beacon in an image message."""
     return next(sighting for sighting in message.beacons if sighting.beacon_id == name)
 
 
@@ -284,7 +284,7 @@ def test_common_offset_of_beacons_is_a_telescope_fault() -> None:
     run = run_adapter(new_adapter(), replace_message(session(), index, shift))
     assert run.reasons(BEACONS) == {"gate": 1}
     assert run.state()[:3] == run_adapter(new_adapter(), without(session(), index)).state()[:3]
-    # What disagrees with the lights must not be called VALID, until they agree again.
+    # A pointing that disagrees with the lights must not be VALID until the two agree again.
     after = [m for m in run.pointings if 4.0 < seconds(m) < 4.6]
     assert {m.status for m in after} >= {Status.DEGRADED}
     assert run.pointings[-1].status == Status.VALID
@@ -311,7 +311,7 @@ def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
 
     run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, CHANGE_S), remove_fix))
     assert run.reasons(ALPHA) == {"not_fixed": 1}
-    # No exposure waits for a better one, and nothing is drawn through it.
+    # No exposure waits for another baseline, and no baselines are interpolated across this one.
     assert run.reasons(BEACONS).keys() <= {"not_fixed"}
     assert assert_within_covariance(run)
 
@@ -385,7 +385,7 @@ def test_baseline_of_another_drone_is_rejected() -> None:
 
 
 def test_exchanged_baselines_are_a_conflict() -> None:
-    """A wrong drone id at the source: the angle stays, and exchanged names of the lights are consistent."""
+    """Exchanged baselines leave the angle between the lights unchanged, and exchanged light names are consistent."""
     other = {BASELINE["alpha"]: BASELINE["bravo"], BASELINE["bravo"]: BASELINE["alpha"]}
     crossed = tuple(Arrival(other.get(a.topic, a.topic), a.message, a.receive_ns) for a in session())
     run = run_adapter(new_adapter(), crossed)
@@ -477,7 +477,7 @@ def test_encoder_in_degrees_is_rejected() -> None:
     later = change_where(session(), lambda a: a.topic == ENCODER and seconds_of(a) < 3.0, degrees)
     later = change_where(later, lambda a: a.topic == ENCODER and seconds_of(a) >= 3.0, small)
     run = run_adapter(new_adapter(), later)
-    # After a run of such readings they are used, and the lights contradict them.
+    # After a run of such readings the readings are used, and the lights contradict them.
     assert {m.status for m in run.pointings} == {Status.INVALID, Status.DEGRADED}
 
 
@@ -511,8 +511,8 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
     for topic in (ENCODER, SHIP, BEACONS, ALPHA):
         assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
         assert run.health(topic).rejected == 0
-    # The ship's attitude then has the INS's errors, the others the configured ones, equal to those of the messages.
-    # Single covariances are not compared: the separations of the subfilters vary with each sighting.
+    # The ship's attitude then has the INS's errors; the others have the configured sigmas, which equal those of the
+    # messages. Only medians are compared: the separations of the subfilters vary with each sighting.
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, fault_free_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
     assert assert_within_covariance(run)
@@ -547,7 +547,7 @@ def test_covariance_grows_without_beacons() -> None:
     assert run.pointings[-1].status == Status.COASTING
     trace = [np.trace(np.reshape(m.rotation_covariance, (3, 3))) for m in run.pointings if m.mode == Mode.ENCODER]
     assert trace[-1] > trace[-1 - len(trace) // 2]
-    # No jump at the hand-over beyond what two readings may differ by.
+    # At the change of mode, the error changes by no more than two readings may differ.
     first = modes.index(Mode.ENCODER, 40)
     assert abs(error_in_sigmas(run.pointings[first]) - error_in_sigmas(run.pointings[first - 1])) < 1.5
     assert assert_within_covariance(run)

@@ -1,4 +1,4 @@
-"""Checks of the ship's attitudes do not depend on their announcement, right or wrong."""
+"""Results of the ship check do not depend on the announced batch of samples, right or wrong."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def rolling(time_s: float) -> FloatArray:
 
 
 def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> list[ShipSample]:
-    """Return a rolling ship; its stated covariance shrinks every two seconds and grows fast in each third time."""
+    """Return samples of a rolling ship; the stated sigma is reset every 2 s and grows fast in every third period."""
     rng, samples = np.random.default_rng(RNG_SEED), []
     for k in range(COUNT):
         time_s = k / RATE_HZ
@@ -45,7 +45,7 @@ def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> l
 
 
 class Run:
-    """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
+    """Ship check of single samples or of batches, with its results; the stated steps are as in ``ship_check``."""
 
     def __init__(self, ship_check: BatchShipCheck | InsCheck) -> None:
         self.ship_check, self.results = ship_check, []
@@ -129,7 +129,7 @@ def test_partial_or_early_announcement_gives_the_same_results() -> None:
     run.ship_check.expect(samples[600:700])
     run.ship_check.expect(samples[700:900])
     run.check_samples(samples[600:800])
-    run.ship_check.expect(samples[900:1000])  # a hundred of the last ones have not come yet
+    run.ship_check.expect(samples[900:1000])  # samples 800 to 900 have not arrived yet
     run.check_samples(samples[800:])
     assert run.results == one_by_one(samples)
 

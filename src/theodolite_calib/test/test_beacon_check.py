@@ -47,7 +47,7 @@ def with_order(epoch: Epochs, order: list[int]) -> Epochs:
 
 
 def encoder_prior(epoch: Epochs, offset_arcmin: float = 1.0) -> AttitudePrior:
-    """Return the prior from encoder and INS, to an arcminute."""
+    """Return a prior as from encoder and INS: sigma 1′ per axis, with an error of ``offset_arcmin``."""
     off = np.array([0.6, -0.6, 0.5]) * offset_arcmin * 60.0 * ARCSEC
     return AttitudePrior(exp_rotation(off) @ epoch.truth.rotation_nt, {"prior": (60.0 * ARCSEC) ** 2 * np.eye(3)})
 
@@ -80,7 +80,7 @@ def test_two_swapped_beacons_are_found_with_a_prior():
 
 
 def test_two_swapped_beacons_are_consistent_without_a_prior():
-    # The angle is the same: only the half turn of the image differs.
+    # The angle between the beacons is the same: the attitude is only rotated by half a turn.
     epoch = an_epoch()
     check = check_epoch(with_order(epoch, [1, 0]))
     assert check.result is BeaconCheckResult.CONSISTENT
@@ -129,8 +129,8 @@ def test_consistent_beacons_with_an_inconsistent_prior():
 
 
 def test_a_little_better_the_other_way_round_is_no_swap():
-    # Three lights in a row, the middle one 2" from half way: turned round they fit as well within errors of 4". Seen
-    # further and further off, it fails as named a little before it fails turned round.
+    # Three lights are in a row, the middle one 2" from half way: within errors of 4", the reversed order fits as well.
+    # If the image of the middle light is shifted, the named order fails a little before the reversed order.
     along = np.array([3.0, 2.0]) / np.hypot(3.0, 2.0)
     row_deg = np.stack([3.0 * along, 5e-4 * along, -3.0 * along])
     exact = error_free_epochs(truth_of(75.0, 35.0, 15.0, row_deg))
@@ -155,12 +155,12 @@ def test_angle_residual_is_what_the_likelihood_leaves():
     epochs = paper_epochs(truth_of(np.full(2_000, 75.0), 35.0, 15.0), seed=4)
     angles = angle_residuals(epochs.image, epochs.camera, epochs.lines())
     assert angles.pairs.tolist() == [[0, 1]]
-    # By the paper's numbers: twice 2.7 cm at 2 km, 0.1 % of 7°, and less of the rest.
+    # By the paper's numbers: 2.7 cm at 2 km for each beacon, 0.1 % of the angle of 7°, and smaller errors.
     assert angles.sigma.mean() / ARCSEC == pytest.approx(26.0, abs=0.5)
     low, high = mean_nees_band(2_000, 1)
     assert low < angles.chi2.mean() < high
     attitude = solve_attitude(epochs.image, epochs.camera, epochs.lines())
-    # To first order: three sigma of the focal length are 0.3 %, of chi² twice that.
+    # Both are equal to first order: three sigma of the focal length are 0.3 % of the angle and 0.6 % of chi².
     assert angles.chi2[:, 0] == pytest.approx(attitude.chi2, rel=1e-2, abs=5e-3)
 
 

@@ -77,9 +77,9 @@ def test_a_session_that_starts_from_it_has_its_estimates() -> None:
     assert messages == []
     again = prior_from_state(filter_, config(), replace(state, last_beacons_ns=save_calibration().time_ns))
     assert again.values == pytest.approx(save_calibration().values, rel=1e-9, abs=1e-15)
-    # What is held has no variance, saved or not.
+    # Fixed constants have no variance, before and after saving.
     assert again.covariance == pytest.approx(save_calibration().covariance, rel=1e-12)
-    # The deformation is another by then.
+    # The deformation is not saved, because it will have changed.
     deformation = filter_.model.slices["deformation"]
     assert np.sqrt(np.diagonal(state.covariance)[deformation]) == pytest.approx(20.0 * ARCSEC)
     assert state.mean[deformation].tolist() == [0.0, 0.0, 0.0]
@@ -141,7 +141,7 @@ def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
     dark = tuple(a for a in session() if a.topic != BEACONS)
     with_file = run_adapter(new_adapter(calibration_file=str(path)), dark)
     without_file = run_adapter(new_adapter(), dark)
-    # Encoders alone: with a calibration the pointing is COASTING after the lights, without one DEGRADED.
+    # With encoders alone, the pointing is COASTING if a calibration is loaded, otherwise DEGRADED.
     assert with_file.pointings[-1].status == Status.COASTING
     assert without_file.pointings[-1].status == Status.DEGRADED
     traces = [np.trace(np.reshape(run.pointings[-1].rotation_covariance, (3, 3))) for run in (with_file, without_file)]
@@ -171,8 +171,8 @@ def test_published_calibration_is_the_state() -> None:
     assert np.max(np.abs(np.array(message.values) - truth) / sigma) < 4.0
     assert sigma[6] < 0.3 * 1e-4  # the focal length is known far better than before: 1.9e-5 m a sighting
     assert "g - deformation_up" in message.unobservable
-    assert message.sighting_count == 10  # eleven, the last of them after the report
-    # RTK of 1 cm at 2 km, five arcseconds of image and encoder at most.
+    assert message.sighting_count == 10  # eleven sightings, the last after the report
+    # The residuals contain 1 cm of RTK at 2 km, and at most five arcseconds of image and encoder.
     assert 0.3 * ARCSEC < message.residual_rms < 60.0 * ARCSEC
     assert run.adapter.outputs[1].latched
 

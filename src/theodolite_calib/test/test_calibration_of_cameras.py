@@ -26,7 +26,7 @@ OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
 
 
 def calibrated_state(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
-    """Return a state with a third of the configured sigma of the camera's mounting, correlated with the collimation."""
+    """Return filter and state; the camera's mounting has a third of its configured sigma, correlated with c."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
     rows = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")

@@ -1,6 +1,6 @@
-"""Compiled innovations of beacons in the subfilters against numpy: whole matrices, with the unit for unused components.
+"""Compiled beacon innovations of subfilters against numpy, where unused components have the identity as covariance.
 
-Equal to 1e-12 of numbers of about one: the covariances have condition numbers of some tens.
+The tolerance is 1e-12 for numbers of about one: the covariances have condition numbers of some tens.
 """
 
 from typing import Any
@@ -16,7 +16,8 @@ FILTERS, STATES = 4, 11
 
 
 def sighting(lights: int) -> tuple[Any, ...]:
-    """Return subfilters and beacons; the first subfilter leaves out the first beacon, two condition on the others."""
+    """Return subfilters and beacons; the first subfilter excludes the first beacon, three condition on other
+    beacons."""
     rng, m = np.random.default_rng(RNG_SEED), 2 * lights
     roots, root = rng.standard_normal((FILTERS, STATES, STATES)), rng.standard_normal((m, m))
     jacobian = rng.standard_normal((m, STATES)) * (rng.random((m, STATES)) < 0.7)
@@ -74,7 +75,7 @@ def test_indefinite_covariance_is_refused() -> None:
 
 @pytest.mark.parametrize("number", range(8))
 def test_mismatched_shapes_are_refused(number: int) -> None:
-    """The loops check no bounds."""
+    """The compiled loops check no bounds, so the shapes are checked before."""
     arrays = list(sighting(2))
     arrays[number] = arrays[number][:-1].copy()
     with pytest.raises(ValueError, match="do not fit together"):

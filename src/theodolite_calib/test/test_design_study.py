@@ -50,9 +50,9 @@ def test_sweeps_pass_through_the_design(paper: DesignStudy) -> None:
             assert at_design == pytest.approx(paper.given_arcsec[2], rel=1e-3), name
         both = np.isfinite(sweep.best_arcsec)
         assert both.any() == (name != "separation")
-        # The limits allow what is given, so nothing as given is better than the best.
+        # The given positions are within the limits, so they are never better than the best positions.
         assert np.all(sweep.best_arcsec[both] <= 1.001 * sweep.sigma_arcsec[both]), name
-    # RTK falls with the distance as refraction rises with it: a best distance is between.
+    # The RTK error falls with the distance and the refraction error rises: the best distance is in between.
     assert 0 < np.argmin(sweeps["distance"].sigma_arcsec) < len(sweeps["distance"].values) - 1
     for growing in ("pixel", "lever", "rtk", "principal_point"):
         assert np.all(np.diff(sweeps[growing].sigma_arcsec) > 0.0), growing
@@ -61,7 +61,8 @@ def test_sweeps_pass_through_the_design(paper: DesignStudy) -> None:
 
 
 def test_error_of_the_principal_point_is_that_of_a_shift(paper: DesignStudy) -> None:
-    """No residual shows it: at 2 km, s per axis adds √2 s / 2 km to the pointing, independent of the rest."""
+    """No residual shows the shift: a sigma s per axis adds √2 s / 2 km to the pointing error, independent of the
+    rest."""
     telescope = paper.config.optical_axis.telescope
     shifted = replace(telescope, lens=replace(telescope.lens, sigma_m=0.1))
     config = replace(paper.config, optical_axis=replace(paper.config.optical_axis, telescope=shifted))

@@ -28,7 +28,7 @@ from theodolite_calib.measured.samples import EncoderSample
 
 PERIOD_NS = 10_000_000
 FREE = 1e9
-"""A mount without mass, rad/s²."""
+"""Maximum acceleration that limits no motion, rad/s²."""
 
 
 def reading(number: int, azimuth: float, elevation: float = 0.5) -> EncoderSample:
@@ -44,7 +44,7 @@ def give_beacon_attitude(encoder_check: EncoderCheck, number: int, azimuth: floa
 
 
 def stop_in_motion(rate: float = 0.02) -> tuple[EncoderCheck, int]:
-    """Return ten readings in motion, rad/s, and one equal to the last."""
+    """Return a check after ten readings at ``rate``, rad/s, and one equal to the last; and the last number."""
     check = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
         assert check_reading(check, reading(number, 1.0 + rate * number * 0.01)) is None
@@ -56,20 +56,21 @@ def stop_in_motion(rate: float = 0.02) -> tuple[EncoderCheck, int]:
 def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
     check, number = stop_in_motion()
     assert check.unconfirmed_reason
-    check.confirm((number - 3) * PERIOD_NS)  # before they stopped
+    check.confirm((number - 3) * PERIOD_NS)  # before the readings stopped
     assert check.unconfirmed_reason
     check.confirm((number + 1) * PERIOD_NS)
     assert not check.unconfirmed_reason
 
 
 def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
-    """The first beacons fit any inflated estimate, also readings that do not change while the axis rotates."""
+    """The first beacons are consistent with any inflated estimate, even if stuck readings hide a rotation of the
+    axis."""
     check = EncoderCheck(ARCSEC, max_acceleration=1.0)
     for number in range(10):
         check_reading(check, reading(number, 1.0 + 2e-4 * number))
     jumped = next(n for n in range(10, 40) if check_reading(check, reading(n, 1.3 + 2e-4 * n)) is None)
     assert check.unconfirmed_reason
-    check.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
+    check.confirm((jumped - 20) * PERIOD_NS)  # before the jump
     for _ in range(2):  # the same beacons twice are one time
         check.confirm((jumped + 1) * PERIOD_NS)
         assert check.unconfirmed_reason
@@ -101,7 +102,7 @@ def test_beacons_before_the_stop_are_no_reference() -> None:
     check = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
         check_reading(check, reading(number, 1.0 + 0.01 * number))
-    # The beacon of 5 is received only now; meanwhile the mount has come to rest.
+    # The beacon attitude of reading 5 is received only now; meanwhile the mount has come to rest.
     give_beacon_attitude(check, 5, 1.05)
     for number in range(10, 60):
         assert check_reading(check, reading(number, 1.09)) is None
@@ -115,7 +116,7 @@ def test_stuck_detection_and_recovery() -> None:
     for later in range(number + 1, number + 60):
         give_beacon_attitude(check, later, 1.0 + 0.001 * later)
         rejections.append(check_reading(check, reading(later, 1.0 + 0.02 * 0.09)))
-    # Half a second is not checked: the last reading that moved, the one after it, and forty-eight of these.
+    # Half a second is not checked: the last changed reading, the unchanged one after it, and forty-eight of these.
     assert [r is not None for r in rejections] == [False] * 48 + [True] * 11
     assert rejections[-1].reason is Reason.STUCK
     assert [check_reading(check, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
@@ -123,7 +124,7 @@ def test_stuck_detection_and_recovery() -> None:
 
 def test_angles_are_taken_modulo_a_turn() -> None:
     check = EncoderCheck(ARCSEC, FREE)
-    # The mount counts on past a full turn, and its zero is set back by two turns at 50.
+    # The mount counts on past a full turn, and its zero is set back by two turns at reading 50.
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
     rejections = [
         check_reading(check, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)
@@ -141,7 +142,7 @@ def test_degrees_are_rejected_until_radians_persist() -> None:
     assert check_reading(check, reading(2, 6.2, 0.5)) is None
     for number in range(3, 23):
         assert check_reading(check, reading(number, 355.0, 28.6)).reason is Reason.UNITS
-    # An elevation of nine degrees could be one in radians, counted too far.
+    # A reading of nine is below the limit of 3π rad and could be in radians.
     rejections = [check_reading(check, reading(30 + number, 355.0, 9.0)) for number in range(19)]
     assert all(rejection.reason is Reason.UNITS for rejection in rejections)
     assert check_reading(check, reading(60, 6.2, 0.5)) is None
@@ -218,7 +219,8 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 
 def test_live_changes_reach_the_encoder_check() -> None:
-    """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
+    """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and a mount of 10°/s²
+    cannot."""
     arrivals = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
     half = index_at(arrivals, ENCODER, 3.0)
     for changes, rejected in (
@@ -232,7 +234,7 @@ def test_live_changes_reach_the_encoder_check() -> None:
 
 
 def test_slip_of_degrees_is_never_valid() -> None:
-    """Beacons are not linear in zero points of this size and are rejected: a reset is needed."""
+    """Zero-point errors of this size are outside the linear range: beacons are rejected, and a reset is needed."""
     run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), replace_reading(5.0)))
     assert {m.status for m in run.pointings if seconds(m) >= 3.0} == {Status.DEGRADED}
 

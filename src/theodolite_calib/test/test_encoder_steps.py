@@ -14,18 +14,18 @@ from theodolite_calib.measured.samples import EncoderSample
 RATE_HZ = 50
 PERIOD_NS = 20_000_000
 FAST = math.radians(100.0)
-"""The usual limit of a mount, rad/s²: from rest to rest within a period it goes FAST/4 (1/50)² = 36"."""
+"""Usual maximum acceleration of a mount, rad/s²: from rest to rest within a period it moves by FAST/4 (1/50)² = 36"."""
 
 
 def motion(seconds, rng, sigma_arcsec=1.0):
-    """Return a mount that sweeps as in theodolite.yaml: azimuth 1.2 deg/s, elevation 40 ± 30 deg in 110 s."""
+    """Return noisy readings of a sweep as in theodolite.yaml: azimuth 1.2 deg/s, elevation 40 ± 30 deg in 110 s."""
     azimuth, elevation = np.radians(1.2) * seconds, np.radians(40.0 + 30.0 * np.sin(2 * np.pi * seconds / 110.0))
     noise = sigma_arcsec * ARCSEC * rng.standard_normal((len(seconds), 2))
     return np.column_stack([azimuth, elevation]) % (2 * np.pi) + noise
 
 
 def check_readings(angles, acceleration=FAST, times_ns=None):
-    """Return for each reading: True if unconfirmed after it; its rejection; the slip that it proves."""
+    """Return the check, and for each reading: True if readings are unconfirmed after it, its rejection, its slip."""
     check, found = EncoderCheck(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
@@ -36,7 +36,7 @@ def check_readings(angles, acceleration=FAST, times_ns=None):
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_step_is_unconfirmed_until_beacons_agree(axis):
-    """A cubic through twelve readings: sigma of a prediction 1.92", bound 12.5"; 20" is 3.9 sigma above it."""
+    """A cubic through twelve readings predicts with a sigma of 1.92"; 20" is 3.9 sigma above the bound of 12.5"."""
     seconds, at = np.arange(120) / RATE_HZ, 100
     first = lasts = 0
     for seed in range(200):
@@ -51,11 +51,11 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
         check.confirm(119 * PERIOD_NS)
         assert not check.unconfirmed_reason
     assert first == 200
-    assert lasts >= 196  # 2.5 sigma one-sided, as the next reading against 1.25 of the first one
+    assert lasts >= 196  # 2.5 sigma one-sided: the second error is at most 1.25 times the first
 
 
 def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
-    """45" are less than FAST · period² = 144", so that the first reading might be the start of a slew."""
+    """55" are less than FAST · period² = 144", so the first reading might be the start of a slew."""
     seconds, at = np.arange(120) / RATE_HZ, 100
     for seed in range(50):
         angles = motion(seconds, np.random.default_rng(seed))
@@ -68,12 +68,12 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
         assert jump.time_ns == at * PERIOD_NS - 1
         assert np.all(np.abs(jump.jump - [0.0, -55.0 * ARCSEC]) < 4.5 * jump.sigma_rad)
         assert all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
-        # A mount with twice the acceleration goes 72" so: then it may have moved.
+        # A mount with twice the acceleration moves by 72" from rest to rest, so it may have moved.
         assert all(rejection is None for _, rejection, _ in check_readings(angles, 2.0 * FAST)[1])
 
 
 def test_slews_are_no_steps():
-    """Trapezoids of rate up to the mount's acceleration, at any phase: unconfirmed at one reading of each corner."""
+    """Slews with trapezoidal rates at any phase: on average at most two readings at each corner are unconfirmed."""
     seconds = np.arange(600) / RATE_HZ
     corners = unconfirmed = 0
     for seed in range(60):
@@ -102,7 +102,7 @@ def test_single_wrong_reading_is_not_unconfirmed():
 @pytest.mark.statistics
 @pytest.mark.parametrize("sigma_arcsec", [0.3, 1.0, 5.0])
 def test_valid_readings_are_no_steps(sigma_arcsec):
-    """More noise than is stated is estimated; stamps with a jitter of a tenth of a period are used as they are."""
+    """Noise above the stated sigma is estimated; stamps with a jitter of a tenth of a period are used unchanged."""
     rng = np.random.default_rng(7)
     seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ
     angles = motion(seconds, rng, sigma_arcsec)
@@ -111,7 +111,7 @@ def test_valid_readings_are_no_steps(sigma_arcsec):
 
 
 def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
-    """4 deg in 11 s: a parabola through eight readings has an error of 2.7", the cubic less than its noise."""
+    """A roll of 4 deg in 11 s: a parabola through eight readings is wrong by 2.7", a cubic by less than its noise."""
     seconds, at = np.arange(200) / 20.0, 150
     first = 0
     for seed in range(100):

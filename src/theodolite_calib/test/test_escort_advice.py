@@ -25,7 +25,7 @@ FOCAL_LENGTH_M, FOCAL_SIGMA_M, IMAGE_SIGMA_M, RTK_SIGMA_M, K_SIGMA = 0.1, 1e-4, 
 
 
 def paper_config(names: str = "ab", **limits: Any) -> OpticalAxisConfig:
-    """Return [W18]'s errors with refraction per beacon and nearly unknown axes: only beacons inform."""
+    """Return a configuration with [W18]'s errors, refraction per beacon, and axes that are nearly unknown."""
     axes = {f"{name}_sigma_arcsec": 3600.0 for name in ("g", "h", "c", "I", "beta_x", "beta_y")}
     lever = dict(zip(("forward_m", "up_m", "right_m"), LEVER_M.tolist(), strict=True))
     values = {
@@ -48,7 +48,7 @@ def paper_config(names: str = "ab", **limits: Any) -> OpticalAxisConfig:
 def accuracy_of(
     config: OpticalAxisConfig, elevation_deg: float, ship: tuple[float, float, float] = (0.4, 0.0, 0.0)
 ) -> BeaconAccuracy:
-    """Return the accuracy at heading, pitch, roll, rad; on a level ship the elevation is over the horizon."""
+    """Return the accuracy at a ship attitude (heading, pitch, roll, rad) and an encoder elevation."""
     attitude = ShipAt(rotation_from_angles(*ship), np.zeros(3), None, 1e-20)
     encoder = EncoderAt(AZIMUTH, float(np.deg2rad(elevation_deg)), 1e-20)
     return BeaconAccuracy(config, CalibrationFilter(config), attitude, encoder)
@@ -63,7 +63,7 @@ def positions_off_axis(accuracy: BeaconAccuracy, angles_deg: FloatArray, range_m
 
 @pytest.mark.parametrize("elevation_deg", [10.0, 60.0])
 def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) -> None:
-    """The bound of models.md §5, 3.47", and the maximum likelihood of the telescope's attitude by other code."""
+    """The accuracy equals that of ``solve_attitude``, and at 10° the bound of models.md §5, 3.47"."""
     accuracy = accuracy_of(paper_config(), elevation_deg)
     places_n = positions_off_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
     camera = Camera(FOCAL_LENGTH_M, FOCAL_SIGMA_M, np.zeros(2))
@@ -107,13 +107,12 @@ def test_better_than_the_papers_geometry_at_two_kilometres(elevation_deg: float)
     assert advice.sigma_now == accuracy.sigma(("a", "b"), paper_n)
     assert advice.sigma_advised <= 0.95 * advice.sigma_now
     if elevation_deg <= 10.0:
-        # There is no more to win than about a tenth: RTK falls with the distance as refraction rises with it.
+        # The gain is at most about a tenth: the RTK error falls with the distance and the refraction error rises.
         assert advice.sigma_advised >= 0.88 * advice.sigma_now
 
 
 def grid(accuracy: BeaconAccuracy, config: OpticalAxisConfig) -> FloatArray:
-    """Return positions within the limits over angle from the axis, its direction, and range, by this test's
-    formulas."""
+    """Return positions within the limits on a grid of angles from the axis, directions about it, and ranges."""
     limits = config.escort
     off_deg = limits.field_deg * np.array([0.0, 0.5, 0.999])
     ranges_m = np.geomspace(limits.range_min_m, limits.range_max_m, 5)
@@ -212,7 +211,7 @@ def test_never_outside_the_limits(seed: int) -> None:
 def test_limits_reached_are_named() -> None:
     config = paper_config(range_max_m=600.0, separation_min_m=70.0)
     advice = advice_for(config, accuracy_of(config, 20.0))
-    # The RTK's share falls with the distance, so both go as far as they may.
+    # The RTK error falls with the distance, so both drones are advised to go to the maximum range.
     assert {"a: range_max_m", "b: range_max_m"} <= set(advice.limits_reached)
     config = paper_config(range_min_m=500.0, range_max_m=500.0, separation_min_m=61.0, field_deg=3.5)
     advice = advice_for(config, accuracy_of(config, 20.0))
@@ -224,7 +223,7 @@ def test_limits_reached_are_named() -> None:
     [
         (10.0, {"elevation_min_deg": 20.0}, "elevation_min_deg"),
         (60.0, {"elevation_max_deg": 45.0}, "elevation_max_deg"),
-        # Half the field is below what is allowed, so that its width is not there.
+        # Half of the field is below the minimum elevation, and the rest is too narrow for the separation.
         (7.0, {"elevation_min_deg": 10.0, "range_min_m": 1000.0, "range_max_m": 1000.0, "separation_min_m": 120.0},
          "separation_min_m"),
     ],

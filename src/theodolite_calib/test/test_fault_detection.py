@@ -25,8 +25,9 @@ AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
 def consistent_state(received_ns: dict[str, int]) -> FaultState:
-    """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
-    beacon.
+    """Return a state with exclusions of FIRST and the encoders and an unresolved fault, all consistent since AGREED_NS.
+
+    ``received_ns`` is the time of the last measurement of each beacon.
     """
     state = initial_fault_state(SUBFILTERS)
     seen_ns = state.innovation_means.last_measured_ns.copy()

@@ -42,7 +42,7 @@ EVERYTHING = {
         }.items()
     },
 }
-"""Every state that there can be."""
+"""Configuration with every state of the model."""
 
 
 def sightings_of(settings, count: int, seed: int = 3) -> list[Sighting]:
@@ -80,7 +80,8 @@ def test_the_jacobian_is_that_of_finite_differences(seed: int) -> None:
     sigma = np.sqrt(np.diagonal(filter_.initial_state().covariance))
     mean = 3.0 * sigma * rng.standard_normal(sigma.size)
     for name in BEACONS_DEG:
-        # Of degrees, with a lever of centimetres: that they do not add like vectors is left out.
+        # These errors are degrees, with a lever of centimetres. The Jacobian neglects that rotations do not add like
+        # vectors.
         mean[filter_.model.slices[f"light.{name}.attitude"]] = 0.0
     found = filter_.sightings.predict(mean, sighting)
     for column, one in enumerate(sigma):
@@ -91,15 +92,15 @@ def test_the_jacobian_is_that_of_finite_differences(seed: int) -> None:
         ahead, behind = (filter_.sightings.predict(mean + s, sighting) for s in (step, -step))
         # The residual is measured minus predicted.
         numeric = (behind.residual - ahead.residual) / (2.0 * step[column])
-        # Left out: what turns the main axis carries N' round, 0.4 m at 2 km: 2e-4; what moves a light along its line
-        # changes its refraction.
+        # The Jacobian neglects that a rotation of the main axis moves N' (0.4 m at 2 km: 2e-4), and that the distance
+        # of a light changes its refraction.
         assert found.jacobian[:, column] == pytest.approx(numeric, abs=1e-3 * np.max(np.abs(numeric)) + 1e-12 / one)
         turned = log_rotation(ahead.rotation_nt @ behind.rotation_nt.T) / (2.0 * step[column])
         assert found.by_state_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
 
 
 def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
-    """All errors at all times are unknowns, whitened, by scipy; the last state equals the filter's."""
+    """scipy solves for all errors at all times as whitened unknowns; the last state equals the filter's."""
     settings = config(
         air__sigma=0.06,
         air__time_s=50.0,
@@ -148,7 +149,7 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
     found = least_squares(residuals, unknowns, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     sigma = np.sqrt(np.diagonal(state.covariance))
     expected = states(found.x)[-1]
-    # What is not linear in the errors is of the order of their squares: 1e-4 of a sigma.
+    # Effects that are not linear in the errors are of the order of their squares: 1e-4 of a sigma.
     assert np.abs(state.mean - expected)[free] == pytest.approx(0.0, abs=2e-2 * np.max(sigma[free]))
     assert np.max(np.abs(state.mean - expected)[free] / sigma[free]) < 5e-3
     to_last = np.array([states(column)[-1] for column in np.eye(found.x.size)]).T
@@ -157,7 +158,7 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
 
 
 def test_distant_start_converges_to_the_same_estimate() -> None:
-    """Ten arcminutes in the zero points: linearised once, their squares alone would be 1.7"."""
+    """The zero points are off by ten arcminutes; with one linearisation, their squares alone would give 1.7"."""
     far = {"axes__g_arcsec": 600.0, "axes__h_arcsec": -600.0}
     sigma = {"axes__g_sigma_arcsec": 1000.0, "axes__h_sigma_arcsec": 1000.0}
     sightings = sightings_of(config(**sigma), 3)
@@ -165,7 +166,7 @@ def test_distant_start_converges_to_the_same_estimate() -> None:
     model = CalibrationFilter(config()).model
     g, h = model.state_indices("axes")[:2]
     moved = near.mean - off.mean
-    # The prior pulls each back by its share, so a little of the 600" is left: (sigma / 1000")².
+    # The prior holds each zero point back by a fraction (sigma / 1000")² of the 600".
     left = 600.0 * ARCSEC * np.diagonal(near.covariance)[[g, h]] / (1000.0 * ARCSEC) ** 2
     assert moved[[g, h]] / ARCSEC == pytest.approx([600.0, -600.0], abs=0.02 + 1.1 * np.max(left) / ARCSEC)
     assert off.covariance == pytest.approx(near.covariance, rel=0.05, abs=1e-3 * np.max(near.covariance))
@@ -195,7 +196,7 @@ def test_the_parts_are_the_covariance_of_a_filter_with_one() -> None:
 
 
 def test_normalised_innovations_are_chi_square() -> None:
-    """4 degrees each; the filter's model is that of the simulation."""
+    """The NIS has 4 degrees of freedom; the filter's model is that of the simulation."""
     settings = config(beacons__alpha__rtk__bias_sigma_m=0.01, air__sigma=0.06)
     filter_ = CalibrationFilter(settings)
     step = SightingStep(settings, filter_)
@@ -212,7 +213,7 @@ def test_normalised_innovations_are_chi_square() -> None:
 
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
 def test_subfilters_are_propagated_as_each_alone(source: str) -> None:
-    """Two states of one model on one leading axis, over a minute in which stars end, and over a jump."""
+    """Two stacked states are propagated by a minute, with a changed ship error, and over a jump."""
     settings = config(**{**EVERYTHING, "ship__source": source})
     filter_ = CalibrationFilter(settings)
     alone = [run_filter(filter_, sightings_of(settings, 2, seed)) for seed in (3, 4)]

@@ -256,7 +256,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
-    """The optical axis uses the file; a base rotation error of 20″ keeps the tilt as uncertain, plain rows do not."""
+    """With a base rotation error of 20″ common to the rows, the saved tilt has a sigma of 20″; without it, below 3″."""
     rows = table_rows()
     header = f"{HEADER},time_s,group,group_sigma_arcsec"
     lines = [
@@ -272,7 +272,7 @@ def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
     assert tilt_arcsec[0] == pytest.approx([20.0, 20.0], abs=1.0)
     assert np.all(tilt_arcsec[1] < 3.0)
     assert (grouped.serial, grouped.time_ns) == ("T7", round((1.4e9 + COUNT - 1) * 1e9))
-    # Without a time its age is unknown.
+    # Without times in the table, the age of the calibration is unknown.
     assert plain.time_ns == 0
     fitted = yaml.safe_load((tmp_path / "grouped" / "axes.yaml").read_text(encoding="utf-8"))
     np.testing.assert_allclose(grouped.covariance[:6, :6], fitted["covariance_rad2"], rtol=1e-12)
@@ -285,7 +285,7 @@ def test_no_sigma_with_unstated_shared_errors(
     rng = np.random.default_rng(4)
     rows = np.array(table_rows() * 3)
     rows[:, 0] += np.repeat([0.0, 0.01, 0.02], COUNT)
-    # A slow walk of the base, 20″ within the table, is in the elevations.
+    # The elevations contain a random walk of the base with 6″ per row.
     rows[:, 3] += np.cumsum(rng.normal(0.0, 6.0, len(rows))) / 3600.0
     out = tmp_path / "out"
     out.mkdir()
@@ -329,7 +329,7 @@ def test_wrong_offset_conventions_are_reported(
     table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
     assert main([str(table), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
-    # No sighting can show the common sign of both: the first one is printed.
+    # No sighting shows whether both signs are wrong, so the direction of the first sighting is printed for a check.
     assert "observation S0 has the true direction" in shown
     assert ("warning: " in shown) == (text is not None)
     assert (tmp_path / "out" / "calibration.yaml").exists() == (text is None)

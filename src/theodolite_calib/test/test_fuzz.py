@@ -22,7 +22,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     fields = {a.topic: paths(a.message) for a in session()}
     run, now_ns, tried = Run(adapter), START_NS, 0
     while tried < MESSAGES:
-        # Good messages go on between, so that each round of garbage meets a filter at work.
+        # Valid messages are sent in between, so that each round of garbage reaches a running filter.
         start_ns = now_ns
         for arrival in session():
             now_ns = start_ns + arrival.receive_ns - START_NS

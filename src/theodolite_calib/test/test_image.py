@@ -17,7 +17,7 @@ PREDICTED = predict_points(PAPER_CAMERA, TRUTH.rotation_nt, DIRECTION_N)
 
 
 def points(count: int = 300) -> FloatArray:
-    """Return points all over a detector of 40 mm: 11° from the axis."""
+    """Return points all over a detector of 40 mm, up to 11° from the axis in each coordinate."""
     return np.random.default_rng(1).uniform(-0.02, 0.02, (count, 2, 2))
 
 

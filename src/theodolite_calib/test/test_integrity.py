@@ -72,7 +72,7 @@ def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
 
 
 def frozen_ship() -> Any:
-    """Return a ship's attitude that is constant for four seconds while she rolls."""
+    """Return a session in which the ship's attitude is frozen for four seconds while she rolls."""
     frozen: list[Any] = []
 
     def freeze(message: Any) -> None:

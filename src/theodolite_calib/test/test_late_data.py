@@ -41,7 +41,7 @@ ALL = ALL_TOPICS
 
 
 def shuffle_arrivals(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
-    """Return random delays over the whole lag for these topics, a few milliseconds for the others."""
+    """Return the session with random delays over the whole lag for these topics, and 5 ms for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in session()])
     return delay_arrivals(session(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
@@ -63,7 +63,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
     for topic in ALL:
         # An exposure may be rejected first if the data around it came late; in the end it is used.
         assert set(run.reasons(topic)) <= {"gap", "revised"}
-    # INVALID outputs are not in the order.
+    # INVALID outputs may be out of order.
     stamps = [stamp_of(m) for m in run.pointings if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(stamps))
     one, other = run.adapter.core.calibration(), fault_free_run().adapter.core.calibration()
@@ -82,7 +82,7 @@ def test_the_shuffles_do_shuffle() -> None:
 @pytest.mark.parametrize("topic", ALL)
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) -> None:
-    """The message is the maximum lag behind the newest received stamp."""
+    """The message arrives just before a stamp that is more than ``late_s`` newer."""
     index = index_at(session(), topic, 2.6)
     limit_ns = session()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in session() if a.stamp_ns > limit_ns)
@@ -132,7 +132,7 @@ def test_flood_of_random_stamps_costs_few_steps(
 
 
 def repeat_times(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
-    """Repeat the stamps 2.0 s to 2.3 s of some sources with data of one second later."""
+    """Return a session in which some sources repeat the stamps 2.0 s to 2.3 s with data of one second later."""
 
     def again(message: Any) -> None:
         ns = stamp_of(message) - SECOND_NS

@@ -48,7 +48,7 @@ PER_AXIS_M = LENS_M / np.sqrt(3.0)
 TIMES_S = np.arange(0.0, 300.0, 0.5)
 ENCODER = np.deg2rad(np.stack([1.2 * TIMES_S, 40.0 - 30.0 * np.cos(2.0 * np.pi * TIMES_S / 110.0)], axis=-1))
 NEAR_AND_FAR_M = 1250.0 - 750.0 * np.cos(2.0 * np.pi * TIMES_S / 100.0)
-"""0.5 to 2 km."""
+"""Distances from 0.5 to 2 km, m."""
 
 FORWARD, UP, RIGHT = range(3)
 
@@ -61,7 +61,7 @@ def _sky():
 def state_after_sweep(
     seed: int, sky_model, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
 ) -> tuple[CalibrationFilter, CalibrationState, Session]:
-    """Return the filter's state after the sweep, and the truth; without ``sky_model`` by beacons alone."""
+    """Return filter, state after the sweep, and session with the truth; beacons alone if ``sky_model`` is None."""
     drawn = session(settings, seed, TIMES_S, ENCODER, lens_error_m=np.full(3, lens_error_m), distance_m=distance_m)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
     by_lights, sky = SightingStep(settings, filter_), rng.standard_normal(4)
@@ -87,7 +87,7 @@ def state_after_sweep(
 
 
 def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[np.ndarray, np.ndarray]:
-    """Return estimate minus truth, and sigma."""
+    """Return the error of the estimated N', and its sigma, m, shape (3,) each."""
     rows = filter_.model.slices["lens"]
     return state.mean[rows] - PER_AXIS_M, np.sqrt(np.diagonal(state.covariance)[rows])
 
@@ -100,7 +100,7 @@ def test_beacons_and_stars_observe_n_right_and_up(sky_model, distance_m) -> None
     assert np.max(sigmas_m[:, RIGHT]) < 0.005
     assert np.max(sigmas_m[:, UP]) < 0.015
     assert np.max(np.abs(errors_m[:, [UP, RIGHT]] / sigmas_m[:, [UP, RIGHT]])) < 3.5
-    # With the focal length by stars, the scale of the lights' image depends on N' forward alone: 60 mm become 41 mm.
+    # As stars determine the focal length, the scale of the lights' image determines N' forward: 60 mm become 41 mm.
     assert np.min(sigmas_m[:, FORWARD]) > 0.6 * LENS_M
     for filter_, state in found:
         calibration = calibration_from_state(filter_, SETTINGS, state)
@@ -117,7 +117,7 @@ def test_beacons_alone_confuse_n_with_axis_errors() -> None:
     _, sigma_m = lens_error_m(filter_, state)
     assert np.min(sigma_m) > 0.9 * LENS_M
     unobservable = calibration_from_state(filter_, SETTINGS, state).unobservable
-    # A radian of collimation is 2 km of N': so far the lights are away.
+    # A radian of collimation has the effect of 2 km of N', the distance of the lights.
     assert "c + 2e+03 lens_right" in unobservable
     assert "h + 2e+03 lens_up" in unobservable
 

@@ -21,7 +21,7 @@ from theodolite_calib.lights.line_of_sight import (
 )
 
 NOTHING = LeverArm(np.zeros(3), np.zeros(3))
-# No light in the same distance or height as another, levers and errors such that each term counts.
+# The lights have different distances and heights; levers and errors are large enough for each term to count.
 TRUTH = replace(
     truth_of(200.0, 25.0, 10.0, np.array([[3.0, 2.0], [-2.0, -3.0], [1.0, -2.5]])),
     distance_m=np.array([900.0, 2000.0, 1400.0]),
@@ -52,7 +52,7 @@ def inputs() -> tuple[BeaconPoses, Ship, Survey]:
 
 
 def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
-    """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
+    """Return lines of sight with an error added to the named values; shape (k,) if common, else (N, k)."""
 
     def with_longer(lever: LeverArm) -> LeverArm:
         return replace(lever, vector_m=lever.vector_m + error)
@@ -147,7 +147,7 @@ def test_jacobians_equal_finite_differences(name):
             error = np.tile(error, (count, 1))
         more, less = (disturbed_lines(name, sign * error, *inputs()).direction_n for sign in (1.0, -1.0))
         expected = (more - less) / (2.0 * step)
-        # What is left out is the change of the refraction with the path, 4e-5 of the whole.
+        # The Jacobian neglects the change of the refraction with the path, 4e-5 of the whole.
         largest = np.abs(term.jacobian_n).max()
         assert term.jacobian_n[..., k] == pytest.approx(expected, abs=1e-4 * largest)
 
@@ -172,7 +172,7 @@ def test_common_and_correlated_terms():
 
 
 def test_joint_covariance_is_that_of_drawn_errors():
-    """All errors at once, each applied at its origin, common errors included."""
+    """All errors are drawn at once, common errors included, and each is applied where it enters."""
     rng, count = np.random.default_rng(12), 20_000
     lights, ship, survey = inputs()
 
@@ -186,7 +186,7 @@ def test_joint_covariance_is_that_of_drawn_errors():
     ahead = survey.theodolite_lever.vector_m + draw("theodolite_lever")[:, 0]
     lens = survey.principal_point.vector_m + draw("principal_point")[:, 0]
     rotation_nd = exp_rotation(draw("ship_attitude")[:, 0]) @ ship.rotation_nd
-    # The ship's levers have no leading dimensions: they join the baselines, as models.md §5 has it.
+    # The ship's levers have no dimension for draws, so they are subtracted from the baselines, as in models.md §5.
     rotated = np.einsum("nij,nj->ni", rotation_nd, ahead) + np.einsum(
         "nij,jk,nk->ni", rotation_nd, ship.rotation_dm, lens
     )
@@ -212,7 +212,7 @@ def test_joint_covariance_is_that_of_drawn_errors():
     correlation = covariance / np.outer(sigma, sigma)
     # Four and a half standard deviations for 45 different elements.
     assert np.abs(sample - correlation).max() < 4.5 * np.sqrt(2.0 / count)
-    # The lights do share something here.
+    # The errors of different lights are correlated here.
     assert np.abs(correlation[:3, 3:]).max() > 0.2
 
 

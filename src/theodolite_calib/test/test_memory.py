@@ -65,13 +65,13 @@ def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
     right_n = np.array([-east, 0.0, north]) / level_m
     up_n = np.array([-up * north, level_m**2, -up * east]) / (level_m * distance_m)
     expected = -np.array([right_n @ moved_n, up_n @ moved_n]) / distance_m
-    # The lever turns the line of sight against the baseline by less than a hundredth.
+    # The lever rotates the line of sight relative to the baseline by less than 0.01 rad.
     np.testing.assert_allclose(after[first].turn - before[first].turn, expected, atol=0.02 * np.linalg.norm(expected))
     np.testing.assert_allclose(after[other].turn, before[other].turn, atol=1e-12)
 
 
 def test_separations_have_the_covariance_that_is_stated() -> None:
-    """One sample a seed: mean of the normalised squares within the 99.9 % band of chi-square."""
+    """With one sample a seed, the mean of the normalised squares is within the 99.9 % band of chi-square."""
     values = []
     for seed in range(200):
         state, sighting = remembered_state(seed)
@@ -86,7 +86,7 @@ def test_expected_covariance_grows_with_time() -> None:
     later = propagate_memory(FILTER, state, [], sighting.time_ns + SECOND_NS)
     now = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
     then = memory_residuals(FILTER, later, replace(sighting, time_ns=later.time_ns))[sighting.names[0]]
-    # What decays within a second of what is known already is a thousandth of it.
+    # Within a second, the earlier covariance decays by only a thousandth.
     np.testing.assert_allclose(then.expected - now.expected, now.drift, atol=0.01 * np.max(now.expected))
 
 
@@ -100,7 +100,7 @@ def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
     row = FILTER.model.slices["focal_length"].start
     mean = start.mean.copy()
     mean[row] += 10.0 * np.sqrt(state.covariance[row, row])
-    # Both covariances together: sigma times the root of two.
+    # With the sum of both covariances, the sigma is √2 times as large.
     departure = largest_difference_sigmas(FILTER, replace(start, mean=mean), state, *now)
     assert departure == pytest.approx(10.0 / np.sqrt(2.0), rel=1e-6)
     later = largest_difference_sigmas(FILTER, replace(start, mean=mean), state, *now, is_later=True)
@@ -109,7 +109,7 @@ def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
 
 @pytest.mark.parametrize(("moved_m", "least", "most"), [(0.0, 0.0, 3.0), (1.0, 4.0, np.inf)])
 def test_difference_from_memory_after_all_beacons_moved(moved_m, least, most) -> None:
-    """One metre at 2 km is 103″; no single state shows it, because each is uncertain by tens of arcseconds."""
+    """One metre at 2 km is 103″; no single state shows the shift, as each is uncertain by tens of arcseconds."""
     departures = []
     for seed in range(10):
         times_s = np.append(np.arange(40.0), 70.0 + np.arange(20.0))

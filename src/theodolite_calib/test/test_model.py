@@ -16,7 +16,7 @@ def test_small_changes_are_left_to_the_process() -> None:
 
 
 def test_variance_decrease_acts_as_a_kalman_update() -> None:
-    """Heading from 72" to 20": random errors, updated by a measurement with that effect."""
+    """Random heading errors are updated by a measurement that reduces their sigma from 72" to 20"."""
     before, after = 72.0, 20.0
     step = ship_error_step(covariance(10.0, before, 10.0), covariance(10.0, after, 10.0))
     assert step is not None

@@ -33,7 +33,7 @@ def test_a_ship_that_coasts_or_is_degraded() -> None:
         return lambda message: setattr(message, "status", value)
 
     coasting = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == SHIP, status(1)))
-    assert {m.status for m in coasting.pointings[20:]} == {Status.VALID}  # the lights hold it
+    assert {m.status for m in coasting.pointings[20:]} == {Status.VALID}  # the lights determine the pointing
     degraded = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == SHIP, status(2)))
     assert {m.status for m in degraded.pointings[20:]} == {Status.DEGRADED}
     assert degraded.state() == coasting.state() == fault_free_run().state()
@@ -47,7 +47,7 @@ def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() ->
     dark = tuple(a for a in session_with_ins_only() if a.topic != BEACONS)
     alone = run_adapter(new_adapter(**INS), dark).pointings[-1]
     fused = run_adapter(new_adapter(), tuple(a for a in session() if a.topic != BEACONS)).pointings[-1]
-    # 72" in heading and 10" in each tilt more.
+    # The INS alone adds 72" in heading and 10" in each tilt.
     added = np.trace(np.reshape(alone.rotation_covariance, (3, 3)) - np.reshape(fused.rotation_covariance, (3, 3)))
     arcsec = np.pi / (180.0 * 3600.0)
     assert 70.0 < np.sqrt(added) / arcsec < 78.0
@@ -55,7 +55,7 @@ def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() ->
 
 def test_telescope_attitude_is_published_with_beacons() -> None:
     pointing = fault_free_run().pointings[-1]
-    # Parallel to the main axis here.
+    # The telescope is parallel to the main axis here.
     assert abs(pointing.telescope_azimuth - pointing.azimuth) < 1e-9
     assert abs(pointing.telescope_elevation - pointing.elevation) < 1e-9
     assert pointing.header.frame_id == "theodolite_main"

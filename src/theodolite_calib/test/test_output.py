@@ -31,13 +31,13 @@ from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing,
 TIMES_S = np.arange(0.0, 10.0)
 COUNT = 12
 LIMITS_ARCSEC = (620.0, 450.0, 2000.0)
-"""Some of the pointings are beyond these."""
+"""Alert limits that some of the pointings exceed."""
 SOURCES = ["ship/attitude", "ins/imu"]
 
 
 @functools.cache
 def state_after_beacons(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, CalibrationState]:
-    """Return a filter after ten seconds of beacons, and its state."""
+    """Return a configuration, its filter, and the state after ten seconds of beacons."""
     settings = config(ship__source=source, integrity__alert_limit_arcsec=LIMITS_ARCSEC)
     filter_ = CalibrationFilter(settings)
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
@@ -55,7 +55,7 @@ def readings(source: str, state: CalibrationState) -> tuple[EncoderSeries, ShipS
     angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
     reasons = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
     encoders = EncoderSeries(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), reasons)
-    # Stars have gone and come again: the ship's error changes at once.
+    # The ship's stated error changes in steps, as after a loss and a return of stars.
     sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
     root = np.diag([1.4, 1.8, 1.4]) + 0.2 * rng.standard_normal((COUNT, 3, 3))
     stated_n = None if source == "ins/imu" else (ARCSEC * sizes) ** 2 * (root @ root.swapaxes(1, 2))

@@ -49,13 +49,14 @@ def test_maximum_likelihood_reaches_the_bound_and_matches_its_covariance(elevati
 
     error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))
     assert 2.92 <= normalized_error_squared(error_n, attitude.covariance_n).mean() <= 3.08
-    # Components about the axis, the vertical across it (azimuth · cos E) and the horizontal (elevation).
+    # Components about the axis, about the vertical across the axis (azimuth · cos E), and about the horizontal
+    # (elevation).
     axes = rotation_from_angles(*np.deg2rad([AZIMUTH_DEG, elevation_deg, 0.0]))
     sigma = np.sqrt(np.mean(np.einsum("ji,njk,ki->ni", axes, attitude.covariance_n, axes), axis=0))
     ratio = rms(error_n @ axes) / sigma
     assert np.all((ratio >= 0.97) & (ratio <= 1.03))
     if elevation_deg <= 60.0:
-        # 39", 2.25", 2.64" by models.md §5; at 80° the lights' different azimuths turn the refraction.
+        # 39", 2.25", 2.64" by models.md §5; at 80° the refractions of the two lights have different directions.
         assert sigma / ARCSEC == pytest.approx([39.0, 2.25, 2.64], rel=0.02)
     # The angle between the lights leaves one degree of freedom; band of the mean of 10 000.
     assert attitude.chi2.mean() == pytest.approx(1.0, abs=3.5 * np.sqrt(2.0 / EPOCHS))
@@ -83,7 +84,7 @@ def test_the_papers_method(elevation_deg, rotation_deg):
 def unsurveyed_lens_errors_arcsec(
     direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS
 ) -> FloatArray:
-    """Return the errors of the paper's method with an unsurveyed N' of 60 mm in a direction, 2.7 cm as a norm."""
+    """Return axis errors of the paper's method with an unsurveyed N' of 60 mm and 2.7 cm as norm of the RTK error."""
     drawn = paper_epochs(
         truth_of(np.full(epochs, AZIMUTH_DEG), elevation_deg, 0.0),
         seed=5,
@@ -104,7 +105,7 @@ def test_the_papers_method_with_the_lens_left_in(elevation_deg):
 
 
 def test_of_fourteen_directions_equal_parts_fit_the_print_best():
-    """The directions are along the axes and midway between them; opposite directions have the same errors."""
+    """The directions are along the axes and the space diagonals; opposite directions have the same errors."""
     directions = [np.array(each) for each in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(each) in (1, 3)]
     assert len(directions) == 14
     found = [unsurveyed_lens_errors_arcsec(direction) for direction in directions]
@@ -154,6 +155,6 @@ def test_angles_of_the_papers_method():
 def test_focal_length_of_one_epoch():
     epochs, attitude = solve_epochs(30.0, 0.0)
     error = (attitude.focal_length_m - epochs.focal_length_m) / epochs.focal_length_m
-    # models.md §5: 1.9e-4 in all, against 1e-3 before.
+    # models.md §5: 1.9e-4 after one epoch, 1e-3 before.
     assert rms(error) == pytest.approx(1.9e-4, rel=0.05)
     assert rms(error / (attitude.focal_length_sigma_m / epochs.focal_length_m)) == pytest.approx(1.0, abs=0.03)

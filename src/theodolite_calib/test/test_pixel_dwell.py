@@ -1,6 +1,7 @@
-"""Pixel dwell of a fixed camera on the theodolite: its stars keep their pixels, with the errors there.
+"""Pixel dwell of a fixed camera on the theodolite: stars stay on their pixels, with the errors of these pixels.
 
-The errors are those of a simulated detector (waves, a number for each pixel), drawn for each session.
+The errors are those of a simulated detector (waves over the field, and a number for each pixel), drawn for each
+session.
 """
 
 from dataclasses import replace
@@ -33,7 +34,7 @@ from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
-"""2.7″ and 1.3″, with a noise of 1.3″."""
+"""Spatial errors of 2.7″ and 1.3″; the noise is 1.3″."""
 SESSIONS, EXPOSURES, STARS, PERIOD_NS = 24, 25, 6, 200_000_000
 
 

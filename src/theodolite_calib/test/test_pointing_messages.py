@@ -1,4 +1,4 @@
-"""Messages of many pointings equal those of each alone, byte for byte, and decode to them."""
+"""Messages of many pointings equal those of each alone, byte for byte, and decode to the pointings."""
 
 import numpy as np
 import pytest

@@ -49,7 +49,7 @@ def test_collimation_and_tilt_are_nearly_dependent(six_terms: AxisFit) -> None:
 
 
 def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) -> None:
-    """The sightings are those with the largest influence and some others."""
+    """The checked sightings are the four with the largest residuals, and two others."""
     for number in [*np.argsort(-sizes(six_terms.residuals))[:4], 0, 1]:
         kept = np.arange(len(sightings.labels)) != number
         others = Sightings(
@@ -63,7 +63,7 @@ def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) 
 
 
 def test_agrees_with_the_observatory(sightings: Sightings) -> None:
-    """Its model: c fixed at 0, flexure added."""
+    """The observatory's model has c fixed at 0 and a flexure."""
     errors = fit(sightings, {"c": 0.0}).errors
     assert abs(errors.g / ARCSEC + 28.7) <= 1.5
     assert abs(errors.I / ARCSEC + 17.2) <= 1.5

@@ -25,7 +25,7 @@ SEEDS = 200
 
 @pytest.mark.parametrize("g", [0.0, 1.5, 3.1, -2.5])
 def test_exact_sightings_give_the_errors_back(g: float) -> None:
-    """Any zero points, the other errors of degrees, both faces: the axis geometry is exact."""
+    """The geometry is exact for any zero points, other errors of degrees, and both faces."""
     rng = np.random.default_rng(1)
     errors = AxisErrors(g=g, h=-0.3, c=0.01, I=-0.012, beta_x=0.02, beta_y=-0.015, flexure=0.005)
     azimuth, elevation = random_angles(rng, 80, (-5.0, 85.0))
@@ -40,7 +40,7 @@ def test_exact_sightings_give_the_errors_back(g: float) -> None:
 @pytest.mark.statistics
 @pytest.mark.parametrize("outlier_share", [0.0, 0.05])
 def test_covariance_is_consistent(outlier_share: float) -> None:
-    """99.9 % bands over 200 seeds, one error a seed; with outliers seven times the noise as well."""
+    """Errors over 200 seeds are in the 99.9 % bands, with and without outliers of seven times the noise."""
     rng = np.random.default_rng(2)
     angles = random_angles(rng, 60, (10.0, 85.0))
     ratios, nees = [], []
@@ -87,7 +87,7 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
         known.append(result.sigmas_known)
     low, high = mean_nees_band(seeds, degrees=6)
     if not stated:
-        # What is claimed then is far off, so nearly always no sigma is claimed.
+        # The sigmas would be far too small, so nearly all fits report that no sigma is known.
         assert np.mean(nees) > 10.0 * high
         assert np.mean(known) < 0.2
         return
@@ -125,10 +125,10 @@ def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
         labels = tuple(np.array(sightings.labels)[kept])
         others = Sightings(labels, sightings.azimuth[kept], sightings.elevation[kept], sightings.direction_d[kept])
         refitted.append(sightings.residuals(fit(others, STRAIGHT).errors)[left_out])
-    # With the weights held, not the loss, it would be off by 0.19″.
+    # With fixed weights instead of the loss, the leave-one-out residuals would be wrong by 0.19″.
     assert np.max(sizes(np.array(refitted) - result.leave_one_out)) < 0.12 * ARCSEC
     assert rms(np.array(refitted)) == pytest.approx(rms(result.leave_one_out), rel=0.002)
-    # Of the ordinary ones by 1 / (1 - 6 terms / 80 components) on the average.
+    # For ordinary sightings they are larger than the residuals by 1 / (1 - 6 terms / 80 components) on average.
     assert rms(result.leave_one_out[2:]) == pytest.approx(rms(result.residuals[2:]) / (1.0 - 6.0 / 80.0), rel=0.03)
 
 
@@ -162,7 +162,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert {pair[:2] for pair in pairs} == {("g", "c"), ("g", "I"), ("c", "I")}
     assert abs(pairs[0][2]) >= abs(pairs[1][2]) >= abs(pairs[2][2]) > 0.99
 
-    # The other face of the same targets turns the sign of c and I, not of g: the valley is gone.
+    # On the other face of the same targets c and I change the sign and g does not: the valley is gone.
     plunged = np.where(np.arange(300) < 150, np.pi - elevation, elevation)
     both = fit(simulate_sightings(rng, ERRORS, (azimuth, plunged), 2.5), STRAIGHT)
     assert np.max(both.sigmas) < 0.1 * np.max(narrow.sigmas)
@@ -181,7 +181,7 @@ def test_good_coverage_separates_the_errors() -> None:
 @pytest.mark.parametrize(
     ("elevations_deg", "azimuths_deg", "names", "count"),
     [
-        # At one elevation g, c, I all turn the azimuth by one amount; on the horizon I does nothing.
+        # At one elevation g, c and I each change the azimuth by a constant; on the horizon I has no effect.
         ((30.0, 30.0), (0.0, 360.0), ("g", "c", "I"), 2),
         ((0.0, 0.0), (0.0, 360.0), ("g", "c", "I"), 2),
         # One spot: two angles for six errors.
@@ -219,7 +219,7 @@ def test_residuals_are_angles_to_the_right_and_up() -> None:
     np.testing.assert_allclose(
         sightings.residuals(AxisErrors()), np.stack([right, up], axis=-1), rtol=0.0, atol=0.01 * ARCSEC
     )
-    # A quarter of a turn is a quarter of a turn, not its sine.
+    # A residual of a quarter of a turn is the angle, not its sine.
     far = Sightings(("a",), np.array([0.0]), np.array([0.0]), directions(np.array([0.0]), np.array([0.5 * np.pi])))
     np.testing.assert_allclose(sizes(far.residuals(AxisErrors())), 0.5 * np.pi)
 

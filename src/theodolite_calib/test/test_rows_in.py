@@ -1,4 +1,4 @@
-"""Messages read as a batch equal those read one by one, to the last bit; irregular ones are left to that."""
+"""Messages read as a batch equal those read one by one, to the last bit; irregular ones are not read as a batch."""
 
 import functools
 from collections.abc import Callable

@@ -32,7 +32,7 @@ def each_light(**values: float) -> dict[str, float]:
 
 
 def on_sky(error_n: FloatArray, axis_n: FloatArray) -> float:
-    """Error of an axis, an angle on the sky, arcseconds."""
+    """Return the error of an axis as an angle on the sky, arcseconds."""
     return float(np.linalg.norm(np.cross(error_n, axis_n))) / ARCSEC
 
 
@@ -58,7 +58,7 @@ class AxisAt:
 
 
 def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
-    """Return the main axis at the time of a sighting by a state, with a noise of the encoders, rad²."""
+    """Return the main axis of a state at the time of a sighting; ``noise`` is the variance of the encoders, rad²."""
     angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
     reading = EncoderSeries(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
     axes = CorrectedAxis(filter_, state).axes(ShipSeries.from_ships([sighting.ship]), reading)
@@ -76,7 +76,7 @@ class ErrorsAfterBeacons:
 
 @functools.cache
 def coast_without_beacons() -> ErrorsAfterBeacons:
-    """Five minutes of sweep with one sighting of two beacons a second; then the mount continues without them."""
+    """Return errors after a sweep of five minutes with two beacons at 1 Hz; the mount continues without beacons."""
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027))
     filter_ = CalibrationFilter(settings)
     times_s = np.concatenate([SWEEP_S, SWEEP_S[-1] + 1e-3 + AFTER_S])
@@ -108,11 +108,12 @@ def rms(values: FloatArray) -> float:
 
 @pytest.mark.slow
 def test_pointing_after_the_last_beacons() -> None:
-    """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, of which the deformation 26.3"."""
+    """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, to which the deformation contributes
+    26.3"."""
     left = coast_without_beacons()
     assert rms(left.sigma[:, :7]) < 8.5
     assert rms(left.sigma[:, 7]) == pytest.approx(29.7, rel=0.02)
-    # One error of two components a session counts, those of one session belong together.
+    # Each session counts as one error of two components, because errors of one session are correlated.
     low, high = sigma_ratio_band(2 * SEEDS)
     for index in (0, 6, 7):
         assert low < rms(left.error[:, index] / left.sigma[:, index]) < high
@@ -128,7 +129,7 @@ def test_better_than_the_ins_and_an_uncalibrated_encoder() -> None:
 
 
 TEN_SECONDS = {
-    # The attitude is constant with a wide prior: the hull's deformation is not part of this test.
+    # A constant deformation with a wide prior stands for an unknown attitude; a varying one is not part of this test.
     "deformation__sigma_arcsec": 60.0,
     "deformation__time_s": 1e7,
     "ship__white_sigma_arcsec": 0.0,
@@ -149,7 +150,7 @@ THE_SAME_ALL_ALONG = {
 @pytest.mark.parametrize(
     ("changes", "low", "high"),
     [
-        # Independent figures: 0.345" by a hundredth of the variance of one epoch, and 3.2" ± 5 %.
+        # Independent figures: 0.345" from a hundredth of the variance of one epoch, and 3.2" ± 5 %.
         (NEW_EACH_TIME, 0.33, 0.37),
         (THE_SAME_ALL_ALONG, 3.04, 3.36),
     ],
@@ -162,7 +163,7 @@ def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float]
     encoder = np.tile(np.deg2rad([70.0, 30.0]), (len(times_s), 1))
     seeds, ratios = 20, []
     for seed in range(seeds):
-        # Roll separates constant errors in the horizon from constant errors in the deck.
+        # The ship is at rest: roll would separate constant errors in the horizon from constant errors in the deck.
         given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), motion_scale=0.0)
         state = run_filter(settings, filter_, given, len(times_s))
         last = given.sightings[-1]
@@ -195,8 +196,8 @@ def test_exactly_three_combinations_are_unobservable_after_a_full_sweep() -> Non
 
 def test_a_narrow_range_of_elevation_leaves_the_valley_of_c_I_and_g() -> None:
     (valley,) = unobservable_after(20.0, 30.0) - THREE
-    # What turns the azimuth by -g - c / cos E - I tan E and nothing else: at 25° g : c : I = 1 : -1.1 : 0.47, to first
-    # order in the range, less what the curvature leaves.
+    # The three errors change only the azimuth, by -g - c / cos E - I tan E. About 25° this is zero to first order in
+    # the range for g : c : I = 1 : -1.1 : 0.47; the curvature changes the result slightly.
     assert valley == "g - c + 0.46 I"
 
 

@@ -91,7 +91,7 @@ def test_one_wrong_sample_is_rejected_without_effect(wrong: Change, factor: floa
 
 
 def test_late_wrong_sample_is_rejected() -> None:
-    """It has an error of a degree, which only the rates of its neighbour contradict."""
+    """The late sample has an error of a degree, which only the rates of its neighbours contradict."""
     arrivals = session_with_ins_only()
     index = index_at(arrivals, INS, 3.017)
     faulty = replace_message(arrivals, index, turn_attitude(1.0, 0.0, 0.0))
@@ -135,7 +135,7 @@ def test_jump_without_beacons_stays_degraded() -> None:
 
 
 def test_beacons_before_a_jump_do_not_confirm_it() -> None:
-    """Those of 2.6 s come late by 0.9 s, after the jump of 3 s has been accepted."""
+    """Beacons stamped from 2.6 s on are late by 0.9 s and arrive after the jump at 3 s has been accepted."""
     arrivals = [
         Arrival(a.topic, a.message, a.receive_ns + 900_000_000 * of_topic(BEACONS, 2.6)(a))
         for a in session_with_ins_only(5.0)

@@ -20,7 +20,7 @@ TIMES_S = np.arange(0.0, 30.0)
 
 
 def shift_beacons(sighting: Sighting, shift_arcsec: np.ndarray) -> Sighting:
-    """Return beacons moved on the detector, arcseconds, shape (N, 2)."""
+    """Return the sighting with beacons moved on the detector, arcseconds, shape (N, 2)."""
     image = Image(sighting.image.point_m + 0.1 * ARCSEC * shift_arcsec, sighting.image.sigma_m)
     return replace(sighting, image=image)
 
@@ -47,7 +47,7 @@ def test_decision_has_residual_covariance_and_noise(three) -> None:
     residual, covariance = decision.residual, decision.covariance
     assert float(residual @ np.linalg.solve(covariance, residual)) == pytest.approx(decision.nis)
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)), decision.sigma)
-    # What is left is the error of the prediction: a covariance of its own.
+    # The difference is the covariance of the prediction and must be positive semidefinite.
     assert np.linalg.eigvalsh(covariance - decision.noise)[0] > -1e-6 * np.trace(covariance)
     assert np.trace(decision.noise) > 0.1 * np.trace(covariance)
 
@@ -102,7 +102,7 @@ def displaced_sightings() -> list[Sighting]:
 
 
 def step_after_slip(lights: tuple[int, ...] = (0,), **gate: float):
-    """Return states and decisions; the mount slips by 600", and one beacon alone cannot isolate the fault."""
+    """Return states and decisions; the encoder slips by 600" at 30 s, and one beacon cannot isolate the fault."""
     settings = config(**gate)
     filter_ = CalibrationFilter(settings)
     step, state, found = SightingStep(settings, filter_), filter_.initial_state(), []
@@ -151,7 +151,7 @@ def test_covariance_is_inflated_after_rejections_if_configured() -> None:
     reasons = [decision.reason for _, decision in found]
     assert "covariance inflated by 10000" in found[39][1].text
     assert set(reasons[45:]) == {Reason.NONE}
-    # The telescope is put back where the light has it: by the slip, which the encoders add to where the axis points.
+    # For the same encoder readings, the estimated axis has moved by the slip of the encoders.
     settings, elevation = config(), sweep(np.array([59.0]))[0, 1]
     sightings, last = CalibrationFilter(settings).sightings, displaced_sightings()[-1]
     before, after = (sightings.predict(found[k][0].mean, last).rotation_nt[:, 0] for k in (29, -1))

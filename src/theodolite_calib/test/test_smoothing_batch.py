@@ -30,7 +30,7 @@ from theodolite_calib.smoothing.core import SmoothingAxisCore
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 SIGHTED_MS = [*range(6000, 11000, 1000), *range(15000, 20000, 1000)]
 SMOOTHED_MS = [ms for ms in range(500, 22000, 1500) if ms not in SIGHTED_MS]
-"""Before the first lights, among them, in a gap of them, after the last ones."""
+"""Times of the smoothed pointings, ms: before the first lights, between lights, in a gap, and after the last lights."""
 
 SHIP_N = np.array([[9.0, 2.0, 0.0], [2.0, 16.0, -1.0], [0.0, -1.0, 4.0]]) * ARCSEC**2
 SHIP_TIME_S, SHIP_WHITE, BENT, BENT_TIME_S = 12.0, 1.0 * ARCSEC, 8.0 * ARCSEC, 20.0
@@ -113,7 +113,7 @@ def telescope_tm(parallelism: np.ndarray) -> np.ndarray:
 
 
 def point_m(direction: np.ndarray, focal_m: float) -> np.ndarray:
-    """Return right and up on the detector, with its inverted image, of a direction (forward, up, right)."""
+    """Return the point (right, up) of a direction (forward, up, right) on the detector, where the image is inverted."""
     return -focal_m * direction[[2, 1]] / direction[0]
 
 
@@ -131,7 +131,7 @@ class SimulatedSighting:
 
 
 def simulate_sightings() -> list[SimulatedSighting]:
-    """Return random errors of the stated sizes, without correlation: the estimators must agree for any."""
+    """Return sightings with errors of about the stated sizes; both estimators must agree for any errors."""
     rng, found = np.random.default_rng(5), []
     axes, parallelism = AXES * rng.standard_normal(7), TURN + TURN_SIGMA * rng.standard_normal(3)
     for ms in SIGHTED_MS:
@@ -193,7 +193,7 @@ class Batch:
         self.rows.append(([self.add_unknown(name, ms, count)], lambda value: value / sigma))
 
     def add_process(self, name: str, epochs: list[int], covariance: np.ndarray, time_s: float) -> None:
-        """Add a Gauss-Markov process: its first value, then each one against the one before."""
+        """Add a Gauss-Markov process: its first value, then each value relative to the value before."""
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         self.rows.append(([self.add_unknown(name, epochs[0])], lambda first: root @ first))
         for before, after in pairwise(epochs):
@@ -231,7 +231,7 @@ def batch() -> Batch:
 
 
 def steps_of(built: Batch) -> np.ndarray:
-    """Return the steps of the differences: a millimetre for lengths, 1e-7 for angles."""
+    """Return the steps of the differences: 1 mm for baselines, 10 nm for the focal length, 1e-7 rad for angles."""
     metres = np.zeros(built.size, dtype=bool)
     for (name, _), place in built.places.items():
         metres[place] = name.startswith(("bias", "rtk"))
@@ -247,7 +247,7 @@ def smoother_and_batch() -> tuple:
 
 
 def test_smoothed_pointings_are_batch_least_squares(smoother_and_batch: tuple) -> None:
-    # Issue: within 1 % of sigma.
+    # Requirement: within 1 % of sigma.
     _, at_once, smoothed, built, unknowns, factors = smoother_and_batch
     assert [one.time_ns for one in smoothed] == [START_NS + ms * 1_000_000 for ms in SMOOTHED_MS]
     worst_mean = worst_sigma = 0.0
@@ -274,7 +274,7 @@ def test_smoothed_pointings_are_batch_least_squares(smoother_and_batch: tuple) -
     print(f"pointings apart by {worst_mean:.5f} sigma, sigmas by {worst_sigma:.5f}")
     assert worst_mean < 0.01
     assert worst_sigma < 0.01
-    # Before the first lights the axes were as configured.
+    # Before the first lights, the real-time pointings have only the configured axes.
     gained = np.sqrt(np.trace(smoothed[0].covariance_n) / np.trace(at_once[0].covariance_n))
     assert gained < 0.6
     assert at_once[0].mode == smoothed[0].mode == Mode.ENCODER

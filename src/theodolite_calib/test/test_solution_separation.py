@@ -46,7 +46,7 @@ class ValidPointing:
 
 @functools.cache
 def valid_pointings() -> tuple[ValidPointing, ...]:
-    """Sightings at 5 Hz and an azimuth drift after 30 s; VALID pointings of each session before an exclusion."""
+    """Return VALID pointings of each session before an exclusion; sightings at 5 Hz, azimuth drift from 30 s on."""
     times_s, out, found = np.arange(0.0, START_S + 60.0, 0.2), PointingOutput(SETTINGS, FILTER), []
     for seed in range(SEEDS):
         given = session(SETTINGS, seed, times_s, sweep(times_s))
@@ -70,7 +70,7 @@ def test_separations_inflate_the_covariance_before_an_exclusion() -> None:
     drifting = [one for one in valid_pointings() if one.since_s > 0.0]
     with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in drifting]
     without = [one.sigmas(one.estimate.covariance_without_separation_n) > 5.0 for one in drifting]
-    # Some errors remain: they begin before the solution separation exceeds three sigmas.
+    # Some errors remain, because they begin before the solution separation exceeds three sigmas.
     assert sum(without) > 60
     assert sum(with_it) < sum(without) / 3
 

@@ -1,4 +1,5 @@
-"""Samples of an exposure of stars: streaks reduced to its middle by the motion of encoders and ship, and gaps."""
+"""Samples of a star exposure: streaks are reduced to mid-exposure by the motion of encoders and ship; gaps are
+named."""
 
 from dataclasses import replace
 
@@ -24,7 +25,7 @@ SEEN_S /= np.linalg.norm(SEEN_S, axis=-1, keepdims=True)
 
 
 def encoder_angles(time_s: float) -> FloatArray:
-    """Return the encoder angles of a manual search."""
+    """Return encoder angles as of a telescope that is moved by hand, rad."""
     azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
     return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
 
@@ -48,7 +49,7 @@ def tracks(until_s: float = 4.0) -> MeasuredTracks:
 
 
 def exposure(exposure_s: float) -> StarExposure:
-    """Return stars, each at the mean of its pixels over a thousand times."""
+    """Return an exposure of stars, each at the mean of its pixels over a thousand times."""
     seen_n = SEEN_S @ camera_attitude(MIDDLE_NS / SECOND_NS).T
     times_s = MIDDLE_NS / SECOND_NS + exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
     pixels = np.mean([CAMERA.pixels(seen_n @ camera_attitude(time_s)) for time_s in times_s], axis=0)
@@ -76,7 +77,8 @@ def test_streaks_are_brought_to_the_middle_by_encoders_and_ship(exposure_s: floa
     )
     assert np.max(off) > least_arcsec
     assert np.max(left) < 0.02 * np.max(off)
-    # The light is spread along the streak: the noise grows by L²/12 of it, in squares.
+    # The light is spread along the streak of length L: relative to a star at rest, the variance grows by L²/12 / (0.8
+    # px)².
     seen_n = camera_attitude(2.0) @ SEEN_S[0]
     streak = np.linalg.norm(seen_n @ camera_attitude(2.01) - seen_n @ camera_attitude(1.99)) / 0.02 * exposure_s
     assert sighting.exposure.smear_s is not None

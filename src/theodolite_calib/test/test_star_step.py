@@ -70,7 +70,7 @@ class Mount:
 
 
 def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
-    """Return squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
+    """Return the squared error of the axis on the sky, the variance of this error, and the NEES of all three angles."""
     error_n = log_rotation(rotation_nm @ estimate.rotation_nm.T)
     across = estimate.rotation_nm[:, 1:].T
     variance = float(np.trace(across @ estimate.covariance_n @ across.T))
@@ -79,7 +79,7 @@ def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> 
 
 
 def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
-    """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
+    """Return RMS error and stated sigma of the pointing after one exposure (arcsec), and the mean NEES."""
     errors = []
     for seed in range(SEEDS):
         session, rng = mount.run(seed)
@@ -105,7 +105,8 @@ def test_one_exposure_matches_its_covariance(sky_model, count: int, most_arcsec:
 
 
 def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
-    """Return the exposure of a camera that rotates by 3°/s, with streak noise; and the bound of the axis, rad²."""
+    """Return the exposure of a camera that rotates by 3°/s, with streak noise; and the bound of the axis covariance,
+    rad²."""
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
     turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
@@ -113,7 +114,8 @@ def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[S
     assert residuals_at.smear_s is not None
     noise_s = (square_roots(residuals_at.smear_s) @ rng.standard_normal((len(residuals_at), 3, 1)))[..., 0]
     residuals_at = replace(residuals_at, directions_s=unit(residuals_at.directions_s + noise_s))
-    # Information of each star on a small turn of the camera, by hand: across the line of sight, the covariance drawn.
+    # Information of each star on a small rotation of the camera, by hand, from the drawn covariance across the line of
+    # sight.
     information = np.zeros((3, 3))
     for direction_s, smear_s in zip(residuals_at.directions_s, residuals_at.smear_s, strict=True):
         across = np.linalg.svd(direction_s[None])[2][1:]
@@ -138,7 +140,7 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     assert low <= nees <= high
     least, most = sigma_ratio_band(2 * SEEDS)
     assert least <= np.sqrt(squares / variances) <= most
-    # Streaks of up to 16 pixels: six times the noise of a star at rest, along them.
+    # Along streaks of up to 16 pixels, the noise is six times that of a star at rest.
     assert np.sqrt(np.mean(bounds)) > 2.0 * np.sqrt(2.0 / 5.0) * STAR_SIGMA
     assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
@@ -225,7 +227,7 @@ def test_pointing_without_beacons_stars_and_calibration_is_degraded(sky_model) -
 
 
 def state_after_shift(session: MountSession) -> MountSession:
-    """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
+    """Return the session after a shift of 100″, which stars cannot attribute to the camera or the encoders."""
     errors = replace(session.errors, parallelism=session.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
     return MountSession(session.settings, errors, session.sky_model, session.rng)
 
@@ -304,7 +306,7 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None
 
 
 def test_a_session_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
-    """Half a minute all over the sky; then as long by the encoders, while the deformation continues."""
+    """Stars all over the sky for half a minute; then the encoders alone as long, while the deformation changes."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
     mount, seeds, exposures = Mount(settings, sky_model), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
@@ -332,6 +334,6 @@ def test_a_session_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
     assert np.sqrt(np.mean(squares)) / ARCSEC < 8.0
     low, high = mean_nees_band(seeds, 3)
     assert low <= np.mean(nees) <= high
-    # Collimation and tilt of the horizontal axis, unknown by 26.5″, are estimated; the others go with the
-    # deformation, and the filter names them (theodolite/calibration).
+    # Collimation and tilt of the horizontal axis are estimated. The other axis errors cannot be separated from the
+    # deformation; the filter reports them as unobservable (theodolite/calibration).
     assert np.max(np.array(left)[:, 2:4]) < 4.0

@@ -1,4 +1,5 @@
-"""Isolation of a step in the pointing by the streams of encoders and ship after a contradiction by beacons."""
+"""Isolation of a step in the pointing from the streams of encoders and ship, after beacons contradicted the
+pointing."""
 
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ BOTH = {ENCODER, SHIP}
 
 
 def ship_at(seconds, rng):
-    """Roll of 4 deg in 11 s and heading of 0.57 deg in 30 s, as in theodolite.yaml, with noise."""
+    """Return a noisy attitude and rates: roll of 4 deg in 11 s, heading of 0.57 deg in 30 s, as in theodolite.yaml."""
 
     def angles(t):
         return np.radians([4.0 * np.sin(2 * np.pi * t / 11.0), 0.57 * np.sin(2 * np.pi * t / 30.0), 0.0])
@@ -33,7 +34,7 @@ def ship_at(seconds, rng):
 
 
 def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=True, step_ns=10_120_000_000):
-    """Return both streams at 20 Hz with steps in arcsec, from one second before on."""
+    """Return encoders and ship at 20 Hz from one second before SINCE_NS on, with steps in arcsec at ``step_ns``."""
     rng = np.random.default_rng(seed)
     encoder, ship = [], []
     for time_ns in range(SINCE_NS - 10**9, END_NS + 1, PERIOD_NS):
@@ -64,7 +65,7 @@ def check_streams(encoder, ship):
     ],
 )
 def test_the_stepped_source_is_named(steps, off_arcsec, name, rates):
-    """Independent of the source isolated by the subfilters: both explain the step."""
+    """The result does not depend on the source isolated by the subfilters, because both sources explain the step."""
     named = [
         isolate_step_fault(source, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
@@ -94,7 +95,7 @@ def test_degraded_ship_is_isolated_or_no_source():
 
 
 def test_stopped_encoders_do_not_implicate_the_telescope():
-    """Stuck encoders have no step either; the beacons move on without them."""
+    """Stuck encoders have no step either, while the beacons move."""
     encoder, ship = samples(1)
     frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
     assert isolate_step_fault(ENCODER, BOTH, check_streams(frozen, ship), 100.0 * ARCSEC) == ENCODER
@@ -108,7 +109,7 @@ def test_uninformative_streams_keep_the_isolated_source():
 
 
 def drifting_ship(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
-    """Return a minute of attitudes at 20 Hz that drift about Up from 10 s on, then return."""
+    """Return a minute of attitudes at 20 Hz that drift about Up for ``drift_s`` from 10 s on, then step back."""
     rng = np.random.default_rng(seed)
     found = []
     for time_ns in range(0, 60 * 10**9, PERIOD_NS):
@@ -121,7 +122,7 @@ def drifting_ship(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
 
 
 def test_drifting_ship_attitude_departs_from_its_rates():
-    """Drifts of 20" and 60" with a noise of 1" per sample and 1"/s of a rate."""
+    """Drifts of 20" and 60" with a noise of 1" per attitude and 1"/s per rate."""
     for seed in range(10):
         assert has_ship_drifted(drifting_ship(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
         assert has_ship_drifted(drifting_ship(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
@@ -159,7 +160,7 @@ def test_corrected_ship_attitude_is_no_drift():
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, None, None),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, False, False, None),
-        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # no ship drift, encoders no explanation
+        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # no ship drift, and encoders do not explain it
         ("beacon.a", {"beacon.a"}, True, True, "beacon.a"),
         (ENCODER, {ENCODER, SHIP}, False, True, SHIP),
         (SHIP, {ENCODER, SHIP}, False, False, ENCODER),

@@ -109,7 +109,7 @@ def test_derivatives_of_the_direction(seed: int) -> None:
 
     seen = observed_direction(DETECTOR, point_m, 0.0, rho, rotation_nm)
     np.testing.assert_allclose(seen.by_turn_n, central_difference(direction_n, np.zeros(3), 1e-6), atol=1e-9)
-    # Each error of the detector alone: its covariance is the square of the derivative.
+    # For each error of the detector alone, the covariance is the variance times the square of the derivative.
     of_point = central_difference(lambda p: direction_n(point=p), point_m, 1e-6)
     sigma_m = 3e-6
     found = observed_direction(DETECTOR, point_m, sigma_m, rho, rotation_nm).image_covariance_n
@@ -155,7 +155,7 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     by_direction = central_difference(
         lambda o: ranged_position(moved_direction(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6
     )
-    np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5
+    np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: refraction, 2e-5
 
 
 def test_refraction_over_two_kilometres_is_four_centimetres() -> None:
@@ -237,7 +237,8 @@ def run_target(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[T
 
 @functools.cache
 def nees_of_draws(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return NEES of the direction in its plane, of azimuth and elevation, and of the position, shape (DRAWS,) each."""
+    """Return NEES of the direction's two components, of azimuth and elevation, and of the position, shape (DRAWS,)
+    each."""
     settings, direction, angles, place = config(), [], [], []
     for seed in range(DRAWS):
         estimate, true_n, true_place_n = run_target(seed + DRAWS * plunged, settings, plunged)
@@ -264,7 +265,8 @@ def test_errors_match_the_covariance(plunged: bool) -> None:
 
 
 def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
-    """A mount that swings by 1° in 2 s: the mean of the image path over 0.2 s is 60" off its middle, 1" with it."""
+    """A mount swings by 1° in 2 s: the mean image over 0.2 s is 60" off, and below 1" if the exposure length is
+    stated."""
     swing, period_s, exposure_s = np.deg2rad(1.0), 2.0, 0.2
 
     def elevation(t_s: float) -> float:
@@ -286,7 +288,7 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
         sample = TargetSample(START_NS, "buoy", mean_m, 1e-6, stated_s, 0.0, np.nan, np.nan)
         (estimate,) = core.add_target(sample).targets
         off[stated_s] = np.linalg.norm(estimate.direction_n - rotation_from_angles(1.002, 0.52, 0.0)[:, 0]) / ARCSEC
-    # swing (2 pi / period)^2 T^2 / 24 = 59"; what is left is the fourth derivative.
+    # swing (2 pi / period)^2 T^2 / 24 = 59"; the rest after the reduction is from the fourth derivative.
     assert off[0.0] == pytest.approx(59.2, abs=1.5)
     assert off[exposure_s] < 1.0
 

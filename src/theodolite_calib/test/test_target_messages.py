@@ -86,7 +86,8 @@ def test_each_image_gets_its_direction_at_its_own_time() -> None:
         assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-12)
         covariance = np.array(message.direction_covariance).reshape(3, 3)
         sigma = np.sqrt(np.trace(covariance))
-        # The pointing's own error in this session is within two sigmas; a direction of another time is 1.5 deg/s off.
+        # The pointing's own error in this session is within two sigmas; a direction of another time would be off by 1.5
+        # deg per second.
         assert np.linalg.norm(error) < 3.0 * sigma < 2e-4
         north, east, up = found[1], found[0], found[2]
         np.testing.assert_allclose([message.azimuth, message.elevation], [np.arctan2(east, north), np.arcsin(up)])
@@ -176,7 +177,7 @@ def test_the_same_image_again_is_a_duplicate_and_another_one_a_conflict() -> Non
     other = Arrival(TARGET, image(2.05, x=0.001), first.receive_ns + 1_000_000)
     run = run_of(first, other, arrival_of(image(2.25)))
     assert run.reasons(TARGET) == {"conflict": 1}
-    # After it the detector has sent conflicting images of one time: for ten seconds nothing by it is VALID.
+    # The detector has sent conflicting images of one time: for ten seconds none of its directions is VALID.
     assert [m.status for m in run.messages(DIRECTION)][-1] == Status.DEGRADED
 
 

@@ -54,7 +54,7 @@ def test_rotation_of_exact_directions_is_scipys():
 
 
 def test_rotation_by_weights_is_scipys():
-    # Only baselines err, by amounts of their own: isotropic across the line of sight, as Wahba's problem has it.
+    # Only baselines have errors, each with another sigma, isotropic across the line of sight as in Wahba's problem.
     sigma_m = np.array([0.02, 0.05, 0.1, 0.3])
     epochs = error_free_epochs(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), SURVEY, Camera(0.1, 0.0, np.zeros(2)))
     noise = sigma_m[:, None] * np.random.default_rng(1).standard_normal((4, 3))
@@ -72,7 +72,7 @@ def test_rotation_by_weights_is_scipys():
     )
     attitude = solve_epochs(epochs)
     assert np.abs(log_rotation(attitude.rotation_nt @ expected.as_matrix().T)).max() / ARCSEC < 1e-3
-    # scipy's sensitivity is the covariance divided by the harmonic mean of the variances, over their number.
+    # scipy's sensitivity is the covariance divided by the harmonic mean of the variances.
     harmonic = 1.0 / np.mean((sigma_m / DISTANCE_M) ** -2.0)
     assert attitude.covariance_n / ARCSEC**2 == pytest.approx(sensitivity * harmonic / ARCSEC**2, rel=2e-3, abs=1e-3)
 
@@ -149,7 +149,7 @@ def test_one_beacon_with_a_prior_matches_its_covariance():
     low, high = mean_nees_band(count, 2)
     assert attitude.degrees == 2
     assert low < attitude.chi2.mean() < high
-    # Across the light: 13" are 0.1 % of focal length at 3.6° from the axis, the rest is below 5"; the prior has 60".
+    # Across the line to the light: 0.1 % of the focal length at 3.6° from the axis gives 13", the rest is below 5".
     light_n = epochs.lines().direction_n[:, 0]
     across = np.sqrt(np.einsum("nii->n", attitude.covariance_n) - variance_about(light_n, attitude.covariance_n))
     assert across.max() / ARCSEC == pytest.approx(13.4, abs=0.5)
@@ -164,8 +164,8 @@ def test_one_beacon_keeps_the_prior_rotation_about_it():
     sigma = np.full(3, 60.0 * ARCSEC)
     epochs, prior = one_light(50, sigma)
     attitude = solve_epochs(epochs, prior)
-    # About the light as the telescope sees it, the attitude does not turn, and is no better known: 0.1 % of 60" is
-    # what the light's own errors do.
+    # About the line to the light, the attitude keeps the rotation and the sigma of the prior. The errors of the light
+    # change them by 0.1 % of 60".
     light_n = epochs.lines().direction_n[:, 0]
     turned = np.einsum("ni,ni->n", light_n, log_rotation(attitude.rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2)))
     assert np.abs(turned).max() / ARCSEC < 0.06
@@ -181,7 +181,7 @@ def test_one_beacon_without_a_prior_is_refused():
 
 def test_close_beacons_need_a_prior():
     truth = truth_of(np.array([120.0, 120.0]), 25.0, 0.0, np.array([[3.0, 2.0], [3.0005, 2.0]]))
-    # The second epoch has them apart.
+    # In the second epoch the beacons are apart.
     direction_n = truth.direction_n.copy()
     direction_n[1] = truth_of(120.0, 25.0, 0.0).direction_n
     epochs = error_free_epochs(replace(truth, direction_n=direction_n), RTK_ONLY)
@@ -196,7 +196,7 @@ def test_close_beacons_need_a_prior():
 
 
 def test_beacon_behind_the_telescope_is_not_solved():
-    # By its prior the telescope looks away from the only light: there is no image of it.
+    # According to the prior, the telescope looks away from the only light, which has no image.
     epochs = error_free_epochs(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1]), RTK_ONLY)
     away = truth_of(180.0, 10.0, 0.0).rotation_nt
     attitude = solve_epochs(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
@@ -205,7 +205,8 @@ def test_beacon_behind_the_telescope_is_not_solved():
 
 
 def test_principal_point_off_its_place_is_seen_by_nothing():
-    """models.md §5: N' 60 mm off shifts both beacons equally, 6-7" that no residual shows; only the budget has it."""
+    """An error of N' of 60 mm shifts both beacons by 6-7" (models.md §5), which only the budget contains, no
+    residual."""
     truth = truth_of(np.full(500, 210.0), 15.0, 30.0)
     epochs = paper_epochs(truth, seed=17)
     lens = epochs.survey.principal_point.vector_m

@@ -59,7 +59,8 @@ class FullProblem:
             attitude_covariance_n=self.drone_sigma**2 * np.eye(3),
         )
         ship = replace(epoch.ship, attitude_covariance_n=self.ship_sigma**2 * np.eye(3))
-        # Attitude 3, focal length 1, common 13, each light's own 13; all but the attitude of unit variance.
+        # Unknowns: attitude 3, focal length 1, common errors 13, errors of each light 13; unit variance except the
+        # attitude.
         self.size = 17 + 13 * count
         self.epoch = replace(epoch, camera=self.camera, beacons=lights, ship=ship)
         drawn = np.random.default_rng(21).standard_normal(self.size)
@@ -113,7 +114,7 @@ class FullProblem:
 
 
 def make_prior(rotation_nt: FloatArray, sigma_deg: float) -> AttitudePrior:
-    """Return an anisotropic, correlated prior with errors of its stated size, of two sources."""
+    """Return an anisotropic, correlated prior from two sources, with an error of its stated size."""
     root = np.deg2rad(sigma_deg) * np.array([[1.0, 0.0, 0.0], [0.5, 0.8, 0.0], [-0.3, 0.2, 0.6]])
     off = root @ np.array([0.8, -1.1, 0.5])
     whole = root @ root.T
@@ -140,7 +141,7 @@ def test_optimum_covariance_and_misfit_are_those_of_the_full_problem(name):
     expected = exp_rotation(full.x[:3]) @ problem.epoch.truth.rotation_nt
     sigma = np.sqrt(np.diag(attitude.covariance_n))
     assert np.all(np.abs(log_rotation(attitude.rotation_nt @ expected.T)) < 2e-3 * sigma)
-    # The full problem's vector starts at the truth, from which the prior is off.
+    # The full problem's rotation vector is relative to the truth: its covariance is transformed to the estimate.
     inverse = np.linalg.inv(full.jac.T @ full.jac)
     to_vector_n = left_jacobian(full.x[:3])
     assert attitude.covariance_n / np.outer(sigma, sigma) == pytest.approx(
@@ -161,7 +162,8 @@ def test_the_budget_adds_up_to_the_covariance(name):
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
     assert set(attitude.covariance_by_source_n) == (sources if prior is None else sources | {"encoder"})
     parts = np.array(list(attitude.covariance_by_source_n.values()))
-    # The covariance by the information matrix of the equations, without sources; one step later, which may be 1e-9 rad.
+    # Expected: inverse of the information matrix, without sources. It is linearised one step later, up to 1e-9 rad
+    # away.
     lines = epoch.lines()
     line_covariance = total_covariance(covariance_by_source(lines.terms))
     equations = linearise(epoch.image, epoch.camera, lines.direction_n, line_covariance, attitude.rotation_nt, prior)

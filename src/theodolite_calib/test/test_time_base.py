@@ -14,7 +14,8 @@ AT_S, DURATION_S = 10.0, 20.0
 
 
 def step_clocks(step_s: float, *topics: str) -> tuple[Arrival, ...]:
-    """Return the session with a step of the clocks of some topics, all without any, from a time on."""
+    """Return the session with a clock step from AT_S on in the stamps of these topics; of all topics if none is
+    given."""
 
     def change(message: Any) -> None:
         ns = stamp_of(message) + round(step_s * SECOND_NS)
@@ -39,7 +40,6 @@ def run_session(step_s: float, *topics: str, node_follows: bool = True) -> Run:
 def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: float) -> None:
     run, calm = run_session(step_s), run_adapter(new_adapter(), session(DURATION_S))
     since_ns = START_NS + round(AT_S * SECOND_NS)
-    # Readings of within a tenth of a second wait for the ship.
     after = [m for ns, topic, m in run.published if topic == "theodolite/pointing" and ns >= since_ns + 2 * SECOND_NS]
     assert {m.status for m in after} == {Status.VALID}
     assert all(stamp_of(one) < stamp_of(other) for one, other in pairwise(after))
@@ -49,7 +49,7 @@ def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: fl
     sigma = np.sqrt(np.diagonal(other.covariance))
     assert np.all(np.abs(one.values - other.values) < sigma)
     assert np.sqrt(np.diagonal(one.covariance)) == pytest.approx(sigma, rel=0.2)
-    # No counter restarts.
+    # The sighting count continues.
     assert one.sighting_count >= other.sighting_count - 3
     assert [text for text in run.adapter.notices if text.startswith("time base stepped")] == [
         f"time base stepped by {step_s:+.3f} s: reset, mountings and calibration kept"

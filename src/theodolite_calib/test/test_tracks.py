@@ -19,7 +19,7 @@ ABOUT = {"long before": -STEP_NS - 1, "before": -1, "at it": 0, "after": 1, "lon
 
 
 def encoder_angles(time_s: float) -> np.ndarray:
-    """Return the encoder angles of a manual search."""
+    """Return encoder angles as of a telescope that is moved by hand, rad."""
     azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
     return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
 
@@ -47,7 +47,7 @@ def inputs() -> MeasuredTracks:
 
 
 def test_an_attitude_between_two_is_worth_no_more_than_either() -> None:
-    """The source may have jumped between them: the interpolated attitude then has half of the jump."""
+    """The source may have jumped between two attitudes: an interpolated attitude then contains a part of the jump."""
     slow = inputs()
     jumped_ns = 20 * STEP_NS
     slow.ship.insert(ShipSample(jumped_ns, ship_attitude(8.0) @ rotation_from_angles(0.001, 0.0, 0.0), status=DEGRADED))
@@ -78,7 +78,8 @@ def test_assembled_sighting_includes_interpolation_errors() -> None:
         of_ship.append(off @ off / ship.noise)
         off = placed[0] - baseline(time_s)
         of_baseline.append(off @ np.linalg.solve(placed[1], off))
-    # Samples without noise: what is left is interpolation alone. Left out it was thousands of times as large.
+    # The samples are without noise, so the errors are of interpolation alone. If the stated noise did not include these
+    # errors, the ratios would be thousands of times as large.
     for found in (of_encoder, of_ship, of_baseline):
         assert 0.05 < np.mean(found) < 1.5
         assert np.max(found) < 12.0

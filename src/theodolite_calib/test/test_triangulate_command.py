@@ -57,7 +57,7 @@ def test_positions_match_their_covariance(tmp_path: Path, capsys) -> None:
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) in (0, 1)
     rows = table(tmp_path / "places.csv")
     assert tuple(rows[0]) == COLUMNS
-    # At the stamp at which they claim nothing there is no place.
+    # At the stamp of the INVALID directions there is no position.
     assert len(rows) == 59
     squares = []
     for row in rows:
@@ -89,8 +89,8 @@ def test_next_theodolite_leads_if_the_first_has_no_direction(tmp_path: Path) -> 
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 0
     rows = table(tmp_path / "places.csv")
     leaders = [(row["stations"], (ns_from_utc_text(row["utc"]) - START_NS) % PERIOD_NS) for row in rows]
-    # Of the eight of the first the one at 0.3 s is INVALID, and one is before all others. Nothing is interpolated
-    # across what is INVALID: at 0.22 s the first sees nothing, at 0.4 s the others do not.
+    # Of the eight directions of the first theodolite, the first is before all others and that at 0.3 s is INVALID.
+    # Nothing is interpolated across INVALID directions: of the first theodolite at 0.22 s, of the others at 0.4 s.
     first, next_two = ("t0 t1 t2", 0), ("t1 t2", 20_000_000)
     assert leaders[:6] == [first, first, next_two, first, first, first]
     assert set(leaders[6:]) == {next_two}

@@ -59,7 +59,7 @@ def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, 
     for seed in range(20):
         directions, target_n = random_stations(seed, noise=0.0, spread_m=spread_m, distance_m=distance_m)
         place = triangulate_directions(directions)
-        # Raised along the angle here, along Up there: they part by the square of 4" to 42".
+        # ``seen_direction`` raises by the angle, the tested code along Up: the two differ by the square of 4" to 42".
         np.testing.assert_allclose(place.position_n, target_n, atol=1e-3 * distance_m / 2000.0)
         assert place.rejection is None
 
@@ -80,7 +80,7 @@ def test_three_theodolites_match_their_covariance_at_2_km() -> None:
     nees, chi_square, rejected = errors()
     low, high = mean_nees_band(DRAWS, 3)
     assert low < nees.mean() < high
-    low, high = mean_nees_band(DRAWS, 3)  # six residuals, three of them spent on the place
+    low, high = mean_nees_band(DRAWS, 3)  # six residuals less three unknowns of the position
     assert low < chi_square.mean() < high
     assert rejected <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
 
@@ -132,7 +132,7 @@ def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float
 def two_abreast_stations(
     distance_m: float, sigma: float, rng: np.random.Generator
 ) -> tuple[list[StationDirection], np.ndarray]:
-    """Return the position from two theodolites 50 m apart, abreast of the target; positions and air are known."""
+    """Return directions from two theodolites 50 m apart, abreast of the target, and its position; air is known."""
     target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
     for number in range(2):
         at = replace(station(f"t{number}", theodolite_n(number)), sigma_m=0.0)
@@ -157,12 +157,12 @@ def test_two_theodolites_match_their_covariance_at_50_km() -> None:
 
 @pytest.mark.parametrize(("distance_m", "sigma"), [(50_000.0, 100.0 * ARCSEC), (2000.0, 0.02)])
 def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: float) -> None:
-    """The distance is known to sqrt(2) sigma times itself over 50 m: to 0.69 and 1.1 of itself."""
+    """The relative sigma of the distance is sqrt(2) sigma times the distance over 50 m: 0.69 and 1.1."""
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):
         result = triangulate(ORIGIN, two_abreast_stations(distance_m, sigma, rng)[0], AIR)
         assert isinstance(result, Rejection)
         assert result.reason is Reason.GATE
         texts.append(result.text)
-    # The errors may also make the lines meet behind.
+    # With these errors the lines may also meet behind the theodolites.
     assert sum("set the theodolites further apart, or measure a range" in text for text in texts) > 100

@@ -1,4 +1,4 @@
-"""Node ``triangulation`` by its adapter: positions of a buoy as its directions come, and rejected directions.
+"""Adapter of the node ``triangulation``: positions of a buoy from arriving directions, and rejected directions.
 
 The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
@@ -129,7 +129,7 @@ def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     assert published_positions(adapter.tick(now_ns + 400_000_000)) == []
     (place,) = published_positions(adapter.tick(now_ns + 600_000_000))
     assert place.status == Status.VALID
-    # After no data for longer than the lag it is not awaited any more.
+    # A theodolite without data for longer than the lag is no longer awaited.
     for index in range(4, 11):
         later_ns = time_ns + index * PERIOD_NS
         first, second = (
@@ -137,7 +137,7 @@ def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
         )
     assert first == []
     assert [ns_from_stamp(place.header.stamp) for place in second] == [later_ns]
-    # What comes after the place of its time is refused.
+    # A direction that arrives after the position of its stamp is rejected.
     assert published_reasons(give_message(adapter, 2, buoy_message(2, time_ns), later_ns + LATENCY_NS)) == [
         ("station.t2", Reason.LATE)
     ]
@@ -211,7 +211,7 @@ def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -
         for number in range(2):
             published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS))
     statuses = [place.status for place in published_positions(published)]
-    # The first direction has none of the other theodolite to go with it.
+    # For the first direction there is no direction of the other theodolite yet.
     assert statuses[1:] == [Status.VALID, Status.DEGRADED, Status.DEGRADED, Status.VALID, Status.VALID]
 
 
@@ -250,7 +250,7 @@ def test_a_dropped_target_has_its_directions_answered_and_increasing_stamps() ->
     (answer,) = [message for message in published_positions(published) if message.target_id == "buoy"]
     assert (ns_from_stamp(answer.header.stamp), answer.status) == (waiting_ns, Status.INVALID)
     assert ("stations", Reason.OVERFLOW) in published_reasons(published)
-    # After new directions it has no place at or before its last one.
+    # From new directions, the target gets no position at or before the stamp of its last answer.
     published = []
     for index in range(1, 4):
         for number in (1, 0):
@@ -268,7 +268,7 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
     adapter, found = adapter_of(2), []
     arrivals = [(index, number) for index in range(11) for number in (0, 1)]
     if invalid_comes_first:
-        # All reports of the second precede those of the first for the same times.
+        # All reports of the second theodolite arrive before those of the first for the same times.
         arrivals = sorted(arrivals, key=lambda arrival: (arrival[0] > 2, arrival[0] > 2 and arrival[1] == 0, arrival))
     for index, number in arrivals:
         worth = Status.INVALID if number == 1 and 3 <= index < 10 else Status.VALID
@@ -276,7 +276,7 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
         found += published_positions(give_message(adapter, number, message, START_NS + 11 * PERIOD_NS))
     since = {ns_from_stamp(message.header.stamp) - START_NS: message.status for message in found}
     statuses = [since[index * PERIOD_NS] for index in range(1, 11)]
-    # At 0.3 s the second's next direction claims nothing, at 1.0 s its last.
+    # At 0.3 s the next direction of the second theodolite is INVALID, at 1.0 s the last one.
     assert statuses == [Status.VALID] * 2 + [Status.INVALID] * 8
 
 

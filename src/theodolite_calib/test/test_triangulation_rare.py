@@ -65,7 +65,7 @@ def run_of(config: TriangulationConfig, *of_stations: list[Arrival]) -> AdapterR
 
 
 def positions_by_stamp(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return stamp → position (North, Up, East), m, and its covariance, m², of those that are not INVALID."""
+    """Return stamp → position (North, Up, East), m, and its covariance, m², for all messages that are not INVALID."""
     found = {}
     for message in run.messages(POSITION_TOPIC):
         if message.status != Status.INVALID:
@@ -124,7 +124,7 @@ def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_
     often = [arrivals(number, np.arange(0.0, 20.0, 0.1)) for number in (0, 1)]
     run = run_of(config_of(3), *often, arrivals(2, periodic_times(PERIOD_S, 0.05)))
     since_s = {round((time_ns - START_NS) / SECOND_NS % PERIOD_S, 3): age for time_ns, age in waited_s(run).items()}
-    # The third reports each 5 s; directions of the others are joined with it over max_gap_s, 1 s, at most.
+    # The third theodolite reports every 5 s; the others are combined with its reports over at most max_gap_s, 1 s.
     assert all(age < 0.2 for phase_s, age in since_s.items() if 0.1 < phase_s < 4.0)
     assert all(age < 1.3 for age in since_s.values())
 
@@ -167,7 +167,7 @@ def test_repeated_messages_have_no_effect(interval_s: float) -> None:
     repeated = [replace(last, receive_ns=last.receive_ns + round(s * SECOND_NS)) for s in np.arange(0.03, 20.0, 0.07)]
     run = run_of(config, *of_two, interrupted, repeated)
     assert run.reasons(last.topic).keys() <= {"duplicate", "late"}
-    # The run with the repetitions may be longer; three theodolites answer all within it.
+    # The run with the repetitions may be longer; all positions are published within the shorter one.
     assert results(run) == results(run_of(config, *of_two, interrupted))
 
 
@@ -179,7 +179,7 @@ def test_late_directions_to_dropped_targets_drop_no_other() -> None:
     def of(name: str, stamped: Arrival) -> Arrival:
         return changed_copy(stamped, lambda message: setattr(message, "target_id", name), early.receive_ns + SECOND_NS)
 
-    # More targets than are followed: some are dropped. Then as many late ones come.
+    # The flood has more targets than are followed, so some are dropped. Then late directions to new targets arrive.
     flood = [of(f"x{number}", arrivals(0, [1.0])[0]) for number in range(MAX_TARGETS + 5)]
     late = [replace(of(f"y{number}", early), receive_ns=START_NS + 5 * SECOND_NS) for number in range(MAX_TARGETS)]
     run = run_of(config, *of_two, flood, late)

@@ -2,7 +2,8 @@
 
 A session of 30 s on the noise of ``simulated_session``: exposures of the brightest stars in the field of a camera of
 [W18] while the mount turns slowly, alone or with two lights in turn. The camera is the calibration telescope, whose
-focal length lights depend on too (sigma 0.1 %), or has a lens of its own (0.02 %). Principal point and k1 are drawn.
+focal length (sigma 0.1 %) is also that of the lights' images, or has a lens of its own (0.02 %). Principal point and k1
+are drawn.
 """
 
 from dataclasses import dataclass, replace
@@ -39,12 +40,12 @@ TIMES_S = np.arange(0.0, 30.0, 0.5)
 ENCODER = np.deg2rad(np.stack([40.0 + 0.4 * TIMES_S, 50.0 + 0.2 * TIMES_S], axis=-1))
 LENGTH_M = CAMERA["focal_length_m"]
 OWN_SIGMA = 2e-4
-"""Relative sigma of the focal length of a camera for which none is given."""
+"""Default relative sigma of a camera's focal length."""
 
 
 @cache
 def config_through(camera_id: str) -> OpticalAxisConfig:
-    """Return the configuration with the stars in the calibration telescope, or in a camera of its own."""
+    """Return the configuration with the stars in the calibration telescope, or in a separate camera."""
     own = {f"telescopes__{camera_id}__camera__{name}": value for name, value in CAMERA.items()}
     angles_deg = dict.fromkeys(MOUNTED_DEG, 0.0) if camera_id == TELESCOPE else MOUNTED_DEG
     own |= {f"telescopes__{camera_id}__{name}": value for name, value in angles_deg.items()}
@@ -60,7 +61,7 @@ def sky_model() -> SkyModel:
 
 
 def random_optics(seed: int, ratio: float) -> TrueOptics:
-    """Return optics with a longer focal length than configured by a ratio; random principal point and k1."""
+    """Return optics with 1 + ``ratio`` times the configured focal length, and random principal point and k1."""
     drawn = draw_optics(np.random.default_rng(2000 + seed), Detector(**CAMERA, width_px=2201, height_px=2201), "camera")
     return replace(drawn, camera=replace(drawn.camera, focal_length_m=LENGTH_M * (1.0 + ratio)))
 
@@ -70,12 +71,12 @@ class SessionResult:
     """Errors of the k pointings of one session, and the final state.
 
     Attributes:
-        valid: True for the VALID ones, shape (k,).
+        valid: True for VALID pointings, shape (k,).
         in_sigmas: largest error of an angle in its sigmas, shape (k,).
         of_level: largest error of an angle as a share of its protection level, shape (k,); NaN without a level.
-        nees: of the last pointing.
+        nees: NEES of the last pointing.
         texts: reasons why pointings were not VALID and sightings were not used.
-        state: of the filter at the end.
+        state: final state of the filter.
         filter_: the filter.
     """
 
@@ -94,7 +95,7 @@ class SessionResult:
 
 
 def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, named: bool = True) -> SessionResult:
-    """Return a session through a lens with a longer focal length than configured by a ratio."""
+    """Return the result of a session through a lens with 1 + ``ratio`` times the configured focal length."""
     settings, optics = config_through(camera_id), random_optics(seed, ratio)
     shared = camera_id == TELESCOPE
     drawn = session(settings, seed, TIMES_S, ENCODER, focal_length_m=optics.camera.focal_length_m if shared else None)
@@ -108,7 +109,7 @@ def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, n
     stated, valid, in_sigmas, of_level, texts = known.optics_errors(known.camera("camera")), [], [], [], []
     for number, sighting in enumerate(drawn.sightings):
         time_ns, encoder, true_nm = sighting.time_ns, sighting.encoder, drawn.rotation_nm[number]
-        # By the state before: the noise of this reading is not in it.
+        # The pointing is from the state before the sighting, which does not contain the noise of this reading.
         reading = EncoderSample(time_ns, np.array([encoder.azimuth, encoder.elevation]), np.sqrt(encoder.noise))
         estimate = output.estimate(PendingPointing(reading, sighting.ship, "", 0.0, state))
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
@@ -145,7 +146,7 @@ def test_no_pointing_is_valid_beyond_five_sigma_or_its_level(size: float, camera
     if size <= OWN_SIGMA or camera_id == TELESCOPE:
         low, high = mean_nees_band(SEEDS, 3)
         assert low <= np.mean([one.nees for one in voyages]) <= high
-        # Nothing was seen before the first; of 1000 exposures one is refused by chance.
+        # No pointing is VALID before the first exposure; of 1000 exposures one is rejected by chance.
         assert np.mean([one.valid[1:] for one in voyages]) >= 0.99
 
 
@@ -162,14 +163,14 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
         for text in (pointing, decision):
             assert "configured 100.000 mm" in text
             fits_mm = float(text.partition(" mm fits")[0].rpartition(" ")[2])
-            # The stars of one exposure state it to 0.01 to 0.02 %.
+            # The stars of one exposure determine the focal length to 0.01 to 0.02 %.
             assert fits_mm == pytest.approx(1e3 * LENGTH_M * (1.0 + ratio), rel=4e-4)
-        # At five sigma the estimate is now and then below the threshold of four.
+        # With an error of five sigma, the estimate is sometimes below the threshold of four sigma.
         assert np.mean(found.valid) < 0.2
 
 
 def test_focal_length_from_stars_matches_the_beacons() -> None:
-    """Three sigma off and observed by stars alone: the calibration has it, to 0.01 %."""
+    """The focal length is wrong by three sigma; stars alone calibrate it to 0.01 %."""
     ratio = 3e-3
     found = run_session(0, TELESCOPE, ratio)
     calibration = calibration_from_state(found.filter_, config_through(TELESCOPE), found.state)
@@ -180,7 +181,7 @@ def test_focal_length_from_stars_matches_the_beacons() -> None:
 
 
 def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
-    """Measured minus predicted, by a camera with another focal length."""
+    """The residual (measured minus predicted) is differentiated by the focal length of the camera."""
     settings, step_m = config_through(TELESCOPE), 1e-7
     filter_, drawn = CalibrationFilter(settings), session(config_through(TELESCOPE), 3, TIMES_S[:1], ENCODER[:1])
     rng, (sighting,) = np.random.default_rng(3), drawn.sightings
@@ -204,7 +205,7 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
         return found.residual, found.jacobian[:, filter_.model.slices["focal_length"]][:, 0]
 
     ahead, behind = residual(LENGTH_M + step_m)[0], residual(LENGTH_M - step_m)[0]
-    # A longer focal length used moves the measured direction; a longer one as state moves the predicted one back.
+    # A longer focal length of the camera changes the measured direction; in the state it has the opposite effect.
     numeric = -(ahead - behind) / (2.0 * step_m)
     assert residual(LENGTH_M)[1] == pytest.approx(numeric, rel=1e-3, abs=1e-3 * np.max(np.abs(numeric)))
 
