@@ -167,8 +167,7 @@ class TestLive:
             clock = recording.graph.node.create_publisher(Clock, "/clock", 10)
             assert recording.graph.spin_until(lambda: clock.get_subscription_count() > 0)
             def at_clock(second: int, seen: Callable[[], bool]) -> None:
-                """Publish a clock time and samples until the effect is seen: clock and samples come on two connections.
-                """
+                """Publish a clock time and samples, which come on two connections, until the effect is seen."""
                 message = Clock()
                 message.clock.sec = second
                 assert recording.graph.spin_until(lambda: clock.publish(message) or recording.send(1) or seen())
