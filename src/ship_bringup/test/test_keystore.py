@@ -270,8 +270,7 @@ def test_ineffective_governance(keystore, right, wrong):
 
 
 def test_outdated_policies(keystore):
-    """Policies from code that published one topic less, with the fingerprint of that code: the missing permission is named.
-    """
+    """Policies from code with one topic less, with the fingerprint of that code: the missing permission is named."""
     older = dataclasses.replace(OF_NODE, publishes=OF_NODE.publishes - {"/demo/ship/integrity"})
     keystore.permit(NODE, older)
     texts = [fault.text for fault in keystore_faults(keystore.path, use())]

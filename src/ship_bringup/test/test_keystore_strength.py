@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="there i
 ROOT = Path(__file__).parents[3]
 DOMAIN = 7
 NODE = "/demo/ship_attitude"
-# The present time: openssl certificates begin now, and those of the tests begin before.
+# An hour from now: certificates by openssl begin when they are made, which must be before this time.
 NOW = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=1)
 RIGHTS = suite_rights(
     [node.adapter for node in check_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")[0]], "demo", False
