@@ -633,7 +633,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
 
 
 def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
-    """Except for the linearisation point, which is that of the main filter."""
+    """Only the linearisation point differs: the subfilter has that of the main filter."""
     arrivals = voyage(("bow", "port"), (), 20.0, 5, True)
     core = run_core(ShipAttitudeCore(configuration(("bow", "port"))), arrivals).core
     without = configuration(("port",))
@@ -741,7 +741,7 @@ def test_the_attitude_does_not_depend_on_pair_subfilters_and_the_levels_grow() -
 
 
 def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
-    """Except for the linearisation point, which is that of the main filter."""
+    """Only the linearisation point differs: the subfilter has that of the main filter."""
     arrivals = voyage(THREE, (), 20.0, 5, True)
     core = run_core(ShipAttitudeCore(configuration(THREE, **WITH_PAIRS)), arrivals).core
     left_out = {"star.aft", "star.bow"}

@@ -62,7 +62,7 @@ def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
 def test_the_attitude_stays_valid() -> None:
     topic, change = FAULTS["1 km south"]
     run = ship_observations.run_new_adapter(change_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
-    # In the first half second the INS and one of the sensors are not yet in use.
+    # The first half second is left out: there is no INS sample yet, or not both sensors are in use.
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
     reports = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
@@ -74,7 +74,7 @@ def test_the_attitude_stays_valid() -> None:
 def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
     wrong = change_where(
         voyage(),
-        # The fixes at 0 s and 2 s, the last one, are wrong; fixes between are compared with correct ones.
+        # The fix at 0 s and the last fix, at 2 s, are wrong; the fix between is compared with correct fixes.
         lambda arrival: arrival.topic == FIX and arrival.stamp_ns in (START_NS, START_NS + 2 * SECOND_NS),
         FAULTS["1 km south"][1],
     )

@@ -205,7 +205,7 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
 
 @functools.cache
 def run_with_stopped_node(from_s: float, until_s: float) -> Run:
-    """Messages received while the node was stopped are processed when it continues, after the ticks of that time."""
+    """Messages received while the node was stopped are processed when it continues, after the ticks of the stop."""
     arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
     return run_adapter(new_adapter(), arrivals)
 
