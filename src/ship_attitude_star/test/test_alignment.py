@@ -1,4 +1,4 @@
-"""Saved alignment: it is the prior of the next voyage; a bad file is named and not used."""
+"""A saved alignment is the prior of the next voyage; a bad file is named and not used."""
 
 import dataclasses
 import math
@@ -67,9 +67,9 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved_path: Path) -> No
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
         assert sigma_of(now)[name] == pytest.approx(sigma_of(before)[name], rel=1e-6)
         assert sigma_of(now)[name] < sigma_of(configured)[name]
-    # 5 ms configured; a swell of 2 to 4° makes it observable to a few tenths of a millisecond.
+    # The configured sigma is 5 ms; a swell of 2 to 4° makes the offset observable to a few tenths of a millisecond.
     assert sigma_of(now)["ins.time_offset"] < 0.2 * sigma_of(configured)["ins.time_offset"]
-    # The INS errors are those of another voyage.
+    # INS errors are not loaded, because they belong to another voyage.
     assert value_of(now)["ins.up"] == 0.0
     assert sigma_of(now)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
@@ -92,9 +92,9 @@ def test_a_file_keeps_every_number(saved_path: Path) -> None:
     assert read.time_offsets_s == prior.time_offsets_s
     assert np.array_equal(read.covariance, prior.covariance)
     for name, rotation_dv in prior.rotations_dv.items():
-        # Angles in degrees and back: a few 1e-16.
+        # The conversion of angles to degrees and back costs a few 1e-16 rad.
         assert np.allclose(log_rotation(rotation_dv.T @ read.rotations_dv[name]), 0.0, atol=2e-15)
-    assert list(saved_path.parent.iterdir()) == [saved_path]  # nothing partial is left
+    assert list(saved_path.parent.iterdir()) == [saved_path]  # no temporary file remains
 
 
 def test_another_serial_number_keeps_the_configured_prior(saved_path: Path) -> None:
@@ -128,7 +128,8 @@ def test_the_random_walk_of_the_time_between_is_added(saved_path: Path) -> None:
     sigma = [
         sigma_of(start_adapter(saved_path, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)
     ]
-    # Azimuth of a sensor at elevation 45° is (rotation about its up axis) / cos 45° and more: 1" a root hour, 25 hours.
+    # At elevation 45° a rotation about the sensor's up axis changes the azimuth by 1 / cos 45° as much. The random walk
+    # is 1″ per root hour, the time 25 h.
     added = math.sqrt(sigma[1] ** 2 - sigma[0] ** 2)
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
 
@@ -272,7 +273,7 @@ def saved_run_state(saved_path: Path) -> Any:
 
 
 def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved_path: Path) -> None:
-    """Saved again before the first star of a voyage, the alignment equals the loaded one."""
+    """An alignment saved before the first star of a voyage equals the loaded alignment."""
     adapter, before = start_adapter(saved_path, START_NS + DAY_NS), document(saved_path)
     assert adapter.service("save_alignment", START_NS + DAY_NS).success
     after = document(saved_path)
@@ -302,19 +303,19 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     files = CountedFiles()
     adapter = ShipAttitudeAdapter(config(alignment_file=str(path), alignment_autosave_s=1.0), FACTORY, files)
     run = run_adapter(adapter, voyage())
-    # Five seconds of ticks, the first of which starts the first period.
+    # The ticks last five seconds; the first tick starts the first period of 1 s.
     assert [use.path for use in files.uses if use.written] == [str(path)] * 4
     until = [arrival for arrival in voyage() if arrival.receive_ns <= files.last_written_ns]
     assert len(until) > 100
     assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
     ALIGNMENT_FILE.save(requested, run_adapter(new_adapter(), until).adapter.core.alignment_to_save())
     assert requested.read_bytes() == path.read_bytes()
-    # Nothing else changes.
+    # The results are those without automatic saving.
     assert run.results() == fault_free_run().results()
 
 
 class CountedFiles(RecordingFiles):
-    """Count the uses, and store the time of the last one."""
+    """Record the uses of files, and compute the time of the last write."""
 
     last_written_ns = 0
 
@@ -341,7 +342,7 @@ def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> No
 
 def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    adapter = autosaving_adapter(path)  # the more accurate file is written while the node runs
+    adapter = autosaving_adapter(path)  # The more accurate file is written after the node's start.
     better = save_smaller_covariance(path)
     run = run_adapter(adapter, voyage())
     assert path.read_bytes() == better

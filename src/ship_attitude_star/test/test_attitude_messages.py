@@ -1,4 +1,4 @@
-"""Messages of many attitudes made together equal those made singly, byte for byte."""
+"""Messages that are made together for many attitudes equal those made one by one, byte for byte."""
 
 import numpy as np
 

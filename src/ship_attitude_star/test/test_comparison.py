@@ -41,7 +41,7 @@ STEP = 1e-6
 
 
 def random_case(seed: int) -> tuple[np.ndarray, InterpolatedAttitude]:
-    """Errors up to a degree, so that second-order terms of the Jacobian matter; a moving ship."""
+    """Return a state with errors of about half a degree, so that second-order terms matter, and a moving ship's INS."""
     rng = np.random.default_rng(seed)
     mean = rng.normal(scale=0.01, size=MODEL.size)
     rotation = Rotation.random(random_state=seed).as_matrix()
@@ -58,7 +58,7 @@ def ins_at_changed_offsets(
     name: str, mean: np.ndarray, changed: np.ndarray, ins: InterpolatedAttitude
 ) -> InterpolatedAttitude:
     """Return the INS attitude at the time given by the changed clock offsets, for a constant rate of the ship."""
-    # Whole nanoseconds would hide the small step: the difference of the two shifts is in seconds.
+    # The shift is a float in seconds, because whole nanoseconds would round the small step.
     shift_s = sum(
         sign * (changed[MODEL.slices[state]][0] - mean[MODEL.slices[state]][0])
         for state, sign in DEVICES[name].ins_time_states
@@ -103,7 +103,7 @@ def test_chain_of_a_star_sensor_is_that_of_the_model() -> None:
 
 
 def test_clock_offsets_have_the_signs_of_the_contract() -> None:
-    """An INS sample is valid at stamp + tau; a reference's offset is its stamp minus the INS's."""
+    """An INS sample is valid at stamp + tau; a reference's offset is its stamp minus the INS stamp at that time."""
     mean = np.zeros(MODEL.size)
     mean[MODEL.slices["ins.time_offset"]] = 0.005
     mean[MODEL.slices["star.fore.time_offset"]] = 0.001
@@ -119,7 +119,7 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
 
 
 def correct_directly(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
-    """Return the attitude at the time of the state, and its covariance by source."""
+    """Return the attitude at the time of the state, and the attitude covariance by source."""
     of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
     by = [CorrectedIns(FILTER, state)], np.zeros(1, dtype=np.intp)
     (rotation,), (parts,) = corrected_attitudes(*by, np.zeros(1), PropagatedBlock(*of_one))

@@ -94,7 +94,7 @@ def test_with_a_prediction_the_attitude_is_in_units_of_its_sigmas() -> None:
         of_attitude = fit.jacobian[:, :, :3]
         equal(found.jacobian[:, :, 3:], fit.jacobian[:, :, 3:])
         counted = found.jacobian[:, :, :3]
-        # Any root is valid: the information about the attitude is the same.
+        # Any square root of the covariance is valid: the product with its transpose is the same.
         equal(counted @ counted.swapaxes(1, 2), of_attitude @ covariance_n @ of_attitude.swapaxes(1, 2))
         equal(found.displacement, fit.displacement - (0.0 if expected_n is None else of_attitude @ expected_n))
         assert found.free_count == 0

@@ -29,7 +29,7 @@ def test_a_small_disagreement_gets_no_hint_at_any_heading(heading_deg: float, of
 @pytest.mark.parametrize("heading_deg", [heading for heading in AROUND if heading % 180 != 45])
 def test_heading_given_as_yaw_is_named_where_it_makes_a_difference(heading_deg: float) -> None:
     text = hint(90.0 - heading_deg, heading_deg)
-    # Within 5° of 45° and 225° the two differ by less than 10°, which gives no hint.
+    # Within 5° of 45° and 225° heading and yaw differ by less than 10°, which gives no hint.
     assert ("yaw (90° - heading): check ins.convention" in text) == (abs(heading_deg % 180 - 45.0) > 5.0)
 
 
@@ -37,7 +37,7 @@ def test_heading_given_as_yaw_is_named_where_it_makes_a_difference(heading_deg: 
 @pytest.mark.parametrize("turn_deg", [90.0, -90.0, 180.0])
 def test_90_and_180_degrees_are_named_at_all_headings(heading_deg: float, turn_deg: float) -> None:
     text = hint(heading_deg + turn_deg, heading_deg)
-    # If heading given as yaw explains the same difference, it is named: it is by far the most common mistake.
+    # A heading given as yaw takes precedence if this mistake, by far the most common, explains the same difference.
     assert f"about {abs(turn_deg):.0f}° in heading" in text or "yaw (90° - heading)" in text
     by_yaw = abs((2.0 * heading_deg + turn_deg - 90.0 + 180.0) % 360.0 - 180.0) < 5.0
     assert ("yaw" in text) == by_yaw

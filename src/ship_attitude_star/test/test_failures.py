@@ -1,4 +1,4 @@
-"""The software fails on one message: this is reported, and all other results are as without the message."""
+"""If the software fails on one message, the failure is reported, and all other results are as without the message."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +21,7 @@ DEFECT = "ArithmeticError: a defect ("
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function, which raises for some arguments."""
+    """Return a wrapper of `function` that raises an ArithmeticError if `bad` is true for the arguments."""
 
     def call(*arguments: Any) -> Any:
         if bad(*arguments):
@@ -57,7 +57,7 @@ def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytes
 
 
 def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It raises at first; then a late INS sample makes the measurements of its time be applied again."""
+    """The first attempt raises; then a late INS sample causes later-stamped measurements to be applied again."""
     clean, index = fault_free_run(), index_at(voyage(), FORE, FAILURE_S)
     bad_ns, failures = voyage()[index].stamp_ns, [True]
     bad = failing_where(

@@ -60,7 +60,7 @@ def false_exposure(sky_model: SkyModel, count: int, rng: np.random.Generator) ->
 
 @pytest.mark.parametrize("prior", [(72.0, 10.0), (DEGREE, 10.0), (3.0 * DEGREE, 10.0)], ids=str)
 def test_the_number_of_false_matches_is_the_expected_one(sky_model: SkyModel, prior: tuple[float, float]) -> None:
-    """Stars anywhere in the sky, drawn and counted; the bound is that of a Poisson number with the expected mean."""
+    """Random false detections are matched; the bounds are Poisson quantiles for 1/3 and 3 times the expected number."""
     known, rng, fitting, expected = prior_of(*prior), np.random.default_rng(1), 0, 0.0
     for _ in range(60):
         # The position of the field in the sky is drawn too, because stars are not uniformly distributed.
@@ -85,7 +85,7 @@ def test_the_number_of_false_matches_is_the_expected_one(sky_model: SkyModel, pr
 def test_false_detections_alone_never_give_an_attitude(
     sky_model: SkyModel, prior: tuple[float, float], count: int
 ) -> None:
-    """Without the limit, 13 of 240 such exposures gave a VALID attitude with an error of degrees."""
+    """Without MAX_FALSE_MATCHES, 13 of 240 such exposures gave a VALID attitude with an error of degrees."""
     ship_filter = ShipFilter(wide_prior(*prior))
     for seed in range(60):
         exposure = false_exposure(sky_model, count, np.random.default_rng([3, seed]))
@@ -96,7 +96,7 @@ def test_false_detections_alone_never_give_an_attitude(
 
 @pytest.mark.parametrize("off_deg", [-9.0, -3.0, 0.5, 3.0, 6.0])
 def test_stars_without_identity_are_identified_with_a_wide_heading(sky_model: SkyModel, off_deg: float) -> None:
-    """The gate is curved: a star rotated by 3° about the vertical is 283″ off its tangent."""
+    """The gate is curved: a star rotated by 3° about the vertical is 283″ off the gate's tangent."""
     ship_filter = ShipFilter(wide_prior(3.0 * DEGREE))
     exposure = exposure_of(sky_model, "fore", 8, np.random.default_rng(3))
     error_n = np.deg2rad([0.0, off_deg, 0.0])

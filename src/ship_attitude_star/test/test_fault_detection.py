@@ -1,7 +1,7 @@
-"""Faulty sources: detected, isolated, excluded, reinstated; and no VALID attitude beyond five sigmas meanwhile.
+"""Faulty sources are detected, isolated, excluded and reinstated; meanwhile no VALID attitude errs by five sigmas.
 
-A ship rolls, pitches and turns, with an INS with or without rates and two or three star sensors. The truth is computed
-from formulas, the errors from seeds, with the sigmas of the filter.
+A ship rolls, pitches and turns. Her INS has rates or not, and she has one to four star sensors. The truth is computed
+from formulas. The errors are random with the sigmas of the filter.
 """
 
 import bisect
@@ -38,10 +38,10 @@ INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
 AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0, "stern": 180.0}
 THREE, FOUR = ("aft", "bow", "port"), ("aft", "bow", "port", "stern")
 TWO: dict[str, Any] = {"sensors": ("bow", "port"), "ins": {"time_offset_sigma_s": 0.005}}
-"""Star sensors, and an INS whose clock offset is estimated."""
+"""Two star sensors, and an INS whose clock offset is estimated."""
 WITH_PAIRS = {"integrity": {"pairs": True, "max_hypotheses": 16}}
 PAIR_SEEDS = range(int(os.environ.get("FAULT_SEEDS", "1")))
-"""``make campaign`` takes more."""
+"""Seeds of the voyages with two mounting shifts; ``make campaign`` sets FAULT_SEEDS to take more."""
 
 NOISE = np.array([100.0, 3.0, 3.0]) * ARCSEC
 UP = np.array([0.0, 1.0, 0.0])
@@ -92,7 +92,7 @@ def rate_d(seconds: float) -> FloatArray:
 def voyage(
     sensors: tuple[str, ...], error_indices: tuple[int, ...], seconds: float, seed: int, rates: bool
 ) -> list[tuple[int, Any]]:
-    """Return the arriving data, in the order of stamps."""
+    """Return pairs of true time, ns, and INS sample or star measurement, in the order of time."""
     rng, config = np.random.default_rng(seed), configuration(sensors)
     errors = [ERRORS[number] for number in error_indices]
     mounting = {name: exp_rotation(np.array([20.0, 1.0, 1.0]) * ARCSEC * rng.standard_normal(3)) for name in sensors}
@@ -128,7 +128,7 @@ def voyage(
 
 @dataclass
 class VoyageResult:
-    """A core after a voyage, with its outputs, exclusions by time, and the levels of each second."""
+    """A core after a voyage, its estimates, changes of the exclusions, integrity reports and reasons of decisions."""
 
     core: ShipAttitudeCore
     estimates: list[AttitudeEstimate]
@@ -169,8 +169,8 @@ def continue_run(result: VoyageResult, arrivals: list[tuple[int, Any]]) -> Voyag
 
 ERRORS: list[InjectedError] = []
 RUNS_BEFORE_ERRORS: dict[str, VoyageResult] = {}
-"""Runs until the first injected error, which do not depend on it; the newest few, for they are large."""
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # of states, to copy a core
+"""The newest three runs up to the first injected error, for tests that differ only after it; each run is large."""
+copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # lets deepcopy copy states
 
 
 def run_with_errors(
@@ -212,7 +212,7 @@ def angle_covariance_of(estimate: AttitudeEstimate) -> FloatArray:
 
 
 def assert_consistent(sailed: VoyageResult) -> None:
-    """No VALID attitude is beyond five sigmas, or beyond its protection level."""
+    """Assert that the error of no VALID attitude exceeds five sigmas or the protection level."""
     valid = [one for one in sailed.estimates if one.status is Status.VALID]
     assert max(error_sigmas(one) for one in valid) < 5.0
     assert_within_levels(sailed)
@@ -243,7 +243,7 @@ def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, shif
     sailed = run_with_errors(shift, seconds=60.0)
     since_s, excluded = sailed.first_exclusion()
     assert excluded == (f"star.{name}",)
-    # Ten arcseconds are three sigmas of one measurement: their mean shows them.
+    # A shift of 10″ is three sigmas of one measurement: only the mean of several measurements shows the shift.
     assert 30.0 < since_s < (35.0 if shift_arcsec < 15.0 else 31.5)
     assert_consistent(sailed)
 
@@ -258,19 +258,19 @@ def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glit
         assert came_back_s - (22.0 if error.end_s < 1e9 else 20.0) >= 60.0
         assert "star.bow" in sailed.estimates[-1].sources
         learnt, sigma = estimated_mounting(sailed, "star.bow")
-        # Four of its sigmas, 0.9 arcsec, remain of the true mounting error of 1 arcsec.
+        # The true mounting error of 1″ is part of the difference. One sigma of the estimate is 0.9″.
         assert abs(learnt[2] - (turn[2] if error.end_s == 1e9 else 0.0)) < 4.0 * sigma[2] < 4.0 * ARCSEC
         assert_consistent(sailed)
 
 
 @pytest.mark.slow
 def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_time_the_second_time() -> None:
-    """Two of 24 other voyages have one VALID attitude of 4800 beyond five sigmas, with at most 5.05."""
+    """In two of 24 other voyages one of 4800 VALID attitudes is beyond five sigmas, at most at 5.05."""
     drift = InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
     assert [names for _, names in sailed.excluded] == [(), ("star.port",), (), ("star.port",), ()]
     excluded_s, returned_s, again_s, back_s = (seconds for seconds, _ in sailed.excluded[1:])
-    # With the mounting estimated again it is consistent at once; its measurements are 0.2 s apart.
+    # The sensor is consistent as soon as its mounting is estimated again; its measurements are 0.2 s apart.
     assert 20.0 <= returned_s - excluded_s < 20.4
     assert 40.0 <= back_s - again_s < 40.4
     assert sailed.core.state.exclusion_counts == {"star.port": 2}
@@ -280,15 +280,15 @@ def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_tim
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 9])
 def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(seed: int) -> None:
-    """The other sensor and an INS that drifts by as much nearly explain it: isolation may take minutes.
+    """The other sensor and an INS that drifts by as much nearly explain the data: isolation may take minutes.
 
-    In these two voyages four tenths of the limit (``_CHI2_MARGIN``) isolated the other one.
+    With a ``_CHI2_MARGIN`` of 0.4 the other sensor was isolated in these two voyages.
     """
     drift = InjectedError("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, sensors=("bow", "port"), seconds=170.0, seed=seed)
     assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
     unresolved = [one for one in sailed.estimates_between(20.0, 170.0) if one.status is Status.DEGRADED]
-    # Half a minute at least, and the covariance holds the unresolved fault.
+    # The fault is unresolved for at least half a minute, and the covariance covers it.
     assert len(unresolved) * INS_NS > 30 * SECOND_NS
     assert max(error_sigmas(one) for one in unresolved) < 5.0
     assert_consistent(sailed)
@@ -308,14 +308,14 @@ def test_all_stars_against_an_ins_without_rates_are_an_unresolved_fault_with_cov
 def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
     source: str, rates: bool, after: int
 ) -> None:
-    """Stars are 61 ms apart; they are evaluated when the INS samples of up to 0.1 s later are there."""
+    """The two sensors measure 61 ms apart; a measurement is evaluated up to 0.1 s later, after the next INS samples."""
     changes = {"gate": {"degraded_after": after}, "ins": {"jump_samples": 1000, "time_offset_sigma_s": 0.0}}
     error = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
     sailed = run_with_errors(error, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
     rejected_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
     estimates = sailed.estimates_between(10.0, 15.0)
     degraded_s = next(one.time_ns / SECOND_NS for one in estimates if one.status is Status.DEGRADED)
-    # Without rates the first rejection is a fault, as the INS may have jumped; with them the third at the latest.
+    # Without rates the first rejection is a fault, as the INS may have jumped; with rates the third at the latest.
     assert degraded_s <= rejected_s + INS_NS / SECOND_NS
     assert {one.status for one in sailed.estimates_between(degraded_s, 15.0)} == {Status.DEGRADED}
     excluded_s, names = sailed.first_exclusion()
@@ -339,7 +339,7 @@ def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwar
 @pytest.mark.parametrize("axis", [0, 2])
 @pytest.mark.parametrize(("tilt_time_s", "seed"), [(1800.0, 1), (1800.0, 2), (1800.0, 3), (100.0, 1)])
 def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, seed: int, axis: int) -> None:
-    """The INS covariance grows while the stars are excluded: being within it is not consistency."""
+    """The INS covariance grows while the stars are excluded: stars within this covariance are not yet consistent."""
     ins = {"ins": {"tilt_time_s": tilt_time_s, "time_offset_sigma_s": 0.0}}
     sailed = run_with_errors(
         InjectedError("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins
@@ -348,7 +348,7 @@ def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, se
 
 
 def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> None:
-    """Their errors of 12° and 20° are no mounting shifts and not one error: each has its own remaining ratio."""
+    """Errors of 12° and 20° are neither mounting shifts nor common errors: each sensor has its own remaining ratio."""
     ends = InjectedError("star.bow", UP * np.deg2rad(12.0), 20.0, end_s=40.0)
     lasts = InjectedError("star.port", UP * np.deg2rad(20.0), 20.0)
     sailed = run_with_errors(ends, lasts, sensors=FOUR, seconds=130.0, **WITH_PAIRS)
@@ -393,7 +393,7 @@ def estimated_mounting(sailed: VoyageResult, source: str) -> tuple[FloatArray, F
 
 
 def mountings(sailed: VoyageResult) -> FloatArray:
-    """Return the mountings of the stars, across the line of sight, and the offset of the INS clock, in their sigmas."""
+    """Return mounting errors of the star sensors across the boresight and the INS clock offset, each in its sigmas."""
     model, state = sailed.core.filter.model, sailed.core.state
     rows = [row for name in model.slices if "installation" in name for row in model.state_indices(name)[1:]]
     rows += list(model.state_indices("ins.time_offset"))
@@ -404,12 +404,12 @@ def mountings(sailed: VoyageResult) -> FloatArray:
 
 @functools.cache
 def clean_mountings(seconds: float) -> FloatArray:
-    """Those of TWO after a voyage without injected errors."""
+    """Return the mountings of configuration TWO after a voyage without injected errors."""
     return mountings(run_with_errors(seconds=seconds, **TWO))
 
 
 def assert_mounting_unchanged(sailed: VoyageResult, seconds: float) -> None:
-    """After the end of an injected error the estimates equal those without it, to a few sigmas."""
+    """Assert that the mountings equal those without the error to three sigmas, and that the last status is VALID."""
     np.testing.assert_allclose(mountings(sailed), clean_mountings(seconds), atol=3.0)
     assert sailed.estimates[-1].status is Status.VALID
 
@@ -437,7 +437,7 @@ def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(error: Inject
     sailed = run_with_errors(error, seconds=125.0, **TWO)
     assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
     assert 30.0 < sailed.excluded[1][0] < 32.0
-    # Until it was consistent for integrity.return_after_s.
+    # The INS is reinstated after it was consistent for integrity.return_after_s.
     assert 110.0 <= sailed.excluded[2][0] < 112.0
     assert {one.status for one in sailed.estimates_between(31.0, 110.0)} == {Status.DEGRADED}
     assert max(error_sigmas(one) for one in sailed.estimates_between(55.0, 110.0)) < 5.0
@@ -462,13 +462,13 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
     jump = InsJump(state.time_ns + SECOND_NS, 7.0 * UP * ARCSEC, 0.3 * ARCSEC, is_drift=True)
     after = core.filter.apply_ins_change(state, jump)
     assert dict(after.exclusion_counts) == excluded
-    # With one sensor only its own measurements can confirm the attitude.
+    # If there is one sensor, no measurements except its own can confirm the attitude.
     assert (after.unconfirmed_step is not None) == (not excluded)
     assert dict(core.filter.apply_ins_change(after, jump).exclusion_counts) == excluded
 
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
-    """A contradiction of it and one sensor cannot be isolated."""
+    """The faulty one of the INS and a single sensor cannot be isolated."""
     shift = InjectedError("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
     drift = InjectedError("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
     sailed = run_with_errors(shift, drift, sensors=("bow", "port"), seconds=90.0)
@@ -476,7 +476,7 @@ def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
 
 
 def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None:
-    """Each of them explains the contradiction with the other."""
+    """A fault of either sensor explains the contradiction."""
     drift = InjectedError("ins", np.array([0.0, 0.0, 3.3]) * ARCSEC, 30.0, per_s=True)
     shift = InjectedError("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
     sailed = run_with_errors(drift, shift, sensors=("bow", "port"), seconds=85.0)
@@ -507,7 +507,7 @@ def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> N
 
 
 def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusion() -> None:
-    """Half of it is in the attitude within a second; the faulty one of two sensors is isolated after two."""
+    """Half of the shift is in the attitude within a second; the faulty sensor is isolated after two seconds."""
     shift = InjectedError("star.port", -13.0 * UP * ARCSEC, 120.0)
     sailed = run_with_errors(shift, sensors=("bow", "port"), seconds=128.0, seed=2)
     valid = [one for one in sailed.estimates_between(120.0, 128.0) if one.status is Status.VALID]
@@ -519,7 +519,7 @@ def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusio
 def run_with_stars_excluded(
     error: InjectedError, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star."
 ) -> VoyageResult:
-    """Run a voyage with two sensors, some of which see no stars for a while."""
+    """Run a voyage with two sensors; sources whose names begin with `names` send nothing from start_s to end_s."""
     ERRORS.append(error)
     arrivals = [
         (time_ns, input_)
@@ -531,7 +531,10 @@ def run_with_stars_excluded(
 
 
 def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
-    """A mounting shift, excluded at 10 s; it would be reinstated after 60 s, in most of which it sent no data."""
+    """A sensor is excluded after a mounting shift at 10 s.
+
+    In most of the 60 s until its reinstatement it sends no data.
+    """
     sailed = run_with_stars_excluded(
         InjectedError("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port"
     )
@@ -542,7 +545,10 @@ def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
 
 
 def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> None:
-    """Its clock is 0.1 s off from 10 to 16 s; it would be reinstated a minute later, most of it without stars."""
+    """The INS clock is 0.1 s off from 10 to 16 s.
+
+    No stars are measured in most of the minute until its reinstatement.
+    """
     error = InjectedError("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
     sailed = run_with_stars_excluded(error, 25.0, 80.0, 145.0, 1)
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
@@ -594,7 +600,7 @@ def test_the_fast_consistency_test_equals_the_full_one(
 
 
 def test_without_faults_large_separations_are_rare() -> None:
-    """A component is beyond 3 sigmas once in 370; two sources, three windows and three filters are 27 components.
+    """A component is beyond 3 sigmas once in 370; (2 sources × 3 windows + 3 subfilters) × 3 axes are 27 components.
 
     One sample a seed, because the separations (installations) are one draw per voyage.
     """
@@ -627,7 +633,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
 
 
 def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
-    """Except for the linearisation point, which is that of the main filter."""
+    """Only the linearisation point differs: the subfilter has that of the main filter."""
     arrivals = voyage(("bow", "port"), (), 20.0, 5, True)
     core = run_core(ShipAttitudeCore(configuration(("bow", "port"))), arrivals).core
     without = configuration(("port",))
@@ -655,7 +661,7 @@ def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     assert since_s < 16.0  # within three measurements of each
     assert sailed.estimates[-1].status is Status.VALID
     assert_consistent(sailed)
-    # Two that remain check one another; a single one is not checked.
+    # Two remaining sensors check each other; a single remaining sensor is not checked.
     report = sailed.reports[-1][0]
     assert (report.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
     assert not any("+" in name for name in report.hypotheses)
@@ -692,7 +698,7 @@ def test_two_excluded_sensors_are_reinstated_independently() -> None:
     sailed = run_with_errors(shift, glitch, seconds=100.0, **WITH_PAIRS)
     both = ("star.bow", "star.port")
     assert [names for _, names in sailed.excluded] == [(), both, ("star.port",), ()]
-    # Each is consistent for a minute: the one with the mounting estimated again, and the one that came back.
+    # Each is consistent for a minute: bow from its exclusion on (new mounting), port from the end of its glitch on.
     came_back_s = [seconds for seconds, _ in sailed.excluded[2:]]
     assert 70.0 < came_back_s[0] < 75.0
     assert 90.0 < came_back_s[1] < 95.0
@@ -710,7 +716,7 @@ def test_with_pairs_a_single_fault_excludes_one_source() -> None:
 
 
 def test_two_of_three_are_not_isolated_against_an_ins_that_may_have_stepped() -> None:
-    """One sensor and an INS without rates are consistent by chance as well as two sensors are: 2 against 2."""
+    """One sensor and an INS without rates agree by chance as well as the two other sensors do: two against two."""
     errors = InjectedError("ins", UP * 50.0 * ARCSEC, 15.0), InjectedError("star.bow", UP * 40.0 * ARCSEC, 15.0)
     sailed = run_with_errors(*errors, seconds=25.0, rates=False, **WITH_PAIRS)
     assert ("star.aft", "star.port") not in [names for _, names in sailed.excluded]
@@ -735,7 +741,7 @@ def test_the_attitude_does_not_depend_on_pair_subfilters_and_the_levels_grow() -
 
 
 def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
-    """Except for the linearisation point, which is that of the main filter."""
+    """Only the linearisation point differs: the subfilter has that of the main filter."""
     arrivals = voyage(THREE, (), 20.0, 5, True)
     core = run_core(ShipAttitudeCore(configuration(THREE, **WITH_PAIRS)), arrivals).core
     left_out = {"star.aft", "star.bow"}

@@ -1,4 +1,4 @@
-"""Focal length and principal point from angles between stars: drawn cameras, scipy and chi-square bands."""
+"""Focal length and principal point from angles between stars, compared with scipy and with chi-square bands."""
 
 from dataclasses import replace
 from functools import reduce
@@ -34,7 +34,7 @@ def true_camera(camera, scale=0.0, u_px=0.0, v_px=0.0):
 
 
 def draw_field(rng, camera, true, stars=10, sigma_px=SIGMA_PX, shift_px=None):
-    """Return an exposure of the true camera, read with the configured one; ``shift_px`` maps pixels to more errors."""
+    """Return stars seen by ``true`` and converted to directions by ``camera``; ``shift_px`` gives added errors."""
     rotation_ns = Rotation.random(random_state=rng.integers(2**31)).as_matrix()
     pixels = rng.uniform(0.0, 2047.0, (stars, 2))
     seen = pixels + sigma_px * rng.standard_normal(pixels.shape)
@@ -87,7 +87,7 @@ def test_the_estimate_equals_scipys_least_squares_over_attitudes_and_optics(came
     np.testing.assert_allclose(off / sigma, 0.0, atol=0.02)
     assert found.chi_square == pytest.approx(2.0 * by_scipy.cost, rel=1e-3)
     covariance = np.linalg.inv(by_scipy.jac.T @ by_scipy.jac)[:3, :3] * np.outer([1e-4, 1, 1], [1e-4, 1, 1])
-    # scipy's derivatives are taken at its solution, some pixels away: 1 % of those of the principal point.
+    # scipy linearises at the solution, some pixels off the configured principal point. This changes derivatives by 1 %.
     unit = np.outer(sigma, sigma)
     np.testing.assert_allclose(found.covariance / unit, covariance / unit, atol=0.03)
     assert found.degrees == 3 * (2 * 8 - 3) - 3
@@ -116,7 +116,7 @@ def test_errors_are_as_large_as_the_covariance_states(camera, prior):
 def test_five_fields_of_ten_stars_show_a_twentieth_of_a_percent_beyond_five_sigma():
     rng = np.random.default_rng(4)
     found = estimate(PLAIN, [draw_field(rng, PLAIN, true_camera(PLAIN, 5e-4)) for _ in range(5)])
-    # 0.13 px over the RMS distance from the middle, 836 px, and the root of five times nine stars: 2.3e-5.
+    # Expected sigma: 0.13 px / (836 px RMS distance from the middle × √(5 × 9)) = 2.3e-5.
     assert found.scale_sigma < 3e-5
     assert abs(found.scale - 5e-4) < 3.3 * found.scale_sigma
     # A shift of the principal point is nearly a rotation: 50 stars do not determine it to a pixel.
@@ -134,7 +134,7 @@ def test_a_wrong_identity_is_left_out_by_the_members():
 
 
 def test_a_smooth_error_of_the_detector_widens_the_sigma():
-    """The map's linear part equals a focal length error: its prior limits the accuracy for any number of fields."""
+    """The field map's linear part equals a focal length error: the map's prior sigma limits the accuracy."""
     rng = np.random.default_rng(6)
     fields = [draw_field(rng, PLAIN, PLAIN) for _ in range(40)]
     errors = SpatialErrors(PLAIN, 0.3, 0.0)
@@ -154,7 +154,7 @@ def test_too_few_stars_determine_nothing():
     assert field_information(PLAIN, draw_field(rng, PLAIN, PLAIN, stars=1)) is None
     pair = field_information(PLAIN, draw_field(rng, PLAIN, PLAIN, stars=2))
     assert estimate_optics(pair) is None
-    # One angle states the focal length where the principal point is held.
+    # One angle determines the focal length if the principal point is known.
     held = estimate_optics(pair, (np.inf, 0.0, 0.0))
     assert abs(held.scale) < 3.3 * held.scale_sigma
     assert held.principal_px.tolist() == [0.0, 0.0]

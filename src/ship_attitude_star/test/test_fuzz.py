@@ -1,4 +1,4 @@
-"""Garbage in any field, tens of thousands of times: nothing is raised, and afterwards the node works as before."""
+"""20 000 messages with garbage in a field: the node raises nothing, and afterwards works as before."""
 
 import copy
 import pickle
@@ -18,7 +18,7 @@ REFERENCE = "reference/gyro/imu"
 
 
 def templates() -> list[Arrival]:
-    """The correct messages of the stream; a reference sends the attitude of the INS."""
+    """Return the correct messages of the voyage, and the INS messages again as those of a reference."""
     arrivals = list(voyage())
     return arrivals + [Arrival(REFERENCE, a.message, a.receive_ns + 1) for a in arrivals if a.topic == INS]
 

@@ -1,4 +1,4 @@
-"""Prediction of the INS corrections between two estimates: equal to the filter, also from an intermediate time."""
+"""`InsErrorPredictor` predicts the INS errors between two estimates as the filter does."""
 
 import math
 
@@ -23,7 +23,7 @@ STARS = {"star_sensors": {"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "f
 
 
 def filter_of(**values: object) -> TracedFilter:
-    """Return the filter of a ship that sails North at 10 m/s, with a fix each second."""
+    """Return the filter of a ship that sails North at 10 m/s; with a vertical there is a fix each second."""
     config = build(ShipAttitudeConfig, {**STARS, **values})
     vertical = VerticalTrack(config.gravity, config.sky) if config.needs_vertical else None
     for second in range(-10, 80 if vertical is not None else -10):
@@ -45,7 +45,7 @@ CASES = {
 def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     filter_, rng = filter_of(**values), np.random.default_rng(4)
     start = filter_.propagate(filter_.initial_state(), START_NS)
-    # Correlated as after measurements, and away from zero.
+    # The states are correlated as after measurements, and their means are not zero.
     mix = np.eye(filter_.model.size) + 0.2 * rng.standard_normal((filter_.model.size,) * 2)
     sigma = np.sqrt(start.covariance.diagonal())
     full = sigma[:, None] * (mix @ mix.T) * sigma
@@ -69,7 +69,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
         np.testing.assert_allclose(found.mean[place] / scale, of_attitude @ there.mean / scale, atol=1e-9)
         expected = of_attitude @ there.covariance @ of_attitude.T / np.outer(scale, scale)
         np.testing.assert_allclose(found.covariance[place] / np.outer(scale, scale), expected, atol=1e-9)
-        # At the later estimate itself, and at the earlier one, the covariance with the later one is known analytically.
+        # At the times of both estimates, the covariance with the later estimate is known analytically.
         if place == len(times_ns) - 1:
             scales = scale[:, None] * sigma_of(there)
             np.testing.assert_allclose(cross[place] / scales, of_attitude @ there.covariance / scales, atol=1e-9)

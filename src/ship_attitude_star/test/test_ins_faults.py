@@ -74,7 +74,7 @@ def of_ins(from_s: float = -1.0, until_s: float = 1e9) -> Callable[[Arrival], bo
 
 
 def scale_rates(factor: float) -> Change:
-    """Scale the rates, as for another unit or none at all."""
+    """Return a change that scales the rates: to another unit, or to zero."""
 
     def change(message: Any) -> None:
         for axis in AXES:
@@ -106,14 +106,14 @@ def negate_w(message: Any) -> None:
 
 
 def only_gaps(run: Run) -> int:
-    """Return the largest number of unused measurements of a star sensor, all of them for lack of the INS."""
+    """Return the largest number of rejected measurements of a star sensor; assert that all are for an INS gap."""
     reasons = [run.reasons(topic) for topic in (FORE, STARBOARD)]
     assert all(counts.keys() <= {"gap"} for counts in reasons)
     return max(counts.get("gap", 0) for counts in reasons)
 
 
 def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
-    """Every ``keep``-th sample of the INS."""
+    """Return the arrivals with only every ``keep``-th sample of the INS."""
     numbers = {id(a): n for n, a in enumerate(a for a in arrivals if a.topic == INS)}
     return tuple(a for a in arrivals if a.topic != INS or numbers[id(a)] % keep == 0)
 
@@ -123,7 +123,7 @@ def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
 
 @pytest.mark.parametrize("zero_rates", [False, True])
 def test_one_wrong_sample_is_rejected_and_changes_nothing(zero_rates: bool) -> None:
-    """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
+    """With ``orientation.w`` negated the quaternion has unit norm, but is more than 90° from the ship's attitude."""
     arrivals = change_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
     run = run_adapter(new_adapter(), replace_message(arrivals, index, negate_w))
@@ -145,7 +145,10 @@ def test_a_late_wrong_sample_is_rejected_too() -> None:
 
 @pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
 def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
-    """Five are rejected; the sixth is accepted, DEGRADED, with an error as large as the jump, until a star was used."""
+    """Five samples are rejected.
+
+    From the sixth on the attitude is DEGRADED with a sigma as large as the jump, until stars confirm it.
+    """
     jumped = change_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, size_arcsec, 0.0))
     run = run_adapter(new_adapter(), jumped)
     assert run.reasons(INS) == {"gate": 5}
@@ -158,7 +161,7 @@ def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(siz
     error_n, covariance_n = error_and_covariance(after[0])
     assert np.abs(error_n[1]) < 1.5 * np.sqrt(covariance_n[1, 1])
     assert_consistent(run)
-    # Except for one in the gap all stars are used: the jump is in the INS error, as it should be.
+    # All stars except one in the gap are used: the jump is estimated as an INS error.
     assert only_gaps(run) <= 1
 
 
@@ -196,7 +199,8 @@ def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> No
     run = run_adapter(new_adapter(), change_where(thin_out(voyage(20.0), keep), of_ins(), scale_rates(0.0)))
     assert run.reasons(INS).keys() <= {"rate_not_measured"}
     assert_consistent(run)
-    # The errors of one voyage hardly change in a second: 99.9 % of chi square for one draw or a few.
+    # The errors of one voyage hardly change in a second. The limit is therefore a 99.9 % chi-square limit for few
+    # draws.
     assert np.mean(nees(run, 2.0)) < 12.0
     reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {1}
@@ -222,12 +226,12 @@ def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() ->
 
 
 def no_rate(message: Any) -> None:
-    """An Imu message without measured rates."""
+    """Mark the rates of an Imu message as not measured."""
     message.angular_velocity_covariance[0] = -1.0
 
 
 def assert_same_attitudes(one: Run, other: Run) -> None:
-    """Assert that two runs are equal to the last bit after the first half second."""
+    """Assert that the attitudes of two runs are equal to the last bit after the first half second."""
     attitudes = [
         {stamp_of(m): rotation_of(m).tobytes() for m in run.messages("ship/attitude") if seconds(m) > 0.5}
         for run in (one, other)
@@ -241,13 +245,13 @@ def test_failing_rates_cost_half_a_second_and_no_star() -> None:
     assert 1 <= rejected <= 16
     assert_consistent(run)
     assert only_gaps(run) <= 3
-    # No star is rejected: the estimated INS errors are kept.
+    # The covariance is not inflated: the estimated INS errors are kept.
     sigma = [np.sqrt(m.covariance[0]) for m in run.messages("ship/attitude") if seconds(m) > 5.0]
     assert max(sigma) < 20.0 * ARCSEC
 
 
 def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
-    """Rates in degrees; the ship is at rest for ten seconds, and the wrong rates have no effect afterwards."""
+    """An INS with rates in deg/s stays unused while the ship is at rest for ten seconds, and afterwards."""
     arrivals = change_where(voyage(22.0), of_ins(0.0, 22.0), scale_rates(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 

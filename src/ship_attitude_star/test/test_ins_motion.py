@@ -29,7 +29,7 @@ def rate_d(t_s: float) -> np.ndarray:
 
 
 def sample(time_ms: int, offset_s: float = 0.0, white_n: np.ndarray | None = None) -> AttitudeSample:
-    """Stamped ``time_ms``, valid ``offset_s`` later."""
+    """Return an INS sample stamped ``time_ms`` and valid ``offset_s`` later."""
     t_s = 1e-3 * time_ms + offset_s
     noise = np.eye(3) if white_n is None else exp_rotation(white_n)
     return AttitudeSample(START_NS + time_ms * MS, noise @ attitude(t_s, HEADING_DEG), rate_d(t_s))
@@ -62,7 +62,7 @@ def test_deck_attitude_and_covariance_are_those_of_the_ins() -> None:
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck_prior(START_NS + 80 * MS)
     np.testing.assert_allclose(prior.rotation_nb, attitude(0.08, HEADING_DEG), atol=1e-12)
     sigma = np.sqrt(np.diagonal(prior.covariance_n)) / ARCSEC
-    # North, Up, East, with a white arcsecond.
+    # North, Up, East; white noise of 1″ is included.
     assert sigma == pytest.approx([10.05, 72.007, 10.05], rel=1e-4)
 
 
@@ -98,7 +98,7 @@ def test_the_rotation_error_is_that_of_noise_and_time_offset() -> None:
     rng = np.random.default_rng(5)
     total, draws = 0.0, 300
     for _ in range(draws):
-        # Valid at the stamp plus an unknown offset.
+        # The samples are valid at the stamp plus an unknown offset.
         offset_s = 0.02 * rng.standard_normal()
         samples = (sample(t, offset_s, ARCSEC * rng.standard_normal(3)) for t in range(80, 260, 10))
         turn, covariance_d = turn_of(motion(config, *samples), 100, 230)
@@ -109,7 +109,7 @@ def test_the_rotation_error_is_that_of_noise_and_time_offset() -> None:
 
 
 def test_excess_noise_counts_in_a_rotation() -> None:
-    """Samples 50 ms apart with noise of 20″, of which one is stated; the INS check detects the excess."""
+    """Samples 50 ms apart have noise of 20″, but 1″ is configured; the INS check detects the excess."""
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
     expected = attitude(5.0, HEADING_DEG).T @ attitude(5.15, HEADING_DEG)
     true, draws = [sample(t) for t in range(0, 6000, 50)], 100
@@ -129,8 +129,8 @@ def test_excess_noise_counts_in_a_rotation() -> None:
 
 @pytest.mark.parametrize(
     ("periods", "rates"),
-    # Without measured rates the interpolation error is estimated from the noise of the samples, and is a fifth of
-    # the small variance of a rotation over a third of a period: sigma is then 10 % too large.
+    # Without measured rates, 0.3 periods are left out: the interpolation error is then a fifth of the small variance.
+    # This error is estimated from the noise of the samples, so sigma is 10 % too large.
     [*itertools.product([0.0, 0.3, 1.0, 2.5, 10.0], [True]), *itertools.product([0.0, 1.0, 2.5, 10.0], [False])],
 )
 def test_rotations_over_short_times_have_only_the_noise_not_shared(
@@ -231,7 +231,7 @@ def test_dropped_data_are_not_needed() -> None:
 
 
 def motion_with_jump(size_rad: float) -> InsMotion:
-    """Its attitude jumps about Up at 0.8 s; five samples are rejected."""
+    """Return an INS whose attitude jumps about Up at 0.8 s; five samples are rejected."""
     some, step = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig())), np.array([0.0, size_rad, 0.0])
     rejections = []
     for one in map(sample, range(0, 2000, 40)):

@@ -18,7 +18,7 @@ BOTH = pytest.mark.parametrize("reading", list(InstallationConvention))
 
 
 def at_operating_point(azimuth_deg: FloatArray, reading: InstallationConvention) -> ErrorModel:
-    """The example of [Z14]: As 235°, Es 45°, roll_s 90°, E0 35°, roll_0 0."""
+    """Return the error model at the example of [Z14]: As 235°, Es 45°, roll_s 90°, E0 35°, roll_0 0."""
     azimuth_deg = np.asarray(azimuth_deg, dtype=float)
     installation_deg = np.stack([azimuth_deg, np.full_like(azimuth_deg, 35.0), np.zeros_like(azimuth_deg)], axis=-1)
     return linearise(np.deg2rad([235.0, 45.0, 90.0]), np.deg2rad(installation_deg), reading)

@@ -22,11 +22,11 @@ STAR_SIGMA_S = np.array([100.0, 3.0, 3.0]) * ARCSEC
 INSTALLATION_SIGMA_S = np.array([20.0, 1.0, 1.0]) * ARCSEC
 DURATION_S, STAR_PERIOD_S = 24.0, 0.4
 RUNS = int(os.environ.get("SEEDS", "16"))
-"""``make campaign`` takes more."""
+"""Number of seeds; ``make campaign`` sets SEEDS to take more."""
 
 
 class Swell:
-    """Roll of 5° in 10 s, pitch of 2° in 7 s, yaw of 0.7° in 20 s, with other phases each time."""
+    """Roll of about 5° in 10 s, pitch of 2° in 7 s, yaw of 0.7° in 20 s; sizes, periods and phases are random."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._period_s = np.array([20.0, 7.0, 10.0]) * rng.uniform(0.85, 1.2, 3)
@@ -58,7 +58,7 @@ def configuration(rate_hz: float) -> ShipAttitudeConfig:
 
 
 def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, AttitudeEstimate]:
-    """Error (horizon) of the last attitude of a run, and the attitude."""
+    """Return the error of the last attitude of a run, horizon frame, rad, and this attitude."""
     rng = np.random.default_rng([27, seed])
     swell, core = Swell(rng), ShipAttitudeCore(configuration(rate_hz))
     ins_error_n, tau_s = rng.normal(size=3) * INS_SIGMA_N, rng.normal() * 0.005
@@ -95,7 +95,10 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
 def test_errors_are_consistent_with_the_covariance_at_low_rates(
     rate_hz: float, rates: bool, conservative: bool
 ) -> None:
-    """Mean NEES without the error of interpolation: 6 at 5 Hz and 15 at 2.5 Hz without rates, 6 and 850 at 1 Hz."""
+    """Without the interpolation error the mean NEES is 6 at 5 Hz and 15 at 2.5 Hz without rates.
+
+    At 1 Hz it is 6 with rates and 850 without.
+    """
     nees = []
     for seed in range(RUNS):
         error_n, estimate = last_estimate(rate_hz, rates, seed)
@@ -115,7 +118,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     time_ns, mounted = START_NS + 3_500_000_000, core.filter.devices["star.fore"].rotation_dv0
     measured = AttitudeMeasurement("star.fore", time_ns, swell.attitude(3.5) @ mounted, np.diag(STAR_SIGMA_S**2))
     tenth_ns, noise = SECOND_NS // 10, []
-    # Alone; at 5 Hz five of them; with another sensor twice as many; once in 5 s; the other sensor 2 s ago.
+    # Factor 1 alone, 5 if measured at 5 Hz, 10 with another sensor too, 1 once in 5 s, 1 after another sensor 2 s ago.
     for used in (
         {},
         {"star.fore": 2 * tenth_ns},
@@ -139,5 +142,5 @@ def test_the_budget_names_interpolation() -> None:
     parts = slow.covariance_by_source_n
     np.testing.assert_allclose(parts.sum(axis=0), slow.covariance_n, rtol=1e-9)
     assert np.trace(parts[row]) > (1.0 * ARCSEC) ** 2
-    # With rates only the noise of the measurements counts.
+    # At 10 Hz with rates the interpolation error is negligible.
     assert np.trace(fast.covariance_by_source_n[row]) < 0.01 * np.trace(fast.covariance_n)

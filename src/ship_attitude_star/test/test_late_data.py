@@ -27,7 +27,7 @@ LAG_S = 2.0
 
 
 def shuffle(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
-    """Delays drawn over the whole lag for these topics, a few milliseconds for the others."""
+    """Return the voyage with random delays up to the lag for ``topics``, and 5 ms for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in voyage()])
     return delay_arrivals(voyage(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
@@ -46,7 +46,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
     assert run.state() == clean.state()
     assert run.health(INS).rejected == 0
     for topic in (FORE, STARBOARD):
-        # If the INS samples around it were late, it is rejected first and used in the end.
+        # A measurement between late INS samples is rejected first and used in the end.
         assert set(run.reasons(topic)) <= {"gap", "revised"}
     assert INS in topics or run.reasons(FORE) == run.reasons(STARBOARD) == {}
     stamps = [stamp_of(m) for m in run.messages("ship/attitude")]
@@ -65,7 +65,7 @@ def test_the_shuffled_order_differs() -> None:
 @pytest.mark.parametrize(("topic", "since_s"), [(INS, 2.60), (INS, 2.64), (FORE, 2.6)])
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float, late_s: float) -> None:
-    """The message is as late as possible after the newest stamp; INS samples are those around a star's stamp."""
+    """The message arrives just before the first stamp more than ``late_s`` later; INS samples are next to a star."""
     index = index_at(voyage(), topic, since_s)
     limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)
@@ -91,9 +91,9 @@ def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
 
 
 def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None:
-    """Three stars far off arrive first and pass the gate; with the correct ones before them they are rejected.
+    """A measurement 150″ off arrives first and passes the gate; it is rejected after earlier correct ones arrived.
 
-    The INS heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
+    The INS heading is known to 72″, so 150″ is within the gate, but far outside after two sensors were used.
     """
 
     def shift_azimuth(message: Any) -> None:

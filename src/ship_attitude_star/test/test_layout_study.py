@@ -38,7 +38,7 @@ def sensor(azimuth_deg: float, elevation_deg: float = 35.0, **others: float) -> 
     ("azimuth_deg", "pitch_share", "roll_share"), [(0.0, 0, 1), (180.0, 0, 1), (90.0, 1, 0), (270.0, 1, 0)]
 )
 def test_rule_for_a_level_ship(azimuth_deg: float, pitch_share: int, roll_share: int, roll_deg: float) -> None:
-    """models.md §3: sin E0 into heading; cos E0 into roll along the keel, into pitch abeam."""
+    """models.md §3: boresight error times sin E0 goes into heading, times cos E0 into roll (ahead) or pitch (abeam)."""
     layout = layout_of(sensor(azimuth_deg, 35.0, roll_deg=roll_deg, **ONLY_BORESIGHT))
     sine, cosine = np.sin(np.deg2rad(35.0)), np.cos(np.deg2rad(35.0))
     expected = 100.0 * np.array([sine, pitch_share * cosine, roll_share * cosine])
@@ -52,7 +52,7 @@ def test_one_sensor_agrees_with_the_angles_of_the_error_model() -> None:
     rotation_ns = rotation_from_angles(*layout.ship_angles) @ rotation_from_angles(*layout.angles[0])
     star = angles_from_rotation(rotation_ns)
     step = 1e-6
-    # Columns: derivatives of the sensor's horizon angles by rotations about its axes, by differences.
+    # Columns: numerical derivatives of the sensor's horizon angles with respect to rotations about the sensor's axes.
     turned = [
         angles_from_rotation(rotation_ns @ (np.eye(3) + step * np.cross(axis, np.eye(3)).T)) for axis in np.eye(3)
     ]
@@ -66,7 +66,7 @@ def test_two_sensors_at_right_angles_complement_each_other() -> None:
     alone = layout_of(sensor(0.0)).sigmas_arcsec()
     together = layout_of(sensor(0.0), sensor(90.0)).sigmas_arcsec()
     assert alone.max() > 80.0
-    # Of the size of the well measured components: 3" of noise and 1" of installation.
+    # The joint error is of the size of the well measured components: 3″ of noise and 1″ of installation.
     assert together.max() < 4.0
 
 
@@ -92,7 +92,7 @@ def test_common_errors_do_not_average_away() -> None:
 
 
 def test_refraction_raises_every_star() -> None:
-    """models.md §2: refraction raises the sensor at 45° by its own size; ahead that is pitch, abeam roll."""
+    """models.md §2: at 45° a refraction error raises the sensor by its size: pitch error ahead, roll error abeam."""
     sharp = {**ONLY_BORESIGHT, "sigma_forward_arcsec": 0.001}
     for azimuth_deg, expected in ((0.0, [0.0, 0.6, 0.0]), (90.0, [0.0, 0.0, 0.6])):
         one = layout_of(sensor(azimuth_deg, 45.0, **sharp), common={"refraction_sigma_arcsec": 0.6})
@@ -176,7 +176,7 @@ def test_figure_3_starts_and_ends_at_the_formulas() -> None:
 
 
 def test_figure_4_adds_all_errors() -> None:
-    """Compared with the ship's own angles, changed by the six errors at once."""
+    """The curve is compared with the change of the ship's angles by all six errors at once."""
     curve = curves_of(4, InstallationConvention.PHYSICAL)[0]
     for index in (0, 100, 250):
         star, installation = np.deg2rad([235.0, 45.0, 90.0]), np.deg2rad([curve.swept_deg[index], 35.0, 0.0])
@@ -185,7 +185,7 @@ def test_figure_4_adds_all_errors() -> None:
             star + ARCSEC * np.array([3.0, 3.0, 100.0]), installation + ARCSEC * np.array([1.0, 1.0, 20.0])
         )
         errors = (moved.ship_angles - model.ship_angles) / ARCSEC
-        # Second order: 100" of 100" is 0.05".
+        # The second-order term of two errors of 100″ is 0.05″.
         np.testing.assert_allclose(curve.errors_arcsec[index], errors, atol=0.15)
 
 

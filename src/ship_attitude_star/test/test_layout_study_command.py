@@ -66,7 +66,7 @@ def test_page_and_tables_agree(study_folder: Path) -> None:
 
 
 def test_sources_at_the_operating_point(study_folder: Path) -> None:
-    """models.md §3: Δγs = 100″ gives 35.01, 49.75, 61.64″ at A0 = 0 and 141.42, 0, 100″ at A0 = 90 physically."""
+    """models.md §3, physical: Δγs = 100″ gives 35.01, 49.75, 61.64″ at A0 = 0 and 141.42, 0, 100″ at A0 = 90."""
     found = {
         (row["reading"], row["installation_azimuth_deg"], row["source"]): [
             abs(float(row[f"{angle}_arcsec"])) for angle in ("heading", "pitch", "roll")

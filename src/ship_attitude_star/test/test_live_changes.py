@@ -1,4 +1,4 @@
-"""Parameters: refused with a reason, at the start and live; accepted live changes act at once."""
+"""Bad parameters are refused with a reason, at the start and live; accepted live changes act at once."""
 
 import math
 from typing import Any
@@ -57,7 +57,7 @@ REFUSED_LIVE = [
     ({"star_sensors.fore.azimuth_deg": 3.0}, "cannot be changed while the node runs"),
     ({"lag_s": 3.0}, "cannot be changed while the node runs"),
     ({"gate.conflict_after": 2.5}, "must be of type int"),
-    # One bad value makes all refused.
+    # If one value is bad, all values of the change are refused.
     ({"ins.white_sigma_arcsec": 5.0, "gate.conflict_after": 0}, "'gate.conflict_after'"),
 ]
 
@@ -91,7 +91,7 @@ def test_a_narrower_gate_acts_at_once() -> None:
     adapter.set_parameters({"gate.probability": 0.5})
     rest = run_adapter(adapter, voyage()[HALF:])
     evaluated = [m for m in rest.messages("ship/innovation") if m.source.startswith("star")]
-    # chi2 of three degrees exceeds its median half of the time; of 24 and more draws, not fewer than 4 do.
+    # Chi-square of three degrees of freedom exceeds its median half of the time: at least 4 times in 24 draws.
     assert len(evaluated) >= 24
     assert len(rest.innovations(Reason.GATE)) >= 4
     assert {round(m.gate, 3) for m in evaluated} == {2.366}
@@ -138,7 +138,7 @@ def test_a_reset_keeps_the_live_changes() -> None:
 
 
 def test_changed_ins_noise_reaches_the_ins_check() -> None:
-    """One sample off by 60": seven sigmas of the first noise, and far within the second."""
+    """One sample is off by 60″: outside the gate with the smaller noise, and within the gate with the larger one."""
 
     def rotate_up(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))

@@ -33,7 +33,7 @@ def test_masks_in_the_way_are_named(masks: dict[str, object], reason: str) -> No
 
 
 def test_recommended_azimuths_are_clear_of_masks() -> None:
-    """Without masks 119 deg is recommended; a crane from 100 to 140 deg moves it to the nearest clear edge."""
+    """Without masks 119 deg is recommended; with a crane from 100 to 140 deg, an azimuth clear of the crane."""
     crane = {"azimuths_deg": [100.0, 140.0, 140.0, 100.0], "elevations_deg": [0.0, 0.0, 60.0, 60.0]}
     sensors = {name: {"azimuth_deg": azimuth, "elevation_deg": 35.0} for name, azimuth in (("a", 0.0), ("b", 70.0))}
     free = compute_study(study_config({"sensors": sensors}))
@@ -49,7 +49,7 @@ def test_recommended_azimuths_are_clear_of_masks() -> None:
 
 
 def test_a_field_stays_over_the_horizon_as_the_ship_moves() -> None:
-    """Compared with a field of 31 x 31 directions, rotated by roll and pitch on a fine grid."""
+    """The horizon margin is compared with a field of 31 x 31 directions, rotated by roll and pitch on a fine grid."""
     sensors = {"a": {"azimuth_deg": 50.0, "elevation_deg": 40.0, "roll_deg": 20.0}}
     moving = {"roll_deg": 12.0, "pitch_deg": 4.0, "clearance_deg": 3.0}
     config = study_config({"sensors": sensors, "horizon": moving, "ship_roll_deg": 2.0, "field_of_view_deg": 16.0})

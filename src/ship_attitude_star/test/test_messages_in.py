@@ -36,7 +36,7 @@ def test_a_fix_is_a_position_with_a_covariance() -> None:
     assert (taken.time_ns, reading.covariance_known) == (STAMP_NS, True)
     assert np.rad2deg([taken.position.latitude, taken.position.longitude]) == pytest.approx([31.945213, 120.293086])
     assert taken.position.height_m == 25.0
-    # East 2 m, North 3 m, Up 5 m in the message; North, Up, East here.
+    # The message has sigmas of 2 m East, 3 m North and 5 m Up; the result has the order North, Up, East.
     np.testing.assert_array_equal(taken.covariance_m2, [[9, 0, 1], [0, 25, 0], [1, 0, 4]])
 
 

@@ -19,7 +19,7 @@ SCENARIOS = Path(__file__).parents[3] / "bags" / "scenarios"
 
 
 def voyage(turn_deg: float, duration_s: float) -> Scenario:
-    """The ship of the paper without waves, at a reduced rate; she turns after five minutes if ``turn_deg`` is not 0."""
+    """Return a scenario without waves, with low rates; the ship turns after five minutes unless ``turn_deg`` is 0."""
     whole = load_scenario(SCENARIOS / "turn.yaml")
     still = AngleMotion(mean_deg=34.4), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
     turn = Turn(start_s=300.0, angle_deg=turn_deg, rate_deg_per_s=1.0, ramp_s=5.0) if turn_deg else Turn()
@@ -45,11 +45,12 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
 def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
     core = run_voyage(voyage(0.0, 290.0))
     observability = core.observability()
-    # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is observable, the sensors hardly.
+    # Mounting sigmas are 1″, INS sigmas 10″ and 72″: INS errors are observable, mounting errors hardly.
     assert observability.sigma_ratios["ins.up"] < 0.05
     assert observability.sigma_ratios["star.fore.up"] > 0.5
     assert any("star.fore" in words for words in observability.unobservable_combinations)
-    # The other sensor makes the roll about its boresight observable: 20″, noise 100″ in each of 145 exposures.
+    # The other sensor makes the roll about the fore sensor's boresight observable: prior 20″, noise 100″ in each of 145
+    # exposures.
     assert observability.sigma_ratios["star.fore.forward"] < 0.5
 
 
@@ -101,6 +102,6 @@ def test_a_timed_out_source_does_not_count() -> None:
     gone = run_voyage(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
     both = run_voyage(whole).recommended_manoeuvre(np.eye(3))
     manoeuvre = gone.recommended_manoeuvre(np.eye(3))
-    # The noise of a sensor about its boresight is 100 arcseconds: the tilt by it alone is worse after any turn.
+    # A sensor's noise about the boresight is 100″: the tilt from a single sensor is worse after any turn.
     assert both is not None
     assert manoeuvre is None or manoeuvre.sigma_after_turn > 1.3 * both.sigma_after_turn

@@ -1,4 +1,4 @@
-"""Noise from optics: Liebe's formulas, the study's covariance, scipy's attitudes and the real sky compared."""
+"""Noise from optics: comparison of Liebe's formulas, the study's covariance, scipy's attitudes and the real sky."""
 
 import csv
 from pathlib import Path
@@ -26,7 +26,7 @@ def drawn_stars(optics: Optics, count: int, rng: np.random.Generator) -> FloatAr
 
 
 def test_with_many_stars_liebe_equals_the_covariance_except_for_the_mean_distance() -> None:
-    """A uniform square has mean distance 0.3826 and root mean square 1/√6 from its middle, in sides."""
+    """In a uniform square the distance from the middle is 0.3826 sides in the mean and 1/√6 sides RMS."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(1)
     ours = np.mean([attitude_sigmas(drawn_stars(optics, 400, rng), optics.star_sigma()) for _ in range(50)], axis=0)
@@ -37,7 +37,7 @@ def test_with_many_stars_liebe_equals_the_covariance_except_for_the_mean_distanc
 
 
 def test_with_eight_stars_the_covariance_is_larger() -> None:
-    """About their mean N stars have N - 1 squares of distance: √(8/7) at least, more for the mean of roots."""
+    """N stars have N - 1 independent distances from their mean: sigma is at least √(8/7) larger, more in the mean."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(2)
     ours = np.mean([attitude_sigmas(drawn_stars(optics, 8, rng), optics.star_sigma()) for _ in range(400)], axis=0)
@@ -48,7 +48,7 @@ def test_with_eight_stars_the_covariance_is_larger() -> None:
 
 @pytest.mark.parametrize("count", [2, 5, 20])
 def test_the_covariance_is_that_of_attitudes_solved_by_scipy(count: int) -> None:
-    """Errors of 2000 attitudes over their sigma, in the 99.9 % band of chi-square; the suite's solver agrees."""
+    """Squared errors of 2000 attitudes, in sigmas, are in the 99.9 % band of chi-square; the suite's solver agrees."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(3)
     stars = drawn_stars(optics, count, rng)
@@ -67,7 +67,10 @@ def test_the_covariance_is_that_of_attitudes_solved_by_scipy(count: int) -> None
 
 
 def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
-    """All stars to 6.0 times the field's share of the sphere; Liebe's 6.57 exp(1.08 m) is for V, a tenth off Hp."""
+    """The mean number is the number of stars to magnitude 6.0, times the field's share of the sphere.
+
+    Liebe's 6.57 exp(1.08 m) is for V magnitudes and is within a tenth of the number by Hp magnitudes.
+    """
     optics = Optics(**OPTICS)
     found = sky_statistics(optics)
     count = len(hipparcos().rows_brighter_than(6.0))
@@ -77,7 +80,7 @@ def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
     # Counts scatter more than Poisson, because stars are concentrated along the Milky Way.
     scatter = found.stars.std() / np.sqrt(found.stars.size)
     assert abs(found.stars.mean() - count * share) < 3.3 * scatter
-    # Not exceeded in 95 % of the sky; no smaller value is.
+    # The quantile is the smallest sigma that is not exceeded in 95 % of the sky.
     assert np.all(np.mean(found.sigmas_arcsec <= found.quantile_arcsec, axis=0) >= 0.95)
     assert np.all(np.mean(found.sigmas_arcsec < found.quantile_arcsec, axis=0) <= 0.95)
     assert found.star_sigma_arcsec == pytest.approx(0.1 * 5.5e-6 / 0.05 / ARCSEC)

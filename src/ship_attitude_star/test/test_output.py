@@ -1,4 +1,4 @@
-"""The published attitude: a function of state and samples, for one sample or a block of them."""
+"""The published attitude is a function of state and samples, the same for one sample and for a block of samples."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -57,7 +57,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
 
 
 def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
-    """One regular, others with a fault, without INS, with separations, before any star, and with an old star."""
+    """States: usual, unresolved fault, INS excluded, with separations, before any star, usual with an old star."""
     initial, count, time_ns = FILTER.initial_state(), 4, 60_000_000_000
     usual = replace(initial, time_ns=time_ns, last_used_ns=MappingProxyType({"star.fore": time_ns}))
     states = [
@@ -103,7 +103,7 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     dwells = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
     together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, pixel_dwells=dwells)
     after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
-    assert not after.pixel_dwells  # the effect of earlier stars is gone
+    assert not after.pixel_dwells  # an INS jump ends the pixel dwells
     for index in range(filters):
         parts = np.zeros_like(initial.covariance_by_source)
         parts[0] = filter_covariances(stack, filters)[index]

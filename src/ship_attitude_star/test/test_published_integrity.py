@@ -45,7 +45,7 @@ def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
     assert level == Level.WARN
     seconds = re.fullmatch(r"excluded: star\.fore for (\d+) s", text)
     assert seconds is not None
-    # By the levels published last, once a second.
+    # The diagnostics refer to the last published levels, which are published once a second.
     assert int(seconds[1]) == pytest.approx((report_ns - stamp_of(report)) / SECOND_NS, abs=1.5)
 
 

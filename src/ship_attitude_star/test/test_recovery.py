@@ -1,7 +1,7 @@
-"""Recovery of ``ship_attitude``: a second estimator gets the same inputs and replaces the first one if it is right.
+"""Recovery of ``ship_attitude``: a second estimator gets the same inputs and may replace the first estimator.
 
-The state from which the filter does not recover is made by replacing its errors by wrong ones with a small covariance.
-The table of returns lists the inputs after which it recovers (``make returns``).
+The tests replace the filter state by wrong errors with a small covariance, from which the filter does not recover.
+``make returns`` measures how soon all outputs are VALID after each fault of an input.
 """
 
 import functools
@@ -42,7 +42,7 @@ ATTITUDE = "ship/attitude"
 FAULTY_S, LENGTH_S = 40.0, 130.0
 NEVER_S = 1e6
 CONFIRMED_S = 70.0
-"""After this time the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
+"""Time after a fault until the second estimator has been VALID for ``recovery.confirm_s``, a minute; s."""
 
 
 @functools.cache
@@ -168,13 +168,13 @@ UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
 
 
 def remount_sensors(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
-    """Both sensors remounted at once, each by another rotation."""
+    """Return the arrivals with both sensors rotated from ``from_s`` on, each by another rotation."""
     fore_n, starboard_n = np.array([200.0, 0.0, 100.0]) * ARCSEC, np.array([-100.0, 0.0, 250.0]) * ARCSEC
     return [turn_star_messages([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
 
 
 def set_clocks_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list[Arrival]:
-    """The clock of some devices 0.1 s behind from a time on."""
+    """Return the arrivals with the clocks of ``topics`` set back by 0.1 s from ``from_s`` on."""
 
     def change(message: Any) -> None:
         ns = ns_from_stamp(message.header.stamp) - SECOND_NS // 10
@@ -197,7 +197,7 @@ def set_clocks_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) ->
     ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
 )
 def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
-    """60″; 224″ and 269″; 0.1 s at up to 5°/s, 1800″; the text begins with the first digit of it."""
+    """Rotations: 60″; 224″ and 269″; up to 1800″ (0.1 s at 5°/s). ``moved`` is the first digit in the text."""
     run = run_voyage(change(calm()), faulty_s=np.inf)
     assert statuses(run, FAULTY_S + 2.0) == {Status.DEGRADED}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
@@ -216,7 +216,7 @@ def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
 
 
 def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
-    """An INS whose heading may drift by 72″ in ten minutes: after a minute the stored state allows for 60″ and more."""
+    """The INS heading may drift by 72″ in ten minutes: the propagated stored state is consistent with 60″."""
     run = run_voyage(turn_star_messages(voyage(190.0), UP, FAULTY_S), faulty_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
     core = recovery.candidate.core
@@ -235,7 +235,7 @@ def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
 
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
-    """A node started while all stars were rotated has no other stored state; it must adopt the end of the rotation."""
+    """A node that starts with all stars rotated has no stored state from before; it must recover after the rotation."""
     run = run_voyage(turn_star_messages(calm(), UP, -1.0, 15.0), faulty_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
@@ -254,7 +254,7 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
 
 
 def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
-    """``integrity.return_after_s`` of an hour: the excluded stars are not reinstated."""
+    """With ``integrity.return_after_s`` of an hour, stars are not reinstated, but a second estimator is adopted."""
     arrivals = turn_star_messages(voyage(145.0), UP, FAULTY_S, 70.0)
     run = run_voyage(arrivals, faulty_s=np.inf, integrity__return_after_s=3600.0)
     assert statuses(run, FAULTY_S + 2.0, 130.0) == {Status.DEGRADED}
@@ -321,7 +321,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
 
 
 def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
-    """Compared with the injected rotation, and the noise of the messages: 3″ across, 100″ about the line of sight."""
+    """The residual is the injected rotation with the noise of the messages: 3″ across, 100″ about the boresight."""
     turn_n, memory = np.array([10.0, 60.0, -20.0]) * ARCSEC, None
     arrivals = turn_star_messages(voyage(20.0), turn_n, 19.0)
 
@@ -345,7 +345,7 @@ def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
 
 
 def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another one starts and is adopted."""
+    """After the exception another second estimator starts and is adopted."""
     start, failing = ShipAttitudeCore.make_second, []
 
     def make_second(core: ShipAttitudeCore, memory: Any) -> ShipAttitudeCore:

@@ -1,4 +1,4 @@
-"""Layouts by a requirement: compared with drawn errors, with all directions of a grid, and with maximum errors."""
+"""Layouts evaluated by a requirement: random errors, search compared with a grid, maximum errors."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -66,7 +66,7 @@ def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
 
 @pytest.mark.statistics
 def test_a_layout_meets_a_requirement_if_errors_drawn_do() -> None:
-    """Variances of 8000 draws in their 99.9 % band; limits 5 % above and below them give the study's decision."""
+    """Variances of 8000 draws are in the 99.9 % band; a limit 5 % above the drawn sigmas is met, 5 % below is not."""
     values = {"common": COMMON, "ship_roll_deg": 6.0, "ship_pitch_deg": 3.0}
     layout = Layout.from_config(study_config({"sensors": SENSORS, **values}))
     drawn = drawn_sigmas(layout, 8000)
@@ -112,7 +112,7 @@ def test_unknown_sigmas_are_not_admissible() -> None:
     ],
 )
 def test_the_search_finds_the_best_of_all_directions(requirement: dict[str, float], masks: dict[str, Any]) -> None:
-    """Compared with each pair of directions on a grid of 10 degrees: at most half a percent worse than the best."""
+    """The search is at most half a percent worse than the best pair of directions on a grid of 10 degrees."""
     config = study_config({"sensors": SENSORS, "common": COMMON, "masks": masks, "requirement": requirement})
     required = compute_study(config).requirement_result
     assert required is not None
@@ -184,7 +184,7 @@ def test_an_unreachable_requirement_has_no_error_size() -> None:
 
 @pytest.mark.slow
 def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
-    """One sensor ahead: refraction is pitch, its size at 45 degrees times cot E; heading grows with sin E."""
+    """With one sensor ahead, refraction causes a pitch error: the size at 45 degrees times cot E."""
     one = {"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 45.0}}, "common": {"refraction_sigma_arcsec": 0.6}}
     # Only the direction ahead is clear; all other azimuths are masked.
     wall = {"azimuths_deg": [12.0, 348.0, 348.0, 12.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}

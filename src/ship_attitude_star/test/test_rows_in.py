@@ -1,4 +1,4 @@
-"""Star attitudes of a block read together equal those read singly, to the last bit; the others are read singly."""
+"""Star attitudes read as a block equal those read singly, to the last bit; for others the block returns None."""
 
 import functools
 from typing import Any

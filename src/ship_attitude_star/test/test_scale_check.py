@@ -56,7 +56,8 @@ def test_a_wrong_focal_length_is_named_with_the_value_that_fits(sky_model, scale
         assert rejection.reason is Reason.MISIDENTIFIED
         found = TEXT.match(rejection.text)
         assert found, rejection.text
-        # Ten stars of 3″ in a field of 14° give 0.01 % at worst; four times that.
+        # Ten stars with noise of 3″ in a field of 14° give a sigma of 0.01 % at worst; the limit is four times as
+        # large.
         assert float(found[1]) == pytest.approx(50.0 * (1.0 + scale), abs=0.02)
 
 

@@ -41,7 +41,7 @@ def ns(second: float) -> int:
 
 
 def at_anchor(seconds: int, **gravity: object) -> VerticalTrack:
-    """A ship at rest, with a fix each second."""
+    """Return the vertical track of a ship at rest, with a fix each second."""
     track = VerticalTrack(GravityConfig(**gravity), SkyConfig())
     for second in range(-10, seconds + 1):
         place = GeodeticPosition(LATITUDE, math.radians(-66.0), 20.0)
@@ -55,7 +55,7 @@ def process(config: SchulerConfig = CONFIG, length_m: float | None = LENGTH_M) -
 
 @pytest.mark.parametrize("damping_time_s", [0.0, 1800.0])
 def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
-    # Van Loan's integral of the noise, by scipy's expm, over the whole time at once.
+    # The transition is compared with scipy's expm over the whole time, the noise with Van Loan's integral.
     vertical = at_anchor(60, deflection="constant", xi_arcsec=20.0, sigma_arcsec=2.0)
     ins = process(replace(CONFIG, damping_time_s=damping_time_s))
     here, dt_s = vertical.at(ns(1.0)), 7200.7
@@ -73,7 +73,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     )
     scale = np.diag(1.0 / np.r_[np.full(5, ARCSEC), 0.01, 0.01, 1e-5, np.full(3, 1e-8), 1e-5, 1e-5])
     noise = np.zeros((13, 13))
-    # In steps, as the integral over hours at once is lost in the rounding of exp(-F t).
+    # The integral is computed in steps of 60 s, as over hours at once it is lost in the rounding of exp(-F t).
     step = expm(60.0 * np.block([[-rates, density], [np.zeros((13, 13)), rates.T]]))
     transition = step[13:, 13:].T
     fresh = transition @ step[:13, 13:]
@@ -84,7 +84,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
 
 
 def test_undamped_period_is_that_of_schuler() -> None:
-    # Foucault's rotation of the plane, W sin L, splits the frequency symmetrically in two; and there is the day.
+    # Foucault's rotation of the plane, W sin L, splits Schuler's frequency symmetrically. The third period is the day.
     here = at_anchor(5).at(ns(1.0))
     rates = process(length_m=None).system_matrix(here)
     found = np.linalg.eigvals(rates).imag
@@ -105,20 +105,20 @@ def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, floa
     state[8:11] = np.array([0.004, -0.01, 0.006]) * math.pi / 180.0 / 3600.0
     state[11:] = 1e-4, -5e-5
     rates = ins.system_matrix(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
-    # Constant drift and bias: those of the process decay within ten hours.
+    # The simulated drift and bias are constant, but those of the process decay within ten hours.
     rates[8:, 8:] = 0.0
     expected = expm(3600.0 * hours * rates) @ state
     turn, velocity = computed_ins(state, sailing, 3600.0 * hours)
-    # The rest is of second order: 40 arcseconds times 60, and the effect of a heading error through cos L.
+    # The remaining difference is of second order: 40″ times 60″, and the effect of a heading error through cos L.
     np.testing.assert_allclose(turn / ARCSEC, expected[:3] / ARCSEC, atol=0.1)
     np.testing.assert_allclose(velocity, expected[5:7], atol=0.002)
 
 
 def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of a simulated INS (rotation from its horizon to the true one, velocity).
+    """Return the final errors of a simulated INS: rotation from its horizon to the true one, rad; velocity, m/s.
 
-    The ship keeps her latitude and velocity, apart from the figure of the Earth, and her deck is the true horizon, so
-    the attitude of the INS equals its error.
+    The ship keeps her latitude and velocity, and her deck is the true horizon. The attitude of the INS therefore equals
+    the attitude error.
     """
     meridian_m, across_m = (float(one) for one in horizon_radii_m(GeodeticPosition(LATITUDE, 0.0, 0.0)))
     gravity, (xi, eta) = normal_gravity(LATITUDE), state[3:5]
@@ -135,7 +135,7 @@ def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: fl
     true_turn = earth(LATITUDE) + over_ground(true_velocity, LATITUDE)
     true_gravity = gravity * np.array([-xi, -1.0, -eta])
     felt = np.cross(earth(LATITUDE) + true_turn, true_velocity) - true_gravity
-    # Sensors have the axes of the INS horizon.
+    # Drift and bias are along the axes of the INS horizon.
     drift, bias = state[8:11], np.array([state[11], 0.0, state[12]])
 
     def change(_time_s: float, x: np.ndarray) -> np.ndarray:
@@ -147,7 +147,7 @@ def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: fl
         force = rotation @ measured_force + np.array([0.0, -gravity, 0.0])
         force -= np.cross(earth(own_latitude) + turn, velocity)
         new = rotation @ skew(measured_turn) - skew(turn) @ rotation
-        # The ship keeps her latitude; the difference to that is the error of the INS.
+        # The ship keeps her latitude: a change of the INS latitude is a change of the INS error.
         return np.r_[new.ravel(), force[0], force[2], (velocity[0] - true_velocity[0]) / meridian_m]
 
     begin = np.r_[exp_rotation(-state[:3]).ravel(), true_velocity[[0, 2]] + state[5:7], state[7]]
@@ -174,7 +174,7 @@ def test_the_order_of_requests_does_not_matter() -> None:
 
 
 def test_a_changing_deflection_drives_the_oscillation() -> None:
-    # Deflection from 0 to 60 arcseconds, then constant: the tilt swings about the new plumb line, by up to twice.
+    # The deflection steps from 0 to 60″: the tilt swings about the new plumb line, up to twice the step.
     ins = process()
     vertical = at_anchor(5, deflection="constant", sigma_arcsec=0.0)
     here = vertical.at(ns(1.0))

@@ -1,4 +1,4 @@
-"""Two antennas aboard: direction between them in addition to INS and stars, length, errors, bad input.
+"""Baseline of two antennas as an input of ``ship_attitude``: direction, length, errors, bad input.
 
 Limits are 99.9 % of chi-square. Expected accuracies are computed in each test, not by the filter.
 """
@@ -42,7 +42,7 @@ def true_attitude(time_s: float) -> np.ndarray:
 def run_core(
     core: ShipAttitudeCore, ins_error_n: np.ndarray, solutions: Any, seconds: int = 60
 ) -> tuple[list[Any], list[Any]]:
-    """Return estimates and decisions of a core with an INS at 20 Hz, and ``solutions(second)`` each second."""
+    """Return estimates and decisions with an INS at 20 Hz and a baseline ``solutions(second, true_nd)`` at 1 Hz."""
     estimates, decisions = [], []
     for number in range(20 * seconds + 1):
         time_s = number / 20.0
@@ -67,7 +67,7 @@ def test_it_makes_the_heading_of_an_ins_observable() -> None:
         ShipAttitudeCore(make_config()), error_n, lambda _, true_nd: true_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3)
     )
     last, heading = estimates[-1], angles_from_rotation(true_attitude(60.0))[0]
-    # 2 mm of survey and 4 mm of noise over 60 solutions, across 8.1 m: 52 arcseconds; the INS error is 60, sigma 72.
+    # A survey error of 2 mm and 60 solutions with 4 mm of noise, over 8.1 m, give 52″. The INS error is 60″, sigma 72″.
     expected = np.hypot(0.002, 0.004 / np.sqrt(60.0)) / np.hypot(8.0, 1.5)
     alone = 72.0 * ARCSEC
     together = 1.0 / np.sqrt(expected**-2 + alone**-2)
@@ -153,7 +153,7 @@ def test_a_wrong_solution_is_rejected_and_changes_nothing(change: Any, text: str
 
 
 def test_a_wrong_transverse_ambiguity_is_rejected() -> None:
-    # 0.3 m across at 8 m are 2 degrees; the length grows by 6 mm, which the length check does not detect.
+    # 0.3 m across at 8 m are 2 degrees. The length shrinks by 50 mm, which the length check detects.
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
         wrong_d = np.array([0.0, 0.0, 0.3]) if second >= 10 else np.zeros(3)
         return true_nd @ (BASELINE_D + wrong_d)

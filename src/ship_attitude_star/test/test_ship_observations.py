@@ -68,7 +68,7 @@ def last_valid(run: Run) -> Any:
 
 
 def attitude_stamps(run: Run) -> set[int]:
-    """The statuses of all attitudes, except before the first INS sample."""
+    """Return the statuses of all attitudes without INVALID, the status before the first INS sample."""
     return {message.status for message in run.messages("ship/attitude")} - {Status.INVALID}
 
 
@@ -84,7 +84,7 @@ def test_the_attitude_is_the_true_one_within_its_sigma() -> None:
     assert message.horizon == Horizon.GEODETIC
     assert list(message.sources) == ["ins", "star.fore", "star.starboard"]
     sigma = np.sqrt(np.diagonal(np.array(message.rotation_covariance).reshape(3, 3)))
-    # Stars without noise: the noise of the INS remains, and no mounting error.
+    # The stars have no noise and no mounting error: only the noise of the INS remains.
     assert np.linalg.norm(error_of(message)) < 3.0 * np.max(sigma) < 15.0 * ARCSEC
 
 
@@ -101,7 +101,7 @@ def test_with_a_utc_sigma_its_error_is_a_state_with_its_own_budget_entry() -> No
     assert "utc" not in clean_run().messages("ship/error_budget")[-1].sources
     parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
     np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
-    # 1.504″ about the Earth's axis. The INS, which does not depend on the clock, reduces it a little.
+    # 0.1 s are 1.504″ about the Earth's axis. The INS, which does not depend on UTC, reduces the error a little.
     assert 1.2 < np.sqrt(np.trace(parts["utc"])) / ARCSEC < 1.505
 
 
@@ -165,7 +165,7 @@ def test_without_weather_refraction_is_less_well_known() -> None:
 
     run = run_new_adapter(without_topics(voyage(), PRESSURE, TEMPERATURE))
     assert last_valid(run).status == Status.VALID
-    # A field of 23° makes much of it observable: low stars are raised more than high ones.
+    # A field of 23° makes much of the refraction observable: low stars are raised more than high ones.
     assert refraction(run) > 2.0 * refraction(clean_run())
 
 
@@ -175,7 +175,7 @@ def test_a_camera_is_needed() -> None:
 
 
 def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
-    """Two inputs for one sensor: the configuration names one, and only that is subscribed to."""
+    """Of several possible inputs of a sensor, only the configured one is subscribed to."""
     topics = {entry.topic for entry in ShipAttitudeAdapter(config(), FACTORY).inputs}
     assert FORE in topics
     assert not {"star/fore/solution", "star/fore/horizon_attitude", "star/fore/inertial_attitude"} & topics
@@ -223,7 +223,7 @@ EXACT_SENSOR = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward",
 
 
 def test_an_exact_prior_can_be_compared_with_stars(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All sigmas of INS and mounting are 0: the predicted attitude has no covariance, and stars are selected by it."""
+    """With all sigmas of INS and mounting at 0 the predicted attitude has zero covariance and still selects stars."""
     monkeypatch.setattr("ship_testing.small_voyage._INS_ERROR_N", np.zeros(3))
     monkeypatch.setattr("ship_testing.small_voyage._TAU_S", 0.0)
     exact = [
@@ -248,7 +248,7 @@ def test_an_ins_with_errors_and_zero_sigma_is_in_conflict() -> None:
 
 
 def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state() -> None:
-    """Stars at once, or a second late; INS samples at once, or late in the middle of an exposure."""
+    """Stars arrive at once or a second late; one INS sample, in the middle of an exposure, arrives at once or late."""
     states = []
     for star_delay_s, ins_delay_s in ((0.001, 0.001), (1.0, 0.001), (0.001, 0.3)):
         arrivals = [

@@ -1,4 +1,4 @@
-"""The sky at a time: its rejections, and its shared errors compared with a sky that has them."""
+"""The sky at a time: rejections, and shared errors compared with a sky that has these errors."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def local_sky(*args, **kwargs) -> LocalSky:
 
 @pytest.fixture(scope="module")
 def stars():
-    """Stars brighter than 3 mag and above 20°: lower, refraction varies too much."""
+    """Stars brighter than 3 mag and above 20°; below 20°, refraction varies too much."""
     sky_model = sky_model_with_inputs()
     rows = sky_model.catalogue.rows_brighter_than(3.0)
     elevation = sky_model.sky_at(TIME_NS).apparent_stars(sky_model.catalogue.at_j2000[rows]).elevation
@@ -61,7 +61,7 @@ def test_a_sigma_of_refraction_equals_other_air(stars) -> None:
     here = local_sky().apparent_stars(stars)
     thicker = local_sky(pressure_hpa=1000.0 + PRESSURE_SIGMA_HPA).apparent_stars(stars)
     lifted = here.shared_n[..., SHARED_TERMS.index("refraction")]
-    # The model's own error is added.
+    # The sigma also contains the error of the refraction model, hence the tolerance.
     np.testing.assert_allclose(lifted, thicker.direction_n - here.direction_n, atol=0.05 * ARCSEC)
     assert np.max(np.linalg.norm(lifted, axis=-1)) > 0.5 * ARCSEC
 

@@ -77,7 +77,8 @@ def star_epochs() -> list[tuple[int, str]]:
 
 
 def measurements() -> list[AttitudeMeasurement]:
-    """Attitudes with errors of the stated sizes, drawn without correlation: both estimators must agree."""
+    """Return attitudes with errors of the modelled sizes, but not of the modelled processes: the result may not differ.
+    """
     rng, found = np.random.default_rng(5), []
     mounted = {id_: MOUNTED * rng.standard_normal(3) for id_ in SENSORS}
     for ms, id_ in star_epochs():
@@ -93,7 +94,7 @@ def measurements() -> list[AttitudeMeasurement]:
 
 
 def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
-    """The core fed in order of stamps, and the smoothed attitudes of each half second."""
+    """Return a core that got all inputs in order of stamps, and the smoothed attitudes of each half second."""
     core, stars = SmoothingCore(CONFIG, None, None), measurements()
     for number in range(round(DURATION_S / INS_PERIOD_S)):
         ms = 20 * number
@@ -109,7 +110,7 @@ def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
 
 @dataclass
 class BatchProblem:
-    """All unknowns by name, each three numbers (the clock one), and all residuals of unit variance."""
+    """Places of all unknowns by name and time, ms; each unknown has three numbers, but the clock one."""
 
     places: dict[tuple[str, int], slice] = field(default_factory=dict)
     size: int = 0
@@ -121,7 +122,7 @@ class BatchProblem:
         return self.places[name, ms]
 
     def process(self, name: str, epochs: list[int], sigma: np.ndarray, time_s: np.ndarray) -> list[tuple]:
-        """Residuals of a Gauss-Markov process: the first value, then each one against the one before."""
+        """Return residuals of a Gauss-Markov process: of the first value, then of each value given the one before."""
         rows = [([self.unknown(name, epochs[0])], lambda first: first / sigma)]
         for before, after in pairwise(epochs):
             left = np.exp(-(after - before) / 1000.0 / time_s)

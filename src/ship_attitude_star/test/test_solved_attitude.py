@@ -67,7 +67,7 @@ POOR_WEATHER = Knowledge(5.0, 15.0, 15.0)
 
 
 def ship(known: Knowledge, **sensor: Any) -> ShipAttitudeConfig:
-    """Return two sensors, weather without readings, and a gate that no correct message exceeds by chance."""
+    """Return a configuration of two sensors without weather readings; no correct message exceeds its gate by chance."""
     air = {"pressure_sigma_hpa": known.pressure_hpa, "temperature_sigma_k": known.temperature_k}
     built = configuration(sky=air, gate={"probability": 1.0 - 1e-9})
     return replace(built, star_sensors={id_: replace(star, **sensor) for id_, star in built.star_sensors.items()})
@@ -224,7 +224,7 @@ def test_with_a_dominant_position_error_a_common_error_is_equivalent() -> None:
 
 
 def test_as_each_sensor_s_own_the_error_of_the_fix_would_seem_to_average() -> None:
-    """The bands can fail: without separation sigma is too small in tilt and too large in heading."""
+    """The bands detect that sigma is too small in tilt and too large in heading if errors are not separated."""
     ratio = campaign(POOR_FIX, "solution", "none").ratio
     low, high = sigma_ratio_band(SEEDS)
     assert ratio[0] > high - 0.05
@@ -262,13 +262,13 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, is_n
     np.testing.assert_allclose(noise_n + found.correlated_n, total_n, atol=1e-9 * np.trace(total_n))
     for part in (found.noise_v, found.common_n):
         assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
-    # Of the suite's own solutions only the catalogue's error remains, at most 0.02" per star.
+    # The only common error left in the suite's own solutions is that of the catalogue, at most 0.02″ per star.
     if is_noise_stated:
         assert np.sqrt(np.trace(found.common_n)) < 0.1 * ARCSEC
 
 
 def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
-    """The solution with a sky that is one sigma further north, and with denser air."""
+    """The rotations are compared with those of solutions for a position one sigma further north, and for denser air."""
     exposure = exposure_of(sky_model_with_inputs(POOR_WEATHER), "fore", 8)
     found = separate_errors(one_solution(POOR_WEATHER), POOR_WEATHER)
     config = ship(POOR_WEATHER)
@@ -284,7 +284,7 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
         turn_n = log_rotation(moved.solution.rotation_nb @ unmoved.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:
-            # One sigma of pressure and temperature together.
+            # The column is for a sigma of pressure and temperature together: only directions are compared.
             turn_n *= np.linalg.norm(expected_n) / np.linalg.norm(turn_n)
         np.testing.assert_allclose(turn_n, expected_n, atol=0.03 * np.linalg.norm(expected_n))
 
@@ -297,7 +297,7 @@ def test_unstated_shared_errors_are_added_to_the_configured_noise() -> None:
     assert not found.covariance_known
     assert np.sqrt(np.diagonal(found.noise_v)) / ARCSEC == pytest.approx([100.0, 3.0, 3.0])
     np.testing.assert_array_equal(found.common_n, 0.0)
-    # 100 m of 6370 km.
+    # 100 m at a radius of 6370 km are 3.24″.
     assert np.linalg.norm(found.shared_n[:, 2]) / ARCSEC == pytest.approx(3.24, abs=0.02)
 
 

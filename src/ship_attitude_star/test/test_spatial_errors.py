@@ -36,7 +36,7 @@ def powers(places: np.ndarray) -> np.ndarray:
 def polynomial_variance(places: np.ndarray) -> np.ndarray:
     """Return the covariance at positions (half sides) of the best polynomial fit to the process, less its mean.
 
-    The process has a mean square of 1 over the detector without its mean.
+    The process is scaled so that its mean square over the detector is 1 after its mean is subtracted.
     """
     fit = np.linalg.pinv(powers(GRID))
     less_mean = (powers(places) - powers(GRID).mean(axis=0)) @ fit
@@ -87,10 +87,10 @@ def drift(step_px: tuple[float, float], count: int = 300) -> np.ndarray:
 
 @pytest.mark.parametrize("step_px", [(0.05, 0.0), (0.15, 0.0), (0.1, 0.1), (0.6, -0.2), (5.0, 3.0)])
 def test_the_variance_of_exposures_on_the_same_pixels_matches_their_error(step_px: tuple[float, float]):
-    """The weighted mean of 300 exposures of stars that drift over square pixels with independent errors.
+    """Stars drift over square pixels with independent errors: variance of the weighted mean of 300 exposures.
 
-    The common part of two exposures' errors is the overlap of the pixels around them. The filter's variance of the mean
-    is compared with it; the overlap decreases linearly, the filter's model exponentially.
+    The correlation of two exposures' errors is the overlap of a pixel with the shifted pixel. The overlap decreases
+    linearly with distance, the filter's correlation exponentially.
     """
     exposures, number = information_ratios(drift(step_px), stars=100), np.arange(300)
     distance_px = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
@@ -102,9 +102,10 @@ def test_the_variance_of_exposures_on_the_same_pixels_matches_their_error(step_p
 @pytest.mark.statistics
 @pytest.mark.parametrize(("drift_px", "sway_px"), [(0.03, 0.0), (0.1, 0.0), (0.2, 0.0), (0.1, 0.3), (0.2, 0.3)])
 def test_noise_and_sway_do_not_count_as_new_pixels(drift_px: float, sway_px: float):
-    """The mean of 100 exposures of eight stars with noise, on drawn pixels, has its stated error.
+    """The mean of 100 noisy exposures of eight stars on random pixels has the variance that the model states.
 
-    60 runs of two axes. The stated variance may differ from the truth by a fifth, in addition to the 99.9 % band.
+    There are 60 runs with two axes each. The stated variance may differ from the truth by a fifth, in addition to the
+    99.9 % band.
     """
     squares = []
     for seed in range(60):
@@ -129,7 +130,7 @@ def _of_pixels(rng: np.random.Generator, path: np.ndarray) -> np.ndarray:
 
 
 def test_a_rotation_about_the_boresight_counts_as_movement():
-    """Twelve stars rotate about the middle of the detector, with the same root mean square movement as a shift."""
+    """Twelve stars rotate about their mean position, with the same root mean square movement as a shift."""
     places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
     arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
     dwell = ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
@@ -146,7 +147,7 @@ def test_a_rotation_about_the_boresight_counts_as_movement():
 
 
 def test_at_the_fold_of_a_distortion_the_error_is_finite():
-    """A lens whose image folds at 1/sqrt(60) of a focal length: a star 0.01 pixel inside it."""
+    """The image of a lens folds at 1/sqrt(60) of the focal length; the star is 0.01 pixel inside the fold."""
     folds = StarCamera(0.05, 5.5e-6, 1023.5, 767.5, Distortion(k1=-20.0))
     edge = folds.pixels(np.array([[1.0, 0.0, 1.0 / np.sqrt(60.0)]]))
     inside = folds.directions(edge - np.array([0.01, 0.0]))
@@ -168,7 +169,7 @@ def test_exactly_constant_stars_add_the_least_information():
 
 @pytest.mark.parametrize("length_px", [0.0, 0.3, 2.0, 30.0])
 def test_a_streak_averages_over_its_pixels(length_px: float):
-    """Compared with the double mean of exp(-2 |s - t|) over the streak, by sums."""
+    """The ratio equals the double mean of exp(-2 |s - t|) over the streak, computed by sums."""
     ways = (np.arange(2000) + 0.5) / 2000.0 * length_px
     expected = np.mean(np.exp(-2.0 * np.abs(ways[:, None] - ways)))
     share = ERRORS.streak_variance_ratio(np.array([length_px * PIXEL_RAD]))

@@ -104,11 +104,11 @@ def test_two_values_that_contradict_a_first_one_are_accepted() -> None:
 
 
 def test_a_frozen_value_widens_the_limit_by_the_frozen_time() -> None:
-    # Frozen from 4 s to 24 s while the truth moves at 2 per second: 40 further when it moves again.
+    # The value is frozen from 4 s to 24 s while the truth moves at 2 per second, by 40 in total.
     moving = [(float(t), 2.0 * t) for t in range(5)]
     frozen = [(float(t), 8.0) for t in range(5, 25)]
     assert insert_all(*moving, *frozen, (25.0, 50.0), (26.0, 52.0))[1] == []
-    # 10 + 2·21 from 8; the frozen time is limited to one minute.
+    # The limit is 8 + 10 + 2·21 = 60; the frozen time counts up to one minute.
     assert insert_all(*moving, *frozen, (25.0, 60.0))[1] == []
     assert insert_all(*moving, *frozen, (25.0, 60.1))[1] == [25.0]
     long = [(float(t), 8.0) for t in range(5, 505)]
@@ -123,8 +123,8 @@ def test_nan_is_rejected() -> None:
 
 
 def test_a_good_source_is_not_rejected() -> None:
-    # Ten hours at 1 Hz with noise as stated; the limit is five sigmas alone, without a step and without a rate. The
-    # difference of two is normal with sqrt(2) sigma: beyond five of them with 5.7e-7, 0.02 in 36 000.
+    # Ten hours at 1 Hz with noise as stated. The limits of step and rate are 0, so the limit is five sigmas of a
+    # difference. The probability of exceeding five sigmas is 5.7e-7, or 0.02 cases in 36 000.
     rng = np.random.default_rng(20260301)
     values, rejected = StampedValues[Reading](JumpLimits(0.0, 0.0, 60.0, "m")), 0
     for number, value in enumerate(rng.standard_normal(36_000).tolist()):

@@ -50,7 +50,7 @@ from ship_testing.star_voyage import (
 SOLUTION = {FORE: "star/fore/solution", STARBOARD: "star/starboard/solution"}
 JOINT = "star/joint/solution"
 EXACT_MAS = 0.2
-"""Twice the difference of the refreshed sky from the exact one."""
+"""Limit of an attitude error, mas: twice the error of `RefreshedSky`."""
 
 
 def error_n(message: Any, truth_n: FloatArray) -> FloatArray:
@@ -66,7 +66,7 @@ def without_ins() -> tuple[Arrival, ...]:
 
 
 def simultaneous(*counts: int) -> tuple[Arrival, ...]:
-    """Return simultaneous exposures of both sensors with the given numbers of stars, position and weather."""
+    """Return position, weather and simultaneous exposures of both sensors with ``counts`` stars each."""
     arrivals = list(with_topics(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
     for topic, count in zip((FORE, STARBOARD), counts, strict=True):
         for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):
@@ -139,7 +139,7 @@ def test_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -
     def errors_arcsec(messages: list[Any]) -> FloatArray:
         return np.array([np.linalg.norm(error_n(m, true_sensor(topic, since(m)))) for m in messages]) / ARCSEC
 
-    # Of an arcsecond of noise in each attitude of the INS, 0.4" is in each axis of the correction.
+    # INS noise of 1″ per sample causes noise of 0.4″ in each axis of the correction.
     assert np.sqrt(np.mean(errors_arcsec(streaks) ** 2)) < 1.0
     assert np.sqrt(np.mean(errors_arcsec(as_seen) ** 2)) > 5.0
     noise = [[np.trace(m.noise_covariance.reshape(3, 3)) for m in messages] for messages in (streaks, points)]
@@ -154,7 +154,7 @@ def test_without_the_ins_streaks_are_used_as_measured_and_this_is_reported() -> 
 
 
 def test_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None:
-    """It lasts from 87 ms before the first sample of the INS to 113 ms after it. Before, it was VALID."""
+    """The first exposure lasts from 87 ms before the first INS sample to 113 ms after that sample."""
     run = run_new_adapter(voyage_with_streaks())
     first, *others = run.messages(SOLUTION[FORE])
     assert (since(first), first.status) == (PHASE_NS[FORE], SolutionStatus.INVALID)
@@ -182,7 +182,7 @@ def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
 
 def test_exposures_at_different_times_are_propagated_to_one_by_the_ins() -> None:
     joint = fault_free_run().messages(JOINT)
-    # Each pair once, at the time of its first.
+    # Each pair is solved once, at the time of the first exposure.
     assert [since(message) for message in joint] == list(range(PHASE_NS[FORE], 3 * SECOND_NS, PERIOD_NS))
     # Without correction, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
     moved = [
@@ -211,7 +211,7 @@ def test_the_deck_by_one_sensor_bears_the_error_of_its_mounting() -> None:
     assert len(run.messages(JOINT)) == len(with_topics(voyage(), FORE))
     for message in run.messages(JOINT):
         assert np.linalg.norm(error_n(message, true_deck(since(message)))) < EXACT_MAS * MAS
-        # 20″ about a boresight 45° up, along the keel: 20 / √2 of heading and of roll each.
+        # The mounting sigma about the boresight is 20″; the noise of the stars is added.
         installation_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
         boresight_n = true_sensor(FORE, since(message))[:, 0]
         assert np.sqrt(boresight_n @ installation_n @ boresight_n) / ARCSEC == pytest.approx(21.8, abs=1.0)
@@ -221,7 +221,7 @@ def test_a_joint_solution_waits_no_longer_than_it_may() -> None:
     run = run_new_adapter(without_topics(voyage(), STARBOARD), joint__wait_s=0.5)
     since_ns = [time_ns - stamp_of(message) for time_ns, topic, message in run.published if topic == JOINT]
     waits_ns = [ns - LATENCY_NS for ns in since_ns]
-    # It waits from its arrival on; the ticks come every 0.1 s.
+    # A solution waits from the arrival of the exposure on; ticks come every 0.1 s.
     assert min(waits_ns) >= 0.5 * SECOND_NS
     assert max(waits_ns) < 0.6 * SECOND_NS
     both = [time_ns - stamp_of(message) for time_ns, topic, message in fault_free_run().published if topic == JOINT]
@@ -315,7 +315,7 @@ def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> Non
     def change(message: Any) -> None:
         for star in message.stars:
             (row,) = catalogue.rows([star.catalogue_id])
-            # As sent by the sensor: with proper motion until now, 23.87 years.
+            # The sensor sends positions with the proper motion of 23.87 years since J2000.
             listed = catalogue.at_j2000[row]
             star.right_ascension = listed.right_ascension + 23.87 * listed.pm_right_ascension
             star.declination = listed.declination + 23.87 * listed.pm_declination
@@ -323,7 +323,7 @@ def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> Non
 
     run = run_new_adapter(change_where(without_ins(), lambda arrival: arrival.topic in SOLUTION, change))
     for message in run.messages(SOLUTION[FORE]):
-        # Their parallaxes are left out: up to 0.1″ of the nearest.
+        # The sent positions lack parallaxes: up to 0.1″ for the nearest stars.
         assert np.linalg.norm(error_n(message, true_sensor(FORE, since(message)))) < 0.1 * ARCSEC
         assert message.star_count == STARS
 
@@ -348,7 +348,7 @@ def test_with_a_utc_sigma_the_budget_has_its_entry_and_all_else_is_the_same() ->
         parts = np.reshape(budget.covariances, (8, 9))
         np.testing.assert_allclose(parts.sum(axis=0), budget.total, rtol=1e-9)
         np.testing.assert_allclose(parts[:-1], np.reshape(without.covariances, (7, 9)), rtol=1e-6, atol=1e-18)
-        # 0.1 s of 15.04″ about the Earth's axis, whatever stars were seen.
+        # 0.1 s at 15.04″/s are 1.504″ about the Earth's axis, for any stars.
         assert np.sqrt(np.trace(parts[-1].reshape(3, 3))) / ARCSEC == pytest.approx(1.504, rel=1e-3)
 
 
@@ -438,7 +438,7 @@ def camera() -> dict[str, float]:
 
 
 def status(run: Run, name: str) -> tuple[int, str, dict[str, str]]:
-    """The last diagnostic status of a name."""
+    """Return level, text and values of the last diagnostic status ``name``."""
     report = [message for _, topic, message in run.published if topic == "/diagnostics"][-1]
     (found,) = [entry for entry in report.status if entry.name == f"star_attitude: {name}"]
     return found.level, found.message, {value.key: value.value for value in found.values}

@@ -1,8 +1,8 @@
 """Monte Carlo of the joint solution of two sensors whose exposures a noisy INS propagates to one time.
 
 Each seed draws the noise of the centroids, of every INS sample, and the mounting of both sensors. Sky, place and air
-are exact. So the errors must match the parts "star_noise" and "installation" of the covariance. The second includes the
-errors of the rotation between the exposures.
+are exact. So the errors must match the parts "star_noise" and "installation" of the covariance. The part "installation"
+includes the errors of the rotation between the exposures.
 """
 
 import functools
@@ -59,7 +59,7 @@ def sky() -> SkyModel:
 
 @functools.cache
 def surroundings() -> tuple[SkyInput, ...]:
-    """Place and air, twice."""
+    """Return the readings of position and air at two times."""
     values = []
     for since_ns in (0, 1_000_000_000):
         for topic in (FIX, PRESSURE, TEMPERATURE, HUMIDITY):
@@ -108,7 +108,7 @@ def noisy_exposure(topic: str, since_ns: int, rng: np.random.Generator) -> StarE
 def joint_nees(periods: float, seed: int) -> float:
     """Return the NEES of the joint solution of two exposures that are a number of INS periods apart."""
     rng = np.random.default_rng([seed, round(10.0 * periods)])
-    # Of 16 places between two INS samples one, so that the exact skies are few.
+    # The first exposure has one of 16 times between two INS samples, so that few exact skies are computed.
     first_ns = 800_000_000 + int(rng.integers(16)) * INS_PERIOD_NS // 16
     core = StarCore(CONFIG, sky())
     for value in surroundings():

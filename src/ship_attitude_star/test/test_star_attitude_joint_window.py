@@ -23,7 +23,7 @@ class Item:
 def groups_of(
     *items: tuple[str, int], movable: bool = True, now_ms: int | None = None, sources: str = "abc"
 ) -> list[str]:
-    """Groups as ``"a0 b50"`` of items added one by one, the window evaluated after each."""
+    """Return groups as ``"a0 b50"``; the window is evaluated after each item is added."""
     window = JointWindow(sources, JointConfig(window_s=0.1, simultaneous_s=0.001, wait_s=0.5))
     groups = []
     for source, time_ms in items:

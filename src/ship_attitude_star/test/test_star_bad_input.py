@@ -83,7 +83,7 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 
 
 def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
-    """Counted, in an innovation, and in the diagnostics within 1.1 s."""
+    """Assert that a rejection is counted, is in one innovation, and is in the diagnostics within 1.1 s."""
     health = run.health(topic)
     assert run.reasons(topic) == {reason: 1}
     assert (health.rejected, health.received) == (1, health.accepted + 1)
@@ -238,7 +238,7 @@ def test_a_frozen_camera_is_found_while_the_ship_moves() -> None:
         lambda m: setattr(m, "stars", stars),
     )
     run = run_new_adapter(frozen)
-    # Stamps from 0.513 s to 4.813 s: the first three exposures are not frozen, and half a second is not checked.
+    # Frozen exposures have stamps from 0.613 s to 4.813 s; those of the first half second are not rejected.
     assert run.reasons(FORE)["stuck"] == 19
     assert "do not move on the detector" in innovations(run, Reason.STUCK)[0].reason_text
     assert run.reasons(STARBOARD) == {}
@@ -290,7 +290,7 @@ def test_a_fix_older_than_a_minute_is_none() -> None:
     assert_rejected_without_attitude(run_new_adapter(old(64.0)), Reason.NO_FIX, "older: more than fix_max_age_s = 60")
     young = run_new_adapter(old(50.0))
     assert {message.status for message in young.messages(FORE_SOLUTION)} == {SolutionStatus.VALID}
-    # Fifty seconds ahead by fixes of four seconds: the ship may have turned, ½ · 0.1 m/s² · 48 s · 52 s = 125 m = 4.0″.
+    # Fixes over 4 s are extrapolated by 50 s. The ship may have turned: ½ · 0.1 m/s² · 48 s · 52 s = 125 m = 4.0″.
     about_east = [run.messages(FORE_SOLUTION)[0].rotation_covariance[0] for run in (young, fault_free_run())]
     assert np.sqrt(about_east[0] - about_east[1]) / ARCSEC == pytest.approx(4.04, abs=0.05)
 
@@ -309,7 +309,7 @@ def test_without_weather_the_refraction_error_is_larger_and_reported() -> None:
     run = run_new_adapter(without_topics(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
     message, clean = run.messages(FORE_SOLUTION)[0], fault_free_run().messages(FORE_SOLUTION)[0]
     assert message.status == SolutionStatus.VALID
-    # 45° up: 10 K are 2″ and 15 hPa 0.9″ of elevation; a kelvin and half a hectopascal 0.2″.
+    # At 45° the sigmas without weather, 10 K and 15 hPa, are 2″ and 0.9″ of elevation; 1 K and 0.5 hPa are 0.2″.
     more = np.sqrt(message.covariance[4] - clean.covariance[4]) / ARCSEC
     assert more == pytest.approx(2.2, abs=0.3)
     report = [m for _, topic, m in run.published if topic == "/diagnostics"][-1]

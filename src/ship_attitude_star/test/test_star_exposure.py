@@ -135,7 +135,7 @@ def smeared_scene(rng: np.random.Generator):
 
 
 def test_the_attitude_by_streaks_is_the_most_likely_one():
-    """Compared with a minimiser of the residuals, each weighted by its own two by two covariance."""
+    """The fit equals scipy's least squares with residuals weighted by the two by two covariance of each star."""
     _, stars = smeared_scene(np.random.default_rng(3))
     found = fit_attitude(stars)
     basis = tangent_basis(stars.reference_n)
@@ -186,7 +186,7 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(sky_model):
     clock = ship_filter.model.slices["ins.time_offset"].start
     for row in np.flatnonzero(sigma > 0.0):
         if row == clock:
-            continue  # it moves the sample of the INS that is compared, not what is predicted from it
+            continue  # the clock offset changes the INS attitude, which is constant here
         step = np.zeros(ship_filter.model.size)
         step[row] = 1e-2 * sigma[row]
         numeric = (residuals_at(mean - step).residual - residuals_at(mean + step).residual) / (2.0 * step[row])

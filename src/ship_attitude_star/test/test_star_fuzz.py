@@ -28,7 +28,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             pickled = pickle.dumps(arrival.message)
             for copy in range(MIXED_IN):
                 bad = pickle.loads(pickled)
-                # Earlier by some milliseconds, or each were but the second with its stamp; in the last round some are.
+                # Stamps differ by milliseconds, else each copy would repeat a stamp; in the last round one copy does.
                 earlier_ns = stamp_of(bad) - 1_000_000 * (copy + (round_ < ROUNDS - 1))
                 bad.header.stamp.sec, bad.header.stamp.nanosec = divmod(earlier_ns, SECOND_NS)
                 put_garbage(bad, fields[arrival.topic], rng)

@@ -81,7 +81,7 @@ def test_a_lamp_behind_a_mask_matches_no_star(sky_model: SkyModel) -> None:
     both = replace(both, directions_s=np.vstack([exposure.directions_s, lamp_s]))
     free, _ = identify_stars(both, prior_of(30.0), sky_model.sky_at(TIME_NS))
     assert free.hip[at_edge] == free.hip[4] == 0
-    # Midway between star and lamp.
+    # The edge of the mask is midway between star and lamp.
     masked = replace(both, masks=to_port_of(0.5 * (star_deg + deck_places_deg(lamp_s[None])[0, 0])))
     named, reasons = identify_stars(masked, prior_of(30.0), sky_model.sky_at(TIME_NS))
     assert named.hip.tolist() == [*exposure.hip.tolist(), 0]
@@ -92,7 +92,7 @@ def test_a_lamp_behind_a_mask_matches_no_star(sky_model: SkyModel) -> None:
 def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     sky_model: SkyModel, sigma_arcsec: float
 ) -> None:
-    """Stars to port of the edge by more than five sigmas and the step of the edge are out, others are in."""
+    """Stars over five sigmas plus the edge's step to port of the edge are out; stars within five sigmas are in."""
     exposure, sky = without_identity(exposure_of(sky_model, "fore", 8)), sky_model.sky_at(TIME_NS)
     edge_deg, prior = median_split(exposure), prior_of(sigma_arcsec)
 

@@ -53,7 +53,7 @@ def test_the_error_matches_the_covariance(counts):
         solution = solve_stars(scene.stars)
         if solution.status is not SolutionStatus.INVALID:
             values.append(nees(scene, solution))
-    # One in a thousand correct sets is rejected as inconsistent; limit of their number at 99.9 %.
+    # One in a thousand correct sets is rejected as inconsistent; the number of rejected sets has a 99.9 % limit.
     assert len(values) >= EPOCHS - poisson.ppf(0.999, 1e-3 * EPOCHS) - 1
     low, high = mean_nees_band(len(values), 3)
     print(f"{counts}: mean NEES {np.mean(values):.3f} in [{low:.2f}, {high:.2f}], {EPOCHS - len(values)} refused")
@@ -68,7 +68,7 @@ def mean_parts(counts: tuple[int, int]) -> np.ndarray:
 
 
 def sigma_arcsec(covariance_n: np.ndarray) -> np.ndarray:
-    """Return heading, pitch, roll of a level ship heading North: rotations about Up, East, North."""
+    """Return the sigmas of heading, pitch, roll (about Up, East, North) of a level ship heading North, arcsec."""
     return np.sqrt(np.diagonal(covariance_n, axis1=-2, axis2=-1))[..., [1, 2, 0]] / ARCSEC
 
 
@@ -112,7 +112,7 @@ def test_scipy_finds_the_same_attitude():
 
 
 def test_the_linear_model_is_the_derivative():
-    """Displacements of exp(δ) R and of rotated mountings against finite differences of 1e-4 rad."""
+    """The Jacobian equals finite differences of 1e-6 rad for exp(δ) R and for rotated mountings."""
     scene = draw_scene(np.random.default_rng(13), (3, 2))
     rotation, stars = scene.rotation_nd, scene.stars
     fit = linearise_stars(stars, rotation)
@@ -169,7 +169,7 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
         return None
     fit = linearise_stars(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
     solution = fit.solve(members)
-    # Its unknowns are in units of their standard deviations.
+    # The unknowns of the solution are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
     covariance_n = roots @ np.linalg.inv(solution.information_with_prior)[:3, :3] @ roots.T
     return float(normalized_error_squared(error_n - roots @ solution.unknowns[:3], covariance_n))

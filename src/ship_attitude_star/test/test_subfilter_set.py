@@ -76,7 +76,7 @@ def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
         return {found.names[subfilter - 1] for subfilter in found.relevant_pairs(in_use, excluded)}
 
     assert relevant_pairs(sensors) == set(found.names[5:])
-    # A pair of an excluded source and another equals the subfilter without the other one.
+    # If one source of a pair is excluded, the pair's subfilter equals the one without the other source.
     of_three = {"star.s1+star.s2", "star.s1+star.s3", "star.s2+star.s3", "star.s1+ins", "star.s2+ins", "star.s3+ins"}
     assert relevant_pairs(sensors[1:], "star.s0") == of_three
     assert relevant_pairs(sensors[2:], "star.s0", "star.s1") == set()

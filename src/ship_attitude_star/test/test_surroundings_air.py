@@ -131,7 +131,7 @@ def test_dropped_readings_are_not_needed() -> None:
 
 
 def insert_all(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Readings]:
-    """Return the rejected readings, by their time, and the air after them."""
+    """Return the times of the rejected readings, s, and the surroundings after all readings."""
     track, rejected = Readings(CONFIG), []
     for since_s, value in readings:
         rejection = track.rejection(AirReading(quantity, ns(since_s), value))

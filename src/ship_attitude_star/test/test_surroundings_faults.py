@@ -1,4 +1,4 @@
-"""A fix or a barometer that jumps, in both nodes that use the sky: it is reported, and affects no star."""
+"""A jump of a fix or of a barometer is reported and affects no star, in both nodes that use the sky."""
 
 from collections.abc import Callable
 from typing import Any
@@ -62,7 +62,7 @@ def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
 def test_the_attitude_stays_valid() -> None:
     topic, change = FAULTS["1 km south"]
     run = ship_observations.run_new_adapter(change_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
-    # Later than half a second: before, both sensors are not in use yet, and there is no INS sample.
+    # The first half second is left out: there is no INS sample yet, or not both sensors are in use.
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
     reports = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
@@ -74,7 +74,7 @@ def test_the_attitude_stays_valid() -> None:
 def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
     wrong = change_where(
         voyage(),
-        # A glitch of one fix and of the last one; the fixes between are compared with the right ones.
+        # The fix at 0 s and the last fix, at 2 s, are wrong; the fix between is compared with correct fixes.
         lambda arrival: arrival.topic == FIX and arrival.stamp_ns in (START_NS, START_NS + 2 * SECOND_NS),
         FAULTS["1 km south"][1],
     )
@@ -93,7 +93,7 @@ def to_zero(message: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node: str) -> None:
-    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten of these have arrived."""
+    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten good fixes have arrived."""
     period_ns, first_ns = SECOND_NS // 5, -2 * SECOND_NS // 5
     fixes = [
         Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000)

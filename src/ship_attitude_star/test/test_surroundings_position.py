@@ -102,7 +102,7 @@ def test_fixes_at_10_hz_do_not_amplify_their_errors() -> None:
     places_deg = errors_m / [M_PER_DEG_OF_LATITUDE, M_PER_DEG_OF_LONGITUDE]
     fixes = track(*((0.1 * number, position_at(*place_deg)) for number, place_deg in enumerate(places_deg)))
     away = [distance_m(fixes.position(ns(t)), position_at(0.0, 0.0)) for t in np.arange(6.05, 39.0, 0.1)]
-    # 0.55 s beyond a line of 5 s, two axes: 1.12 times the one fix, 0.11 times the other.
+    # The line over 5 s is extrapolated by 0.55 s: 1.11 times the error of its last fix, 0.11 times that of its first.
     assert np.sqrt(np.mean(np.square(away))) == pytest.approx(np.sqrt(2.0) * np.hypot(1.11, 0.11), rel=0.15)
 
 
@@ -147,7 +147,7 @@ def test_over_the_pole_the_path_is_straight() -> None:
 
 
 def test_near_the_pole_the_error_keeps_its_direction_on_earth() -> None:
-    # A quarter of the way round the pole: what was north-south at the fix is east-west now.
+    # At the first fix its covariance is used unrotated, although the other fix is a quarter turn round the pole away.
     place = track(
         (0, position_at(89.9999, 0.0)), (1, position_at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])
     ).position(ns(0))
@@ -165,7 +165,7 @@ def test_near_the_pole_the_error_keeps_its_direction_on_earth() -> None:
     [
         (0.0, 0.0),
         (1.0, 0.0),
-        (0.5, 0.5 * 0.1 * 0.25),  # half the acceleration times 0.5 s of each fix
+        (0.5, 0.5 * 0.1 * 0.25),  # half the acceleration, times 0.5 s to either fix
         (11.0, 0.5 * 0.1 * 11.0 * 10.0),
         (61.0, 0.5 * 0.1 * 61.0 * 60.0),
     ],
@@ -277,7 +277,7 @@ def test_dropped_fixes_are_not_needed() -> None:
 
 
 def moving_fix(since_s: float, off_m: float = 0.0, latitude_deg: float = 50.0, longitude_deg: float = 10.0):
-    """Return the position of a ship that sails north at 10 m/s, ``off_m`` further north."""
+    """Return the time and the position of a ship that sails north at 10 m/s, ``off_m`` further north."""
     north_deg = (10.0 * since_s + off_m) / 111_229.0  # metres per degree of latitude at 50°, WGS 84
     return since_s, position_at(latitude_deg + north_deg, longitude_deg)
 
@@ -294,7 +294,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
         place = fixes.position(ns(t))
         assert distance_m(place, moving_fix(t)[1]) < 0.1
         assert place.age_s == t - 9
-    # The error of the straight line by 0.1 m/s², as in any time without fixes.
+    # The straight line has the error of an acceleration of 0.1 m/s², as in any time without fixes.
     north_m2 = 4.0 + (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 20.0 * 25.0) ** 2
     assert fixes.position(ns(29)).covariance_m2[0, 0] == pytest.approx(north_m2, rel=1e-3)
     back = PositionFix(ns(30), moving_fix(30)[1], SIGMA_M)
@@ -303,7 +303,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
 
 
 def test_a_permanent_jump_is_accepted_and_no_line_connects_it() -> None:
-    """After 25 s (``JUMP_CONFIRMATION_S``)."""
+    """The jump is accepted after 25 s (``JUMP_CONFIRMATION_S``)."""
     fixes = track(*(moving_fix(t) for t in range(10)), *(moving_fix(t, 1000.0) for t in range(10, 36)))
     # A fix is used from gnss_delay_s after its stamp on. No line connects it to the position before.
     assert distance_m(fixes.position(ns(35.4)), moving_fix(35.4)[1]) < 0.1

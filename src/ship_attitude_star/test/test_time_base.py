@@ -1,6 +1,6 @@
 """``ship_attitude`` and ``star_attitude`` during a step of all clocks aboard: VALID within two seconds, and correct.
 
-Stars then verify UTC: if it is wrong by the step, before or after it, the sky is rotated by that.
+Stars then verify UTC: if UTC is wrong before or after the step, the sky is rotated by the step.
 """
 
 import functools
@@ -49,7 +49,7 @@ def clock(*steps: tuple[float, float]) -> Clock:
 
 
 def shift_stamps(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, ...]:
-    """Return the messages with stamps of clocks with an offset."""
+    """Return the messages with stamps shifted by the offset of the clocks."""
 
     def by_clock(arrival: Arrival) -> Arrival:
         ns = arrival.stamp_ns + off_ns(arrival.stamp_ns)
@@ -65,7 +65,7 @@ def shift_stamps(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, .
 def run_with_clocks(
     adapter: Any, arrivals: Iterable[Arrival], off_ns: Clock, live: bool = False, node_off_ns: Clock | None = None
 ) -> Run:
-    """Run with an offset of all clocks, and that or another one of the node; a live node reports steps of its clock."""
+    """Run with clocks off by ``off_ns``, the node's by ``node_off_ns`` if given; a ``live`` node reports its steps."""
     run, last_ns, node_off_ns = Run(adapter), 0, node_off_ns or off_ns
     for arrival in shift_stamps(arrivals, off_ns):
         now_off_ns = node_off_ns(arrival.receive_ns)
@@ -91,14 +91,14 @@ def _hand_over_one(run: Run, arrival: Arrival, off_ns: Clock) -> None:
 
 
 def not_valid_s(run: AdapterRun, since_s: float, topic: str = ATTITUDE) -> float:
-    """Return the time after a start until the last status other than VALID, s; 0 for none."""
+    """Return the time from ``since_s`` to the last status other than VALID, s; 0 if all are VALID."""
     since_ns = START_NS + round(since_s * SECOND_NS)
     bad = [ns for ns, name, m in run.published if name == topic and ns >= since_ns and m.status != Status.VALID]
     return (bad[-1] - since_ns) / SECOND_NS if bad else 0.0
 
 
 def sigmas(message: Any, true_ns: int) -> float:
-    """Return the largest error of an attitude in its own sigmas, if its true time is known."""
+    """Return the largest error of an attitude, valid at ``true_ns``, in standard deviations."""
     true_nd = attitude((true_ns - START_NS) / SECOND_NS, 34.4)
     error_n = log_rotation(true_nd @ rotation_of(message).T)
     sigma_n = np.sqrt(np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))[[1, 2, 0]])
@@ -106,7 +106,7 @@ def sigmas(message: Any, true_ns: int) -> float:
 
 
 def assert_attitudes_correct(run: Run, off_ns: Clock) -> None:
-    """All attitudes are consistent with their covariance; for each clock they are in order, each once."""
+    """Assert that all attitudes are consistent with their covariance and that their true times increase strictly."""
     claimed = [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
     true_ns = [stamp_of(m) - off_ns(ns - 5_000_000) for ns, m in claimed]
     assert all(earlier < later for earlier, later in pairwise(true_ns))
@@ -115,7 +115,7 @@ def assert_attitudes_correct(run: Run, off_ns: Clock) -> None:
 
 
 def attitudes(run: AdapterRun) -> list[tuple[float, Any]]:
-    """(s since the start, message) of the published attitudes that are not INVALID."""
+    """Return (seconds since the start, message) of the published attitudes that are not INVALID."""
     claimed = [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
     return [((ns - START_NS) / SECOND_NS, message) for ns, message in claimed]
 
@@ -171,7 +171,7 @@ def test_the_computers_clock_is_set_five_seconds_before_or_after_the_devices(
 
 @pytest.mark.slow
 def test_estimated_ins_errors_are_kept() -> None:
-    """Heading is off by 60″ without stars; the covariance is that of before, and a second of drift."""
+    """The INS heading is off by 60″. The covariance after the step is that before the step plus a second of drift."""
     run = run_with_clocks(new_adapter(), long_voyage(), clock((20.0, -300.0)), live=True)
 
     def heading_sigma(since_s: float) -> float:
@@ -230,7 +230,7 @@ def observation_voyage(duration_s: float = 40.0) -> tuple[Arrival, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0, -1.0])
 def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float) -> None:
-    """The sky continues as before: the clocks are wrong from 10 to 25 s."""
+    """The true sky does not step: the clocks are wrong from 10 to 25 s."""
     off_ns = clock((10.0, step_s), (25.0, 0.0))
     run = run_with_clocks(ShipAttitudeAdapter(observing(), FACTORY), observation_voyage(), off_ns, live=True)
     wrong = [
@@ -240,7 +240,7 @@ def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float
     (text,) = {text for _, text in run.diagnostics("attitude", START_NS + 12 * SECOND_NS, START_NS + 25 * SECOND_NS)}
     assert text.startswith(f"DEGRADED: UTC differs by {step_s:+.1f} s: ")
     assert_attitudes_correct(run, off_ns)
-    # The covariance holds the error of UTC before.
+    # The covariance covers a UTC error of the size of the step.
     sigma_up = np.sqrt(np.reshape(wrong[-1][1].rotation_covariance, (3, 3))[2, 2])
     assert sigma_up == pytest.approx(np.deg2rad(abs(step_s) * 15.041 / 3600.0) * np.sin(np.deg2rad(31.9)), rel=0.3)
     assert not_valid_s(run, 25.0) < 2.0
@@ -248,13 +248,13 @@ def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float
 
 
 def constant_clock_error(time_ns: int) -> int:
-    """Clocks that are 300 s ahead up to 10 s of the voyage, those of weather and fixes before it too."""
+    """Return the offset of clocks that are 300 s ahead until 10 s after the start, also before the start."""
     return clock((0.0, 300.0), (10.0, 0.0))(max(time_ns, START_NS))
 
 
 @pytest.mark.slow
 def test_correct_utc_after_a_step_does_not_exclude_the_stars() -> None:
-    """The stars contradicted the INS from the start on, by more than its error may be, and were not used."""
+    """The stars contradicted the INS from the start on, by more than the INS error may be, and were not used."""
     run = run_with_clocks(ShipAttitudeAdapter(observing(), FACTORY), observation_voyage(), constant_clock_error)
     assert {m.status for ns, m in attitudes(run) if 3.0 < ns < 10.0} == {Status.DEGRADED}
     assert not_valid_s(run, 10.0) < 2.0

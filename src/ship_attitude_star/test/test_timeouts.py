@@ -1,4 +1,4 @@
-"""Status of the attitude while inputs fail together, are late or wrong: it follows from the published attitudes."""
+"""Status of the attitude while inputs fail together, are late or wrong."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -53,7 +53,7 @@ def assert_in_order(run: Run) -> None:
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
-    """Assert that only INVALID is published, no budget and no OK status, after a second and a tick."""
+    """Assert that, from a second and a tick on, INVALID is published each second, no budget and no other status."""
     times_ns = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
     assert times_ns[0] <= at(from_s + 1.1)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(times_ns))
@@ -85,7 +85,7 @@ def test_exposures_without_a_fix_do_not_hide_an_ins_timeout() -> None:
 
 
 def test_rejected_ins_samples_give_no_attitude() -> None:
-    """It arrives at its full rate, in order, and is not usable; no star sensor works."""
+    """INS samples arrive at the full rate, in order, and are not usable; no star sensor works."""
     arrivals = remove_interval(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
     run = run_adapter(
         new_adapter(), change_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame)
@@ -123,7 +123,7 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
 
 
 def test_ins_and_stars_stop_and_come_back() -> None:
-    """First one of them, then both, then the stars, then both."""
+    """The INS stops, then the stars too; the stars come back, then the INS."""
     arrivals = remove_interval(remove_interval(voyage(14.0), 3.0, 9.0, INS), 5.0, 7.0, FORE, STARBOARD)
     run = run_adapter(new_adapter(), arrivals)
     by_second = {second: set() for second in range(14)}
@@ -161,7 +161,7 @@ def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float])
     "latency_s", [lambda topic: 1.05 if topic == INS else 0.0, lambda topic: 1.5, lambda topic: 9.0]
 )
 def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
-    """The INS within the lag behind the stars, or all that late."""
+    """The INS is late by less than the lag, or all inputs are late."""
     run = run_adapter(new_adapter(), with_latency(voyage(), latency_s))
     by_ins, expected = (
         [stamp_of(m) for m in published_attitudes(r) if "ins" in m.sources] for r in (run, fault_free_run())
@@ -177,7 +177,7 @@ def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
 
 @pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0, 3600.0])
 def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
-    """The clock of the node jumps while data and waiting continue: the same attitudes at the same times."""
+    """The node's clock jumps while data and ticks continue: the attitudes and their publication times are the same."""
     run = Run(new_adapter())
     hand_over(run, voyage(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.5) else 0))
     by_the_clock = "ship/alignment", "/tf_static"  # these have the node's time
@@ -205,7 +205,7 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
 
 @functools.cache
 def run_with_stopped_node(from_s: float, until_s: float) -> Run:
-    """Messages received while the node was stopped are processed when it continues, after the ticks of that time."""
+    """Messages received while the node was stopped are processed when it continues, after the ticks of the stop."""
     arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
     return run_adapter(new_adapter(), arrivals)
 
@@ -237,7 +237,7 @@ def test_with_a_frozen_clock_invalid_is_published_at_its_time() -> None:
 
 
 def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
-    """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
+    """INS samples arrive at the full rate, each 3 s old: more than the lag behind the stars."""
     run = run_adapter(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100
     by_stars = [m for m in published_attitudes(run) if "ins" not in m.sources]

@@ -34,9 +34,10 @@ def _sky_model():
 
 @pytest.fixture(scope="module", name="sky")
 def _sky(sky_model):
-    """Return stars brighter than 5.2: apparent directions from the ship, and catalogue directions; (k, 3) each.
+    """Return apparent directions from the ship, and catalogue directions without and with aberration, (k, 3) each.
 
-    Apparent directions by ERFA's ``atco13``; catalogue directions by ``pmpx`` with or without aberration by ``ab``.
+    The stars are brighter than 5.2. Apparent directions are by ERFA's ``atco13``, catalogue directions by ``pmpx``,
+    aberration by ``ab``.
     """
     catalogue = sky_model.catalogue
     stars = catalogue.at_j2000[catalogue.rows_brighter_than(5.2)]
@@ -125,7 +126,7 @@ def test_with_more_stars_the_covariance_is_conservative(sky_model, sky) -> None:
 
 
 def test_uncorrected_aberration_is_corrected_once(sky_model, sky) -> None:
-    """Very many stars at the boresight: only the lift by refraction and the shift by aberration remain."""
+    """With very many stars, only the lift by refraction and the shift by aberration at the boresight remain."""
     seen_n, natural_c, proper_c = sky
     off = {}
     for removed, catalogue_c in ((True, proper_c), (False, natural_c)):
@@ -174,6 +175,6 @@ def test_the_field_covariance_is_regular_at_the_zenith(sky_model, elevation_deg:
     rotation_cs = sky_model.sky_at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
     attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), sky_model)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
-    # An isotropic compression without rotation: 57″ per radian and 10°/(2 √5).
+    # Refraction at the zenith is an isotropic compression without rotation: 57″ per radian times 10°/(2 √5).
     assert np.sqrt(np.diagonal(common_s)[1:]) / ARCSEC == pytest.approx([2.2, 2.2], abs=0.15)
     assert np.sqrt(max(common_s[0, 0], 0.0)) < 0.1 * ARCSEC

@@ -59,7 +59,7 @@ def test_table_is_linear_between_rows_across_the_date_line() -> None:
     table = DeflectionTable(GravityConfig(**TABLE))
     np.testing.assert_allclose(table.at(at(0.05, 180.0)) / ARCSEC, [5.0, -4.0], atol=0.01)
     np.testing.assert_allclose(table.at(at(0.15, -179.95)) / ARCSEC, [20.0, -2.0], atol=0.01)
-    # Off the track the nearest point of it counts, beyond its end the last row.
+    # Off the track of the table the nearest point of the track is used, beyond its end the last row.
     np.testing.assert_allclose(table.at(at(0.15, -179.85)) / ARCSEC, [20.0, -2.0], atol=0.05)
     np.testing.assert_allclose(table.at(at(0.3, -179.95)) / ARCSEC, [30.0, 0.0], atol=1e-9)
 

@@ -1,4 +1,4 @@
-"""Another attitude system whose clock is configured to 0.2 s and whose angles to 2°, the defaults, on a ship in waves.
+"""A reference with the default sigmas, 0.2 s of clock offset and 2° of installation, on a ship in waves.
 
 The truth is drawn with these sigmas. In 0.4 s a ship that rolls by 7° rotates by as much as 2°, not linearly.
 """
@@ -20,7 +20,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_geometry.time_scales import SECOND_NS
 
 SEEDS = int(os.environ.get("SEEDS", "12"))
-"""``make campaign`` takes more."""
+"""Number of seeds; ``make campaign`` sets SEEDS to take more."""
 START_NS = 1_404_906_600 * SECOND_NS
 CONFIG = build(ShipAttitudeConfig, {"references": {"other": {}}})
 OTHER = CONFIG.references["other"]
@@ -87,7 +87,7 @@ def voyage(seed: int, offset_s: float | None = None, waves: float = 1.0, duratio
 
 
 def run_core(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAttitudeCore, int]:
-    """Return the core at the end, and the number of rejected measurements; some arrive late, by their stamps."""
+    """Return the final core and the number of rejected measurements; ``late_ns`` are delays of inputs by stamp, ns."""
     late_ns = late_ns or {}
     core, rejected = ShipAttitudeCore(CONFIG), 0
     everything = [*run.samples, *run.measurements]
@@ -110,19 +110,19 @@ def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
 @pytest.mark.statistics
 @pytest.mark.parametrize("waves", [0.2, 1.0, 3.0])
 def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
-    """Mean NEES was 20.7 where 4 is expected, the worst 377."""
+    """With a single linearisation the mean NEES was 20.7 where 4 is expected, the worst 377."""
     runs = [voyage(seed, waves=waves) for seed in range(SEEDS)]
     ends = [run_core(run) for run in runs]
     low, high = mean_nees_band(SEEDS, 4)
     assert low <= np.mean([nees(core, run.truth) for (core, _), run in zip(ends, runs, strict=True)]) <= high
-    # In waves of 20° some first ones are rejected: a far offset does not converge.
+    # In waves of 20° some first measurements are rejected: a far clock offset does not converge.
     assert sum(rejected for _, rejected in ends) <= 0.02 * sum(len(run.measurements) for run in runs)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_s", [-0.6, -0.38, 0.36, 0.40, 0.6])
 def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> None:
-    """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements rejected for ever."""
+    """With a single linearisation, offsets of 0.36 to 0.40 s ended 10 to 15 sigmas off; 95 % was rejected."""
     for seed in range(4):
         run = voyage(seed, offset_s)
         core, rejected = run_core(run)
@@ -131,7 +131,7 @@ def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> N
 
 
 def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
-    """A measurement whose estimate needs another INS time is evaluated again when samples around it arrive late."""
+    """A measurement is evaluated again if late INS samples arrive around the time that its estimated offset needs."""
     run, rng = voyage(3, -0.4, duration_s=12.0), np.random.default_rng(5)
     late_ns = {item.time_ns: int(rng.integers(0, SECOND_NS)) for item in [*run.samples, *run.measurements]}
     in_order, _ = run_core(run)
@@ -142,7 +142,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
 
 
 def test_the_first_measurements_of_an_ins_are_used_too() -> None:
-    """The INS data do not yet cover the motion three sigma of the clock before: nearer attitudes are used."""
+    """The INS data do not reach three sigmas of the clock offset back: the nearest attitudes are used instead."""
     run = voyage(1, 0.3, duration_s=4.0)
     core = ShipAttitudeCore(CONFIG)
     decisions = []

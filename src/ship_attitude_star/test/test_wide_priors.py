@@ -1,4 +1,4 @@
-"""A prior of any width, from a minute of arc to half a turn: stars one by one, or solved, lead to the same attitude.
+"""With priors from a minute of arc to half a turn, single stars and star solutions lead to the same attitude.
 
 Truth is drawn from the filter's prior: error of the INS, its white noise, mounting, and the errors common to all stars.
 """
@@ -43,7 +43,7 @@ from ship_testing.star_voyage import true_deck, voyage
 SEEDS = 40
 MINUTE, DEGREE = 60.0, 3600.0
 INSTALLATION = np.array([20.0, 1.0, 1.0]) * ARCSEC
-"""The default prior."""
+"""Default sigmas of the installation of a star sensor, rad."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Width:
     tilt: float
 
     def config(self, kind: str) -> ShipAttitudeConfig:
-        """Half a turn is more than the parameters allow."""
+        """Return the configuration; ``replace`` sets the sigmas, as half a turn is out of the parameters' range."""
         config = configuration()
         ins = replace(config.ins, heading_sigma_arcsec=self.heading, tilt_sigma_arcsec=self.tilt)
         sensors = {id_: replace(sensor, input=kind) for id_, sensor in config.star_sensors.items()}
@@ -63,7 +63,7 @@ class Width:
 
 @dataclass(frozen=True)
 class Sky:
-    """Exposures without errors by sensor and stamp, and how errors that stars share displace their stars."""
+    """Exposures without errors by sensor and stamp, with apparent directions and displacements by shared errors."""
 
     sky_model: SkyModel
     fields: dict[tuple[str, int], tuple[StarExposure, FloatArray, FloatArray]]
@@ -150,16 +150,16 @@ def test_single_stars_and_solutions_match_their_covariance_and_agree(sky: Sky, w
     low, high = mean_nees_band(SEEDS, 3)
     for kind in ("observations", "solution"):
         assert low <= np.mean([normalized_error_squared(*found[kind][:2]) for found in ends]) <= high
-        # One attitude in ten thousand is improbable: of 320, one.
+        # The gate rejects one correct attitude in ten thousand: at most one of 320.
         assert sum(found[kind][2] for found in ends) <= 1
     for found in ends:
         (one, one_covariance, _), (other, other_covariance, _) = found["observations"], found["solution"]
-        # By the same stars: what is left between the two is less than either may be off.
+        # Both estimates use the same stars: their difference is within the sum of their covariances.
         assert normalized_error_squared(one - other, one_covariance + other_covariance) < 21.1
 
 
 def test_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitude(sky: Sky) -> None:
-    """They do not verify one another. With a tilt of 10″ they do, however wide the heading; with 10° they do not."""
+    """A prior with a tilt of 10″ and a heading of 3° verifies two stars; one with 10° and 30° does not."""
     ends = [end(sky, seed, Width(3.0 * DEGREE, 10.0), count=2)["observations"] for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= np.mean([normalized_error_squared(*found[:2]) for found in ends]) <= high
@@ -173,7 +173,7 @@ def test_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitude(sky: S
 def test_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_sensor(
     sky: Sky, kind: str, heading: float
 ) -> None:
-    """Before, the first exposure made the attitude VALID, whatever the prior."""
+    """A single exposure does not make the attitude VALID, whatever the prior."""
     ship_filter, rng = ShipFilter(Width(heading, 10.0).config(kind)), np.random.default_rng(14)
 
     def state_after(state: FilterState, id_: str, time_ns: int) -> FilterState:
@@ -191,17 +191,17 @@ def test_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_sensor(
     assert state_after(first, "starboard", TIME_NS).unconfirmed_step is None
     second = state_after(first, "fore", TIME_NS + 100_000_000)
     assert second.unconfirmed_step is None
-    # A sensor that was excluded has agreed with the others before it is used again.
+    # A reinstated sensor needs no confirmation, because its reinstatement required consistency with the others.
     excluded = replace(second, last_used_ns=MappingProxyType({}), exclusion_counts=MappingProxyType({"star.fore": 1}))
     assert state_after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int) -> None:
-    """The least sum of squares that scipy finds with the exact motion of a ship that turns at 4 degrees a second.
+    """The estimate equals scipy's least squares with the exact motion of a ship that turns at 4 degrees a second.
 
-    Before, the turn by the estimated offset of the clock counted twice: three of the five were rejected, and the offset
-    of the others was wrong by 0.6 and 1.1 ms.
+    If the turn by the estimated clock offset counted twice, three of the five measurements would be rejected, and the
+    other two offsets would be wrong by 0.6 and 1.1 ms.
     """
     rng, config = np.random.default_rng([41, seed]), Width(DEGREE, 10.0).config("solution")
     ship_filter, clock_s = ShipFilter(config), config.ins.time_offset_sigma_s
@@ -211,7 +211,7 @@ def test_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int) -> None
     rotation_ds = rotation_from_angles(*np.deg2rad([0.0, 45.0, 0.0]))
 
     def sensor(state: FloatArray) -> FloatArray:
-        """Horizon from sensor by errors of the INS, installation, the INS's clock and white noise of the INS."""
+        """Return horizon from sensor for errors of INS attitude, installation and INS clock, and INS white noise."""
         by_ins = ROTATION_ND @ exp_rotation(-state[6] * rate_d)
         return exp_rotation(state[:3]) @ exp_rotation(state[7:10]) @ by_ins @ rotation_ds @ exp_rotation(state[3:6])
 
@@ -266,7 +266,7 @@ def test_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: floa
 
 @pytest.mark.parametrize("count", [2, 8])
 def test_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count: int) -> None:
-    """Linearised at the INS, 3° off, the right stars contradict it by 283″."""
+    """Linearised at an INS attitude that is 3° off, the correct stars would contradict the INS by 283″."""
     rng = np.random.default_rng(4)
     exposure = sky.exposure_with_errors("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
     true_ns = ROTATION_ND @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
@@ -283,7 +283,7 @@ def test_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count:
 
 @pytest.mark.parametrize("width", [WIDTHS[0], WIDTHS[3], WIDTHS[4]], ids=str)
 def test_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> None:
-    """The sum of squares at the estimate, of the first exposure of each seed: sixteen residuals, sixteen degrees."""
+    """The NIS of the first exposure of each seed has sixteen degrees of freedom, for sixteen residuals."""
     values = []
     for seed in range(SEEDS):
         rng = np.random.default_rng([13, seed])
@@ -301,7 +301,7 @@ def test_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> None:
 @pytest.mark.parametrize("count", [8, 4, 3])
 @pytest.mark.parametrize("width", [WIDTHS[3], Width(3.0 * DEGREE, 3.0 * DEGREE), WIDTHS[6]], ids=str)
 def test_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width: Width, count: int) -> None:
-    """The right stars outvote them, or the exposure is refused."""
+    """The correctly identified stars outvote the exchanged ones, or the exposure is rejected."""
     used = 0
     for seed in range(20):
         rng = np.random.default_rng([17, seed])

@@ -27,7 +27,7 @@ VECTOR = "geometry_msgs/msg/Vector3"
 
 
 def write_numbered(path, log_times, topics=("a",), **options):
-    """Write Vector3 messages (x = index in this list) with the mcap project's writer, in small chunks."""
+    """Write Vector3 messages (x = index in ``log_times``) with the mcap project's writer, in small chunks."""
     options = {"chunk_size": 1500, **options}
     with open(path, "wb") as file:
         writer = Writer(file, **options)
@@ -50,7 +50,7 @@ def numbers(path):
 
 
 def chunk_offsets(data):
-    """Return offset, length and messages of each chunk record, by scanning the records."""
+    """Return offset and length of each chunk record, by scanning the records."""
     offset, chunks = 8, []
     while offset < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, offset)
@@ -61,7 +61,7 @@ def chunk_offsets(data):
 
 
 def whole_messages(data):
-    """Return the messages that the mcap project's StreamReader reads from a truncated file."""
+    """Return the number of messages that the mcap project's StreamReader reads from a truncated file."""
     count = 0
     try:
         for record in StreamReader(io.BytesIO(data)).records:
@@ -284,7 +284,7 @@ def test_flipped_bits_in_the_header_of_a_chunk(tmp_path, bag_bytes, field_offset
         problems = bag.problems
     assert times == sorted(times)
     in_chunk = whole_messages(b"\x89MCAP0\r\n" + only_chunk(bag_bytes, offset, length))
-    # The times in the chunk's head are also in the summary, which rules: nothing is lost then.
+    # The times in the chunk's header are also in the summary, which takes precedence: nothing is lost then.
     assert len(times) in (MESSAGES - in_chunk, MESSAGES)
     assert len(problems) == (0 if len(times) == MESSAGES else 1)
 
@@ -473,5 +473,5 @@ def test_a_chunk_of_a_long_bag_takes_little_memory(tmp_path):
             assert sum(1 for _ in bag.records({"a"})) == count
     finally:
         tracemalloc.stop()
-    # Neither the bytes at which the index of each channel begins nor a set of channels for each chunk.
+    # The reader stores neither the index offset of each channel nor a set of channels for each chunk.
     assert held - before < 300 * count

@@ -57,7 +57,7 @@ def test_flushed_messages_can_be_read_while_the_bag_is_still_open(tmp_path):
 
 @pytest.mark.parametrize("seed", range(30))
 def test_a_flipped_bit_in_an_unflushed_bag_loses_one_second(tmp_path, seed):
-    """All ten seconds of the bag would fit into one chunk, as those of a simulated bag."""
+    """By their size, all ten seconds of the bag would fit into one chunk."""
     data = bytearray(write_imu_bag(tmp_path / "voyage.mcap", count=1000).read_bytes())
     draw = random.Random(seed)
     data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
@@ -71,7 +71,7 @@ def test_a_flipped_bit_in_an_unflushed_bag_loses_one_second(tmp_path, seed):
 
 @pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
 def test_recording_with_a_clock_step_back_and_an_oversized_message(tmp_path, finished):
-    """It is kept in order of arrival, read in order of log time, and unchanged by a recovery."""
+    """The recording is kept in order of arrival, read in order of log time, and unchanged by a recovery."""
     bag = BagWriter(tmp_path / "voyage.mcap", atomic=False)
     log_times = [*range(0, 3 * HOUR_NS, HOUR_NS // 2), *range(0, 3 * HOUR_NS, HOUR_NS // 2), 10 * HOUR_NS]
     for number, time_ns in enumerate(log_times):
@@ -96,7 +96,7 @@ def test_recording_with_a_clock_step_back_and_an_oversized_message(tmp_path, fin
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_many_messages_are_written_as_one_after_another(tmp_path, seed):
-    """Chunks end at their size limit, when time advances by a second, and when it goes back by one."""
+    """Chunks end at their size limit, and when time advances or goes back by a second."""
     rng, count = np.random.default_rng(seed), 400
     steps_ns = rng.integers(0, 20_000_000, count)
     steps_ns[rng.integers(0, count, 5)] += rng.integers(-3, 4, 5) * NS_PER_S
@@ -147,7 +147,7 @@ def test_a_folder_that_is_not_there_is_bad_input(tmp_path):
 
 
 def test_other_readers_understand_the_bag(tmp_path):
-    """The mcap project's own reader and its ROS 2 decoder, which uses the embedded definition only."""
+    """The mcap project's reader and ROS 2 decoder read the bag; the decoder uses only the embedded definition."""
     path = write_imu_bag(tmp_path / "voyage.mcap", count=3)
     with open(path, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])

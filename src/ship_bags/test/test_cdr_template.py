@@ -78,7 +78,7 @@ def test_rclpy_reads_what_was_encoded(type_name):
     draw, factory, store = random.Random(type_name), RosidlFactory(), message_store()
     for _ in range(10):
         encoded = factory.encode(type_name, **random_fields(draw, type_name)).__cdr__
-        # What rclpy puts into the gaps between fields is undefined: the bytes are compared without it.
+        # rclpy writes undefined bytes into the gaps between fields, so rosbags encodes the message again.
         again = serialize_message(deserialize_message(encoded, message_class(type_name)))
         assert serialize(store.deserialize_cdr(again[: len(encoded)], type_name)) == encoded
 

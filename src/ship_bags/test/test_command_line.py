@@ -1,4 +1,4 @@
-"""Ctrl-C in long commands: one line, exit code 130, no partial file; and a reader that is gone."""
+"""Ctrl-C in long commands gives one line, exit code 130 and no partial file; a closed output pipe ends a command."""
 
 import errno
 import os
@@ -13,8 +13,8 @@ from ship_testing.calibration_sessions import STILL, session, write_session
 from ship_testing.hand_made_bags import write_imu_bag
 from ship_testing.short_scenario import SHORT
 
-# Runs a command again and again, each time in a folder of its own. Ctrl-C comes when it opens, renames or removes a
-# file of its folder: the first time, then the second time, ...; and once more, as from an impatient user, at the next.
+# The runner repeats a command, each time in a new folder. Ctrl-C is sent when the command opens, renames or removes a
+# file of the folder for the given time, and again at the next time, as by an impatient user.
 RUNNER = """
 import os, signal, sys
 from pathlib import Path
@@ -55,7 +55,7 @@ for number in map(int, moments.split(",")):
     half = [name for name, content in found.items() if whole.get(name) != content]
     sys.stderr.write(f"{code} {half}\\n" if code != 130 or half else "")
 """
-# Command, numbers of the interrupts (later ones are in the middle of its files), arguments.
+# Command: its module, the file accesses at which Ctrl-C is sent (high numbers are in the middle of files), arguments.
 CASES = {
     "simulate": ("ship_simulation.simulate_command", "1,2", ["short.yaml", "--out", "out.mcap"]),
     "replay": ("ship_replay.commands.replay", "1,2", ["in.mcap", "--config", "suite.yaml", "--out", "out.mcap"]),

@@ -32,7 +32,7 @@ def parse_results(text, needs_checksum=True):
 
 
 def messages_of(becomes, *texts, by_instrument=True):
-    """Return the messages of sentences received one after the other."""
+    """Return the messages of sentences received one after the other, and the report."""
     report = LineReport("test")
     instrument = Instrument(RosbagsFactory(), InstrumentRole(becomes, by_instrument), "a", report)
     found = []

@@ -578,7 +578,7 @@ def test_format_and_name_must_agree(imu_bag, tmp_path, capsys):
 
 
 def test_an_empty_out_is_no_folder(imu_bag, tmp_path, capsys, monkeypatch):
-    """It results from an unset variable, and would mean the current folder."""
+    """An empty --out results from an unset variable, and would mean the current folder."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
         main([str(imu_bag), "--out", ""])
@@ -697,7 +697,7 @@ def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_
 
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, tmp_path, capsys, small_files):
-    """Parquet keeps its rows up to the end, and NetCDF is as wide as its longest text, which comes last."""
+    """Parquet writes its rows at the end, and NetCDF is as wide as the longest text, which comes last."""
     string = message_store().types["std_msgs/msg/String"]
     with BagWriter(tmp_path / "texts.mcap") as bag:
         bag.write("a", string("first"), START_NS)
@@ -752,7 +752,7 @@ RULE = "\n" + "=" * 80 + "\n"
     [
         ("x/A[] a", "more than 100 tables"),
         ("x/A a", "messages within messages are more than 16 deep"),
-        # Ten of ten of ten and so on, and nothing in the last.
+        # Each type has ten fields of the next type, 14 levels deep; the last type is empty.
         (
             "".join(f"x/B1 f{i}\n" for i in range(10))
             + "".join(
@@ -828,7 +828,7 @@ def test_too_many_open_files_are_reported(tmp_path, capsys):
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     write_imu_bag(tmp_path / "long.mcap", 30_000)
     options = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "out")]
-    # Its low priority leaves the processor to this test: on a busy computer it would otherwise end before the signal.
+    # The command has a low priority, so that on a busy computer it does not end before this test sends the signal.
     # The default signal handler is needed if the tests run in the background of a shell.
     patient = ["env", "--default-signal=INT", "nice", "-n", "19"]
     command = [*patient, sys.executable, "-m", "ship_bags.commands.export", *options]

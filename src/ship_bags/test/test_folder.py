@@ -47,7 +47,7 @@ def test_a_new_file_begins_by_size_and_rosbags_reads_them_as_one(tmp_path):
     assert imu_topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
     expected = [START_NS + number * PERIOD_NS for number in range(200)]
     assert rosbags_times(tmp_path / "voyage") == expected
-    # Each file alone, by the seeking reader, with its own definitions.
+    # Each file is also read alone by the seeking reader, with the definitions in the file.
     alone = []
     for name in names:
         with open(tmp_path / "voyage" / name, "rb") as stream:
@@ -100,7 +100,7 @@ def test_an_existing_folder_is_not_changed(tmp_path):
 
 
 def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_path):
-    """Two nodes on one topic, one message each, and a topic that is published again."""
+    """Two nodes publish one message each on one topic; another topic has one message."""
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
     for topic in ("/tf_static", "/ship/calibration"):
         bag.add_topic(topic, VECTOR, latched=True)
@@ -121,5 +121,5 @@ def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_p
         with read_bag(tmp_path / "voyage" / name) as alone:
             records = list(alone.records())
             assert [(r.topic, r.decode().x) for r in records if r.topic != "/ins/imu"] == latched
-            # A player of this file alone must not wait for hours between them.
+            # A player of this file alone must not wait for hours after the repeated messages.
             assert records[-1].log_time_ns - records[0].log_time_ns < 2 * NS_PER_S

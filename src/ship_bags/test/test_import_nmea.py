@@ -178,7 +178,7 @@ def test_resampled_by_a_spline(import_texts):
 
 
 def test_angular_velocity_is_that_of_the_motion(import_texts):
-    """Compared with differences of the attitudes in the bag: (forward, left, up), in the deck frame."""
+    """The angular velocities (forward, left, up; deck frame) equal differences of the attitudes in the bag."""
     found, _, _ = import_texts("--resample", "50", ins=rolling_log()[0])
     messages = [message for _, message in found["ins/imu"]]
     quaternions = np.array([[m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w] for m in messages])
@@ -234,8 +234,9 @@ def test_pashr_with_a_time_of_any_precision(import_texts, time):
 
 
 def test_pashr_of_a_system_that_is_not_aligned_is_no_attitude(import_texts, capsys):
-    """Both last fields are 0 for NovAtel and Trimble; for other makers one of them is 0 in a valid attitude, as for an
-    RT300.
+    """NovAtel and Trimble set both last fields to 0 if not aligned.
+
+    Other makers set one of them to 0 in a valid attitude, e.g. in an RT300.
     """
     good = line(0.1, "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
     bad = line(0.2, "PASHR,000000.150,024.19,T,-11.26,+10.83,+00.10,9.900,9.900,9.900,0,0")

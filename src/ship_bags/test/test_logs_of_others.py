@@ -126,7 +126,7 @@ def test_a_log_without_checksums_is_refused_by_default(import_logs, tmp_path, ca
 
 
 def burst(time_s, *lines_after):
-    """Return the lines of a burst: (seconds after its time, sentence)."""
+    """Return the text of a burst; ``lines_after`` are pairs (seconds after ``time_s``, sentence)."""
     return "".join(
         line_received_at(time_s + after_s, text) for after_s, text in sorted(lines_after, key=lambda line: line[0])
     )
@@ -274,7 +274,7 @@ def test_a_receiver_without_a_position_reports_no_fix(import_logs):
 
 
 def test_two_receivers_in_one_log_are_named_and_one_can_be_chosen(import_logs):
-    """A difference of a tenth of a minute of latitude, 185 m."""
+    """The positions of the receivers differ by a tenth of a minute of latitude, 185 m."""
     other = POSITION.replace("4712.3456", "4712.4456")
     text = "".join(
         line_received_at(t + 0.1, gga(t))
@@ -311,7 +311,7 @@ def test_a_talker_is_two_capital_letters(tmp_path, capsys, talker):
 
 
 def test_bursts_of_random_layouts_never_get_the_time_of_another_burst(import_logs):
-    """Sentences of a burst in any order, randomly lost, within 0.45 s, on a clock that is up to 0.3 s late."""
+    """Sentences of a burst arrive in any order within 0.45 s, up to 0.3 s late; some are lost."""
     rng = np.random.default_rng(16)
     for trial in range(20):
         order, late_s = rng.permutation(3), float(rng.uniform(0.0, 0.3))

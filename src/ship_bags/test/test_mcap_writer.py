@@ -1,4 +1,4 @@
-"""MCAP writer compared with the mcap project's own: the same bytes, without its growth."""
+"""The MCAP writer writes the same bytes as the mcap project's writer, but needs no growing memory."""
 
 import io
 import random
@@ -15,7 +15,7 @@ from ship_bags.mcap.mcap_writer import CHUNK_BYTES, McapWriter
 
 
 class Reference:
-    """The project's writer with the methods of the suite's."""
+    """The mcap project's writer with the methods of ``McapWriter``."""
 
     def __init__(self, stream: io.BytesIO) -> None:
         self._writer = Writer(stream)

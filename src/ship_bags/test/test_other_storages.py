@@ -46,7 +46,7 @@ def contents(path):
 
 @pytest.fixture(params=CONVERSIONS)
 def converted_bag(request, plain, tmp_path):
-    """Convert it to another storage with the tool of the library that reads it."""
+    """Convert the plain bag to another storage with rosbags-convert."""
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS[request.param]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     return tmp_path / "other"
@@ -88,7 +88,7 @@ def test_files_too_large_for_the_temporary_folder_are_refused(plain, tmp_path):
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["file"]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     (part, *_) = (tmp_path / "other").glob("*.zstd")
-    # The head of a frame of 2^60 bytes: all of its size field is given.
+    # The header of a zstd frame that states a content size of 2^60 bytes.
     part.write_bytes(b"\x28\xb5\x2f\xfd\xe0" + (2**60).to_bytes(8, "little") + bytes(8))
     with pytest.raises(BadInput, match=r"other: needs 1152921504607 MB: .* name another by TMPDIR"):
         read_bag(tmp_path / "other")

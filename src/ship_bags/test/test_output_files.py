@@ -68,7 +68,7 @@ class TestPart:
             assert part_path(tmp_path / "out").exists()
 
     def test_a_failed_write_names_the_file_and_leaves_no_part(self, tmp_path, write):
-        """A bound on the length of files fails as a full disk does, in the middle of the content."""
+        """A limit on the length of files makes a write fail in the middle of the content, as on a full disk."""
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
         try:
@@ -142,14 +142,14 @@ def test_a_slow_disk_does_not_delay_the_writer(tmp_path, monkeypatch):
         assert synced == []
         goes_on.set()
         sync.finish()
-        # Those that came while the first one ran are made up for by the next flush.
+        # Requests during the first sync are dropped: the next flush requests another sync.
         assert len(synced) == 1
 
 
 def test_a_failed_sync_is_raised_by_the_next_request(tmp_path):
     with open(tmp_path / "a", "wb") as file:
         number = file.fileno()
-    # The file is closed: the error of the system stands for a failing disk.
+    # The file is closed, so that a sync fails as on a failing disk.
     sync = DiskSync(number)
     sync.request()
     sync._thread.submit(lambda: None).result()

@@ -90,7 +90,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in attitudes]
     jumps = [number for number, (earlier, later) in enumerate(itertools.pairwise(stamps), 1) if later <= earlier]
     assert len(jumps) == 2
-    # Each loop begins again with the first sample and gives the same outputs as the first one.
+    # Each loop begins again with the first sample and gives the same outputs as the first loop.
     laps = [attitudes[start:end] for start, end in itertools.pairwise([0, *jumps, len(attitudes)])]
     assert [stamps[start] - START_NS for start in (0, *jumps)] == [0, 0, 0]
     shared = min(len(lap) for lap in laps)
@@ -125,7 +125,7 @@ def test_a_start_offset_keeps_earlier_latched_messages(domain, tmp_path):
     player = domain.play(tmp_path / "in.mcap", "--start-offset", "0.5", "--loop", "2", "--rate", "2")
     assert player.exit_code == 0, player.log_text()
     assert domain.graph.spin_until(lambda: len(samples) == 100)
-    # Once a lap, the last of the two; what is not latched and older than the start stays out.
+    # Each loop publishes the last of the two latched messages; other messages before the start are not published.
     assert [message.x for message in calibrations] == [10.0, 10.0]
     assert [message.x for message in levers] == [float(number) for number in range(50, 100)] * 2
 
@@ -161,7 +161,7 @@ def test_two_types_under_one_name_are_refused(domain, tmp_path):
 
 @contextlib.contextmanager
 def on_a_terminal(domain, *command):
-    """Start a process on a terminal of its own; yield the process, the terminal's far end, and its near end."""
+    """Start a process on a new pseudo-terminal; yield the process, the end for the keys, and the process's end."""
     keys, terminal = pty.openpty()
     with open(domain.folder / "terminal.log", "wb") as log:
         process = subprocess.Popen(
@@ -185,7 +185,7 @@ def test_keys_on_a_terminal_step_speed_up_and_pause(domain, tmp_path):
     from sensor_msgs.msg import Imu
 
     samples, times = domain.listen("ins/imu", Imu), domain.listen("/clock", Clock)
-    # At this rate the second of the bag takes 17 minutes: without the keys the test would not end.
+    # At this rate the bag, one second long, takes 17 minutes: without the keys the test would not end.
     options = ("--paused", "--rate", "0.001", "--wait-for-subscribers", "ins/imu", "/clock")
     command = [*executable("ship_bags", "play"), write_imu_bag(tmp_path / "in.mcap", count=100), *options]
 
@@ -230,7 +230,7 @@ def test_ctrl_c_on_a_terminal_ends_it_and_gives_the_terminal_back(domain, tmp_pa
 
 
 def test_a_background_job_does_not_change_its_terminal(domain, tmp_path):
-    # Touching it would stop the job (SIGTTOU), for ever.
+    # Changing the terminal would stop the job for ever (SIGTTOU).
     play = [*executable("ship_bags", "play"), write_imu_bag(tmp_path / "in.mcap", count=20), "--wait-timeout", "0"]
     with on_a_terminal(domain, "bash", "-c", 'set -m; "$@" & wait $!', "shell", *play) as (process, _, _):
         assert domain.graph.spin_until(lambda: process.poll() is not None)

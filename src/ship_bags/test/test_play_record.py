@@ -172,7 +172,7 @@ def test_a_recording_carries_what_rosbag2_reads(live, tmp_path):
     assert b"MSG: geometry_msgs/Quaternion" in schema.data
     assert channel.message_encoding == "cdr"
     assert "durability: volatile" in channel.metadata["offered_qos_profiles"]
-    # The hash of sensor_msgs/msg/Imu as a Jazzy node announces it.
+    # The type hash has the format of those that Jazzy nodes announce.
     info = live.node.get_publishers_info_by_topic("/rosout")
     assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
     assert info == [] or str(info[0].topic_type_hash).startswith("RIHS01_")
@@ -196,7 +196,7 @@ def test_a_latched_message_from_before_is_recorded_and_played_latched(live, tmp_
     with read_bag(tmp_path / "out.mcap") as bag:
         assert bag.latched_topics == {"/calibration"}
 
-    # Endless, so that the player still runs for the late subscriber.
+    # The player loops endlessly, so that it still runs for the late subscriber.
     player = live.start(*PLAY, str(tmp_path / "out.mcap"), "--loop", "0", "--wait-timeout", "0")
     assert live.observer.wait_for(publishers={"/calibration": 1})
     received = []
@@ -210,7 +210,7 @@ def test_a_latched_message_from_before_is_recorded_and_played_latched(live, tmp_
 
 
 def test_the_clock_is_never_further_behind_a_message_than_its_grid(tmp_path):
-    # No message for 3.7 s, then two at odd times: the grid must go on in between.
+    # No message for 3.7 s, then three at odd times: the ticks of the clock must continue in between.
     factory = RosbagsFactory()
     with BagWriter(tmp_path / "in.mcap") as bag:
         for offset_ns in (0, 1, 3_712_345_678, 3_712_345_679, 3_799_999_999):
@@ -355,7 +355,7 @@ def test_a_type_that_is_missing_or_different_is_skipped(live, tmp_path):
     assert "topic 'thing' is not played: message type other_msgs/msg/Thing is not installed" in printed
     assert live.observer.spin_until(lambda: len(received) == 1)
 
-    # std_msgs/Float64 of another time, whose field was named and sized otherwise.
+    # A definition of std_msgs/Float64 whose field has another name and another size.
     with open(tmp_path / "changed.mcap", "wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")

@@ -65,7 +65,7 @@ def test_a_change_of_rate_does_not_move_the_bag_time_reached():
     clock = PlaybackClock(FAST)
     clock.start_at(0)
     assert clock.wait_until(DAY_NS, is_message=True)
-    # From here on a second takes 31 years: the reached time remains reached, and one day later is not reached.
+    # From here on a bag second takes 31 years: the reached time remains reached, and a later time is not reached.
     clock.change_rate(SLOW / FAST)
     assert clock.wait_until(DAY_NS, is_message=True)
     threading.Timer(0.05, clock.stop).start()

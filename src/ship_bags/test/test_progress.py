@@ -10,7 +10,7 @@ import pytest
 
 from ship_bags.progress import Progress, progress_text, with_count, with_progress
 
-# A command that works for three seconds; with an argument it is then interrupted.
+# A command that works for three seconds; with the argument "interrupted" it is interrupted at the end.
 COMMAND = """
 import sys, time
 from ship_bags.command_line import CommandParser, run_command

@@ -167,7 +167,7 @@ class TestLive:
             clock = recording.graph.node.create_publisher(Clock, "/clock", 10)
             assert recording.graph.spin_until(lambda: clock.get_subscription_count() > 0)
             def at_clock(second: int, seen: Callable[[], bool]) -> None:
-                """Publish a clock and samples until its effect is seen: they come on two connections."""
+                """Publish a clock time and samples, which come on two connections, until the effect is seen."""
                 message = Clock()
                 message.clock.sec = second
                 assert recording.graph.spin_until(lambda: clock.publish(message) or recording.send(1) or seen())
@@ -199,7 +199,7 @@ class TestLive:
         sent = []
 
         def send():
-            # The clock is taken first, and with it alone nothing would have come for long.
+            # The recorder handles the clock before the sample. After the clock alone, the last sample would be too old.
             clock.publish(Clock())
             publisher.publish(Imu(linear_acceleration=Vector3(x=float(len(sent)))))
             sent.append(len(sent))

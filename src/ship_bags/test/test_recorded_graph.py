@@ -30,7 +30,7 @@ def command(module, *arguments):
 
 @pytest.mark.parametrize("name", ["voyage.mcap", "voyage"])
 def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkeypatch):
-    """A folder and a file, with a node that never answers."""
+    """The recording is a file or a folder; one of the nodes never answers."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id = free_domain_id()
     environment = live_environment(domain_id, tmp_path)
@@ -44,7 +44,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
     options = ("-r", "__ns:=/aurora", "--params-file", tmp_path / "suite.yaml", "-p", f"black_box:={tmp_path}/box.mcap")
     node = [sys.executable, "-c", start, "--ros-args", *map(str, options)]
     recorder = command("ship_bags.commands.record", "--out", str(out))
-    # Waits until the recorder has found it, too.
+    # The player waits until both the node and the recorder subscribe.
     waiting = ("--wait-for-subscribers", "ins/imu=2", "--ros-args", "-r", "__ns:=/aurora")
     player = command("ship_bags.commands.play", str(bag), *waiting)
     with (
@@ -52,7 +52,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
         LiveProcess(node, tmp_path / "node.log", environment) as running,
         LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
     ):
-        # In the graph with its services, but without answers.
+        # This node is in the graph with its services, but does not answer.
         unresponsive = rclpy.create_node("unresponsive", context=observer.node.context)
         there = observer.wait_for({"/aurora/ship/attitude": 1}, {"/aurora/ship/attitude": 1, "/aurora/ins/imu": 1})
         assert there, running.log_text() + recording.log_text()
@@ -68,7 +68,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
     config = load_config(ShipAttitudeConfig, text, "/aurora/ship_attitude")
     assert (config.ins.white_sigma_arcsec, config.ins.frame_id) == (2.5, "1e3")
     assert list(config.star_sensors) == ["fore"]
-    # A suite file that was given to another node must not overwrite this one's black box.
+    # A node that gets the attached suite file must not overwrite the black box of the recorded node.
     assert "box.mcap" not in text
     summary = replay(out, tmp_path / "again.mcap", (ShipAttitudeAdapter,), namespace="aurora")
     assert summary.inputs["ins/imu"] == 30

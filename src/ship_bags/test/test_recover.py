@@ -149,7 +149,7 @@ def check_a_flipped_bit(seed, whole, unfinished_recording, tmp_path):
         assert found == sorted(message for message in expected if message not in lost)
         assert names_time_range(recovery.problems, lost), recovery.problems
     else:
-        # Outside the chunks, or in a field without which the chunk can be read.
+        # The bit is outside the chunks, or in a field that is not needed to read the chunk.
         assert found == sorted(expected)
 
 
@@ -162,14 +162,14 @@ def test_damage_in_the_first_chunk_with_the_definitions(unfinished_recording, tm
     source.write_bytes(data)
     recovery = recover(source, recovered_path(source))
     expected = original(unfinished_recording, tmp_path)
-    # Its times are restored with its messages.
+    # The start time of a chunk also follows from its messages.
     lost = 0 if part == "start time" else PER_CHUNK
     assert by_mcap(recovery.path) == sorted(expected[lost:])
 
 
 @pytest.mark.parametrize("byte", range(9))
 def test_any_wrong_byte_in_headers_and_between_chunks(unfinished_recording, tmp_path, byte):
-    """Opcode and length of each kind of record after the third chunk: no message of another chunk is lost."""
+    """A wrong opcode or length of the third chunk, or of a record after it, loses no message of another chunk."""
     chunks = [number for number, (_, opcode, _) in enumerate(places(unfinished_recording)) if opcode == Opcode.CHUNK]
     expected = original(unfinished_recording, tmp_path)
     for offset, opcode, _ in places(unfinished_recording)[chunks[2] : chunks[3]]:
@@ -224,7 +224,7 @@ def names_time_range(problems, lost):
 
 
 def killed_folder(path):
-    """Write a folder of three files, the last of which is unfinished; 240 messages."""
+    """Write 240 messages into a folder of several files, the last one unfinished; return the file names."""
     bag = FolderWriter(path, SplitLimits(size_bytes=4000))
     for number in range(240):
         time_ns = START_NS + number * PERIOD_NS

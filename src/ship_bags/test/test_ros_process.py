@@ -1,4 +1,4 @@
-"""Requested DDS security that is not available: no start. Selection of the Fast DDS profile."""
+"""Without the requested DDS security a node does not start. Selection of the Fast DDS profile."""
 
 import os
 import subprocess
@@ -59,7 +59,7 @@ def test_any_other_spelling_requests_security(spelling: str, strategy: str) -> N
     with pytest.raises(BadInput, match=r"requests DDS security, and the DDS of this installation was built without it"):
         security_environment(demand, has_security=False)
     enforced = strategy in ("Enforce", "enforce")
-    # ROS takes only these spellings for a demand.
+    # ROS accepts only these spellings as a request for security.
     spelled = {ENABLE: "true", STRATEGY: "Enforce"} if enforced else {ENABLE: "true"}
     assert security_environment(demand, has_security=True) == spelled
     if enforced:

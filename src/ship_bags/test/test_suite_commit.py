@@ -1,4 +1,4 @@
-"""Commit of the suite: that of its checkout, and none inside another project's checkout."""
+"""The commit of the suite is that of its own checkout; inside another project's checkout there is none."""
 
 import shutil
 import subprocess

@@ -52,7 +52,7 @@ def chunk_bytes(content, compression, stated, checked=True):
 
 
 def with_chunks(path, *chunks):
-    """Write a bag of a hundred good messages with more chunks after them, unfinished; return the first one's offset."""
+    """Write an unfinished bag of a hundred good messages and then ``chunks``; return the first chunk's offset."""
     data = write_imu_bag(path).read_bytes()
     end = next(offset for offset, opcode, _ in places(data[:-8]) if opcode == Opcode.DATA_END)
     path.write_bytes(data[:end] + b"".join(chunks))
@@ -100,7 +100,7 @@ def test_a_truncated_chunk_without_checksum_is_damaged(tmp_path):
 
 
 def test_too_many_overlapping_chunks_are_refused(tmp_path):
-    """Each is within its limit; together a file of a megabyte would fill any memory."""
+    """Each chunk is within its limit, but overlapping chunks of a file of a megabyte would fill any memory."""
     content = message(20_000_000)
     with_chunks(tmp_path / "a.mcap", *[chunk_bytes(content, "zstd", None)] * 30)
     with (
@@ -111,7 +111,7 @@ def test_too_many_overlapping_chunks_are_refused(tmp_path):
 
 
 def test_an_oversized_chunk_needs_bounded_memory(tmp_path):
-    """Stated size, frame and chunk are consistent; only the limit protects."""
+    """The chunk states 1000 bytes and has no checksum; only the limit bounds the memory."""
     with_chunks(tmp_path / "a.mcap", chunk_bytes(message(600_000_000), "zstd", 1000, checked=False))
     program = f"""
 import resource
@@ -219,7 +219,7 @@ def write_topics(path, count, definition="string data", type_name="std_msgs/msg/
 
 
 def test_time_of_info_grows_linearly_with_the_topics(tmp_path, monkeypatch):
-    """The start of a bag with 65 000 topics, the maximum of MCAP, is found once, not once per topic."""
+    """The start of a bag is determined once, not once per topic; MCAP allows 65 000 topics."""
     calls = []
     start = BagContent.start_ns
     monkeypatch.setattr(BagContent, "start_ns", property(lambda content: calls.append(1) or start.fget(content)))

@@ -70,7 +70,7 @@ def test_dds_without_security_refuses_the_start(has_security, good, monkeypatch)
 
 
 def test_security_of_this_dds_is_detected():
-    """The DDS of the wheels lacks it, that of Ubuntu's packages has it; either is detected."""
+    """The DDS of the wheels lacks security, that of Ubuntu's packages has security; either is detected."""
     assert dds_has_security(loaded_libraries()) in (True, False)
 
 

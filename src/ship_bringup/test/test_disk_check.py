@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[3]
 GB, HOUR_S = 1e9, 3600.0
 FREE = MachineLimits(disk_free_gb=0.0)
 TAIL_S = 2.0
-"""Length of the end that :func:`make_box` adds to its eight seconds: three hundred messages again."""
+"""Time that :func:`make_black_box` adds to the eight seconds by repeating the first 300 messages, s."""
 
 
 def chain_and_inputs(path):
@@ -98,7 +98,7 @@ def test_faster_ins_needs_more_space():
     ("free_gb", "result"), [(30.1, Result.OK), (29.9, Result.WARN), (20.1, Result.WARN), (19.9, Result.FAIL)]
 )
 def test_free_space_limits(free_gb, result):
-    """20 GB in 10 h, and 10 GB to remain."""
+    """10 h need 20 GB, and 10 GB must remain free."""
     limits = Limits(machine=MachineLimits(disk_free_gb=10.0))
     state = DiskState(Path("/box"), 1, round(free_gb * GB))
     (row,) = check_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)

@@ -1,4 +1,4 @@
-"""Time since the last heartbeat, with invented times for which a process waited for a processor."""
+"""Time since the last heartbeat, less the times for which a process waited for a processor."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
 
 class Schedstat:
-    """The file of a process with these waiting times at successive readings, s; an exception is raised."""
+    """The schedstat file of a process: waiting times at successive readings, s, or exceptions that are raised."""
 
     def __init__(self, *waited_s: float | Exception) -> None:
         self._waited_s = list(waited_s)
@@ -46,7 +46,7 @@ def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
 
 
 def test_begin_resets_the_heartbeat_age():
-    """Heartbeats sent in reserve are not evidence of its work."""
+    """Heartbeats that a process sent in reserve are no evidence of its work after ``begin``."""
     heartbeats = HeartbeatSocket()
     process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
     process.heartbeat_age.reset(has_heartbeat=True)

@@ -90,7 +90,7 @@ def test_authority_with_the_same_name_and_another_key(keystore):
 
 
 def test_whole_enclave_of_another_ship(keystore, tmp_path):
-    """It is consistent in itself: certificate, key, signatures and name."""
+    """The enclave is consistent in itself: certificate, key, signatures and name."""
     other = Keystore(tmp_path / "other", OTHER_AUTHORITY, DOMAIN).add(USED)
     monitor = keystore.folder("/demo/monitor")
     shutil.rmtree(monitor)
@@ -270,7 +270,7 @@ def test_ineffective_governance(keystore, right, wrong):
 
 
 def test_outdated_policies(keystore):
-    """Made from code that published one topic less, with its fingerprint: the missing permission is named."""
+    """Policies from code with one topic less, with the fingerprint of that code: the missing permission is named."""
     older = dataclasses.replace(OF_NODE, publishes=OF_NODE.publishes - {"/demo/ship/integrity"})
     keystore.permit(NODE, older)
     texts = [fault.text for fault in keystore_faults(keystore.path, use())]

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="there i
 ROOT = Path(__file__).parents[3]
 DOMAIN = 7
 NODE = "/demo/ship_attitude"
-# Today: openssl gives certificates no other begin; those made by tests begin before this time.
+# An hour from now: certificates by openssl begin when they are made, which must be before this time.
 NOW = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=1)
 RIGHTS = suite_rights(
     [node.adapter for node in check_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")[0]], "demo", False
@@ -142,7 +142,7 @@ def test_private_key_of_the_authority(keystore, place):
     (text,) = texts_of(keystore)
     expected = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
     assert text == f"{path}: {expected}"
-    # It is corrected ashore: a suite can be started again at sea.
+    # The start is not refused, so that a suite can be started again at sea; the key is removed ashore.
     assert require_keystore(keystore.path, KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)) == [text]
     (row, *_) = check_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)
     assert row.result is Result.FAIL

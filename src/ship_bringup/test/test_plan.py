@@ -67,7 +67,7 @@ def test_shared_port_is_reported_before_the_start(suite):
 
 
 def test_suite_of_nmea_nodes_only(tmp_path):
-    """They run alone, for example on a second computer, and the suite ends when both have ended."""
+    """Without estimators, for example on a second computer, the NMEA nodes have the role NODE."""
     path = tmp_path / "suite.yaml"
     path.write_text(NMEA)
     assert roles(make_plan(path, SuiteOptions(namespace="aurora"))) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}

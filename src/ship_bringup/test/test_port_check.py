@@ -42,7 +42,7 @@ def test_free_port_and_port_in_use(look, what):
     node, key, kind, text = HELD[what]
     port = free_port(kind)
     text, name = text.replace("PORT", str(port)), f"{'TCP' if kind is STREAM else 'UDP'} port {port}"
-    for _ in range(2):  # bound, and released
+    for _ in range(2):  # the check binds the port and releases it
         assert look(node, text) == [(Result.OK, f"suite.yaml:4: {key}: {name} is available", "")]
     with socket.socket(socket.AF_INET, kind) as other:
         other.bind(("", port))
@@ -52,7 +52,7 @@ def test_free_port_and_port_in_use(look, what):
         assert (result, advice) == (Result.FAIL, "end that program, or configure another port")
         assert found.startswith(f"suite.yaml:4: {key}: {name} is in use by ")
         assert found.endswith(f"(process {os.getpid()})")
-        # Started by hand, to check the instruments.
+        # The node was started by hand, to check the instruments.
         ((result, found, _),) = look(node, text, "demo", [f"/demo/{node}"])
         assert (result, found) == (Result.NOT_CHECKED, f"suite.yaml:4: {key}: {name} is in use while /demo/{node} runs")
 

@@ -29,7 +29,7 @@ def rights_of(name, **options):
 
 
 def may(rights, action, topic):
-    """True if the permissions of an enclave allow it, read by DDS Security 1.1, 9.4.1.3, and not by our reader."""
+    """True if the permissions allow ``action`` by DDS Security 1.1, 9.4.1.3, read without the suite's reader."""
     grant = ET.fromstring(permissions_text(rights, 7, FIRST, LAST)).find("permissions/grant")
     assert grant.findtext("default") == "DENY"
     assert [rule.tag for rule in grant if rule.tag.endswith("_rule")] == ["allow_rule"]
@@ -66,7 +66,7 @@ def test_only_param_sets_parameters_unless_locked(locked):
             topic = f"rq/demo/{node}/{service}Request"
             publishers = {name for name, rights in every.items() if may(rights, "publish", topic)}
             assert publishers == ({"/demo/param"} if service.endswith("atomically") and not locked else set())
-        # Its own permission to respond remains: without it, ROS could not start the node.
+        # The node keeps its permission to respond, without which ROS could not start the node.
         assert may(every[f"/demo/{node}"], "subscribe", f"rq/demo/{node}/set_parametersRequest")
     assert may(every["/demo/param"], "publish", "rq/demo/ship_attitude/get_parametersRequest")
 
@@ -103,7 +103,7 @@ def test_rights_of_nmea_nodes(tmp_path):
     given = {topic for topic in into.publishes if topic.startswith("/demo/")}
     assert given == {f"/demo/{topic}" for topic in ("ins/imu", "gnss/fix", "reference/s330/imu")}
     assert set(nmea_in_topics(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
-    # No other node may publish them; without nmea_in, a driver of the INS may.
+    # No other node may publish the topics of nmea_in; without nmea_in, a driver of the INS may.
     assert [name for name, rights in every.items() if "/demo/ins/imu" in rights.publishes] == ["/demo/nmea_in"]
     assert "/demo/sensors/ins" in rights_of("two_sensors")
     assert {"/demo/sensors/star_fore", "/demo/sensors/ins"} & set(every) == {"/demo/sensors/star_fore"}

@@ -25,7 +25,7 @@ def program(name, text, role=Role.NODE):
 
 
 def run_suite(*programs, until="", count=1, **limits):
-    """Return exit code and lines of a suite, which its user ends after ``count`` lines that contain a text."""
+    """Return exit code and lines of a suite that the user ends after ``count`` lines that contain ``until``."""
     lines = []
 
     def write(line):
@@ -105,7 +105,7 @@ def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
     assert code == 137
     printed = [line for line in lines if line.startswith("[node]")]
     assert printed == ["[node] from the start", "[node] in reserve"]
-    # Its run time counts from begin(), and its wait in reserve is no run of its own.
+    # The run time of the reserve process counts from begin(); the wait in reserve is not a run.
     assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
         "signal 9, SIGKILL; started again at once (restart 1 in a row)",
         "signal 9, SIGKILL; started again in 1 s (restart 2 in a row)",
@@ -166,7 +166,7 @@ def test_feeder_ends_before_the_nodes():
 
 
 def test_watcher_ends_before_the_player():
-    """Without the bag all inputs would time out, and the alerts would report it."""
+    """If the player ended first, all inputs would time out, and the alerts would report the timeouts."""
     code, lines = run_suite(
         program("node", "import time; time.sleep(1.5)"),
         program("page", WAITS, Role.WATCHER),
@@ -215,7 +215,7 @@ def beat_for(time_s):
 
 
 def test_bad_input_of_a_node_that_has_run_is_retried():
-    """The suite waits for its correction, for example of a parameter file that was changed at sea."""
+    """The suite restarts the node until the input is corrected, for example a parameter file changed at sea."""
     text = BEATS + "beat_for(0.5)\nraise SystemExit(2)"
     code, lines = run_suite(program("node", text), until="node ended", count=3)
     assert code == 2
@@ -223,7 +223,7 @@ def test_bad_input_of_a_node_that_has_run_is_retried():
 
 
 def kill_time_s(line: str) -> int:
-    """Return the time without a heartbeat in the line that reports it; a busy machine checks later."""
+    """Return the time without a heartbeat, s, from the line that reports the kill; a busy machine checks later."""
     killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no heartbeat for (\d) s: killed", line)
     assert killed, line
     return int(killed[1])
@@ -242,7 +242,7 @@ def test_frozen_program_is_reported_killed_and_restarted(how):
     own = [line for line in lines if line.startswith("[suite]")]
     times = re.fullmatch(r"\[suite\] node is frozen: no heartbeat for (\d) s, .*started again in (\d) s", own[0])
     assert times, own
-    # A busy machine checks later; both times are of one look.
+    # A busy machine checks later; both times are from the same check.
     frozen_s, left_s = map(int, times.groups())
     assert frozen_s in (2, 3)
     assert frozen_s + left_s == 4
@@ -321,7 +321,7 @@ def test_standstill_of_the_supervisor_does_not_count():
 
 @pytest.mark.slow
 def test_program_without_processor_time_is_not_frozen():
-    """It shares one core with processes of a thousand times its weight."""
+    """The program shares one core with processes of a thousand times its weight."""
     core = str(min(os.sched_getaffinity(0)))
     hog_text = f"import os\nos.sched_setaffinity(0, [{core}])\nwhile True: pass"
     hogs = [subprocess.Popen([sys.executable, "-c", hog_text]) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""Sums of corrections against filters without the measurements of a window, and with a common error."""
+"""Sums of corrections compared with filters without the measurements of a window or with a common error."""
 
 import numpy as np
 import pytest

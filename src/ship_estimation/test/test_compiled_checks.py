@@ -29,7 +29,7 @@ def test_rotation_steps_and_their_error_equal_numpy() -> None:
     )
     seconds = np.diff(times_ns)[:, None] * 1e-9
     np.testing.assert_allclose(turns, seconds * (0.5 * (rate[1:] + rate[:-1]) - drift), rtol=1e-12)
-    # A quarter of the change, and the error of the mean of two values for a wave of four seconds.
+    # A quarter of the change of the rate, plus the error of the mean rate for a wave with a period of four seconds.
     share = (2.0 * np.pi * seconds / 4.0) ** 2 / 12.0
     change, mean = np.diff(rate, axis=0), 0.5 * (rate[1:] + rate[:-1])
     norms = 0.25 * np.linalg.norm(change, axis=1) + share[:, 0] * np.linalg.norm(mean, axis=1)

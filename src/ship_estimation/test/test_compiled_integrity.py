@@ -17,7 +17,7 @@ CHOSEN = np.array([1, 2, 4])
 
 
 def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
-    """Positive definite matrices, shape (*shape, n, n), of variances between 1e-12 and 1e-8."""
+    """Return positive definite matrices, shape (*shape, n) with n = shape[-1], of variances of 1e-12 to 1e-8."""
     size = shape[-1]
     roots = rng.standard_normal((*shape, size)) * 10.0 ** rng.uniform(-6.0, -4.0, size)
     found: FloatArray = np.swapaxes(roots, -1, -2) @ roots
@@ -40,7 +40,7 @@ def test_separations_and_levels_by_states_equal_numpy(count: int) -> None:
     to_components, by_states = rng.standard_normal((2, 3, 3))
     covariance, parts = covariances(rng, 3), covariances(rng, SOURCES, STATES)
     left_out, mean = covariances(rng, count, STATES), 1e-5 * rng.standard_normal(STATES)
-    # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
+    # The subfilters are much less accurate than the main filter, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
     means = mean + 1e-6 * rng.standard_normal((count, STATES))
     k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count)), np.arange(count)[::2]
@@ -69,7 +69,7 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
     rng, count = np.random.default_rng(seed), 1 + seed % 6
     k = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count))
     variance_0 = 10.0 ** rng.uniform(-12.0, -8.0, 3)
-    # Some without separation, some more accurate without the source.
+    # Some subfilters have no separation, some have a smaller variance than the main filter.
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
     for subfilters in ([*range(count)], [*range(count)][::2]):

@@ -1,7 +1,7 @@
 """The compiled steps against the same formulas in plain numpy and LAPACK.
 
-"Equal" is 1e-13 of the largest number of an array: what two orders of summation may differ by in well-conditioned
-cases, of which the cases here are.
+"Equal" is 1e-13 of the largest number of an array. Two orders of summation may differ by this in well-conditioned
+cases, as here.
 """
 
 import numpy as np
@@ -24,8 +24,7 @@ from ship_estimation.subfilters import (
 )
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
-"""States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals.
-"""
+"""States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals."""
 
 
 def equal(found: np.ndarray, expected: np.ndarray) -> None:
@@ -97,7 +96,7 @@ def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> 
 
 @pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
 def test_propagated_states_equal_numpy(dt_s: float) -> None:
-    """A single time is compiled, several are not; white noise, a random walk and two Gauss–Markov states."""
+    """Compiled code computes a single time, numpy several; white noise, a random walk and two Gauss–Markov states."""
     slow, white = block("slow", [3.0, 2.0], "a", time_s=[1800.0, 2.0]), block("white", [1.0], "b", time_s=0.0)
     model = StateModel([slow, white, block("walking", [5.0], "a", walk=0.1)], noise_sources=[])
     for found, expected in zip(model.transition(dt_s), model.transition(np.array([dt_s])), strict=True):
@@ -165,7 +164,7 @@ def test_updates_of_all_filters_equal_numpy(shape: tuple[int, int, int, int], sh
 
 
 def test_unobserved_rotation_has_no_whitened_innovation() -> None:
-    """Residuals that are independent of a rotation about the third axis."""
+    """The residuals do not depend on a rotation about the third axis."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
     found = subfilter_innovations(means, stack, measured, means[0], by_turn)
@@ -186,7 +185,7 @@ def test_invalid_innovation_covariance_raises(wrong: float) -> None:
 
 
 def test_noise_of_any_memory_layout_is_read() -> None:
-    """A transposed view, as a product of rotations may be."""
+    """The noise is a transposed view, as a product of rotations may be."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())

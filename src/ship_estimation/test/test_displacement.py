@@ -13,10 +13,10 @@ from ship_estimation.recovery.displacements import TOGETHER, Displacements
 from ship_geometry.rotations import ARCSEC
 
 SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC / np.sqrt(5.0)
-"""Noise of a second of a star sensor at 5 Hz: about its line of sight, and across."""
+"""Noise of a star sensor's mean over one second at 5 Hz, rad: about the line of sight, and across."""
 NOISE = np.diag(SIGMA**2)
 HEADING_DRIFT = 2.0 * (72.0 * ARCSEC) ** 2 / 10800.0
-"""Growth of the variance of an INS's heading with 72″ and 10 800 s, rad²/s: that of a Gauss-Markov process."""
+"""Growth of the variance of the INS heading, a Gauss-Markov process with 72″ and 10 800 s; rad²/s."""
 DRIFT = np.diag([1e-14, HEADING_DRIFT, 1e-14])
 EXPECTED = (2.0 * ARCSEC) ** 2 * np.eye(3)
 
@@ -51,7 +51,7 @@ def test_noise_and_drift_are_no_step() -> None:
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 120.0, -3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
-    """The INS's heading drifts by a similar amount within this hour (its sigma after an hour is 50″)."""
+    """The INS heading drifts by a similar amount within this hour: the sigma of the simulated drift is then 59″."""
     found = displaced_each_second(turn_between(arcsec, 20, 4000, 3600), seed)
     assert not any(found[:20])
     assert all(found[22:])
@@ -69,7 +69,10 @@ def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: floa
 
 @pytest.mark.parametrize("part", [0.5, 0.7])
 def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
-    """A return by 0.7 of 120″ leaves 36″; of 60″ it would leave 18″, 4 sigmas of two steps of one sensor."""
+    """A return by 0.7 of 120″ leaves 36″.
+
+    A return by 0.7 of 60″ would leave 18″, 4 sigmas of two steps of one sensor.
+    """
     turns = turn_between(120.0, 20, 100, 300) + turn_between(120.0 * (1.0 - part), 100, 300, 300)
     assert all(displaced_each_second(turns, 1)[22:])
 
@@ -167,7 +170,10 @@ def test_source_that_moves_by_itself_is_isolated(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_poorly_observed_rotation_ends_with_the_common_one(seed: int) -> None:
-    """The rotation is 20″ about East. The other sensor returns during it, and observes what the first could not."""
+    """The rotation is 20″ about East, the line of sight of star.starboard.
+
+    This sensor returns during the rotation and can hardly observe it.
+    """
     rng, found, turn_n = np.random.default_rng(seed), Displacements(), np.array([0.0, 0.0, 20.0 * ARCSEC])
     for second in range(140):
         for name, sight_n, from_s in (("star.fore", FORE, 0), ("star.starboard", STARBOARD, 60)):

@@ -19,7 +19,7 @@ HOURS = float(os.environ.get("NOISE_HOURS", "0.5"))
 
 
 def noisy(samples: list[AttitudeSample], sigma_arcsec: float, first: int) -> list[AttitudeSample]:
-    """Return the samples with more attitude noise from one number on."""
+    """Return the samples with additional attitude noise from sample number ``first`` on."""
     turns = exp_rotation(sigma_arcsec * ARCSEC * np.random.default_rng(3).standard_normal((len(samples), 3)))
     return [
         replace(sample, rotation_nd=turn @ sample.rotation_nd) if number >= first else sample

@@ -20,7 +20,7 @@ NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 class FilterBank:
     """An angle about each axis with a random walk, measured by sensors whose mounting is estimated.
 
-    A subfilter leaves out each sensor and, with ``pairs``, each two.
+    The subfilters leave out each sensor and, with ``pairs``, each pair of sensors.
     """
 
     def __init__(self, sensors, pairs=False):
@@ -90,7 +90,7 @@ def _before_shifts(seed, sensors, pairs):
 
 
 def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
-    """Return the epochs after the shifts until a fault is detected, and the sensors first isolated; None without one.
+    """Return the epochs from the shifts to a detected fault, and the sensors isolated first; None without a fault.
 
     Args:
         seed: of the noise.
@@ -121,7 +121,7 @@ def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(shift, sensor
 
 
 def test_small_shifts_are_isolated_within_seconds():
-    """Shifts of 4 σ of one measurement: no single innovation detects them, their mean does."""
+    """Shifts of 4 σ of one measurement: no single innovation detects them, but the mean of several innovations does."""
     found = [_voyage(seed, 3, {1: 12.0}) for seed in range(8)]
     assert [named for _, named in found] == [(1,)] * 8
     assert max(epochs for epochs, _ in found) <= 50
@@ -145,7 +145,7 @@ def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pair
 
 @pytest.mark.parametrize("shift", [12.0, 30.0, 1e4])
 def test_single_fault_is_preferred_over_pairs(shift):
-    """A pair explains whatever a single source of it does."""
+    """The subfilter without a pair explains every fault that the subfilter without one source of the pair explains."""
     assert [_voyage(seed, 4, {1: shift}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
 
 
@@ -157,14 +157,14 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
     uses = np.array([[True] * 3, [False, True, True], [True, False, True], [False, False, True]])
     seen = initial_means(4, 3)
     seen.last_measured_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
-    # The third subfilter, of one source, is consistent: it may still explain the fault.
+    # Filter 2, the subfilter without the second source, is consistent: it may still explain the fault.
     assert isolate_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter is None
     seen.excess[2, 0] = 1.1
     assert isolate_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == 3
     agrees = initial_means(4, 3)
     agrees.last_measured_ns[:] = 0
     for far, expected in ((6.0, 3), (5.2, None)):
-        # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
+        # The separations of the subfilters without one source are nearly equal and below the threshold.
         assert (
             isolate_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter
             == expected
@@ -172,7 +172,7 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
 
 
 def test_separation_isolates_nothing_after_a_rejection():
-    """The main filter has not used a measurement of a subfilter: their covariances do not bound their separation."""
+    """The main filter has not used a measurement that a subfilter used: the covariances do not bound the separation."""
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = initial_means(3, 2)
     seen.last_measured_ns[:] = 0
@@ -236,7 +236,7 @@ def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
 
 
 def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanished():
-    """60 s after the mean over 20 measurements is below a half, which takes ln(2) 21/2 = 7 of them."""
+    """The time of 60 s begins when the mean over 20 measurements is below 0.5, after ln(2) 21/2 = 7 measurements."""
     means, exclusion = initial_means(1, 1), ExcludedSource(since_ns=0, offset=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
         share = 1.0 if second < 100 else 0.07
@@ -248,7 +248,7 @@ def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanishe
 
 @pytest.mark.parametrize("gross", [np.nan, np.inf, -1e6, 1e6])
 def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
-    """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
+    """After eight gross errors the mean over 20 is 1.1, and after eight correct measurements 0.5 again."""
     exclusion, agreed = ExcludedSource(since_ns=0, offset=np.array([0.0, 30.0, 0.0]), remaining_offset_ratio=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):
         exclusion, _ = evaluate_reinstatement(exclusion, initial_means(1, 1), 0, second * SECOND_NS, 60.0, share)

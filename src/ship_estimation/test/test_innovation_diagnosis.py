@@ -33,7 +33,7 @@ MINUTE = 300
 
 
 def attitude(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
-    """Decision k about an attitude: residual of its noise (sigma 1) and of the prediction's error; gated."""
+    """Return decision ``k`` about an attitude; the residual is ``noise`` times the sigmas, plus a prediction error."""
     stated = np.diag(SIGMA**2)
     covariance = stated + PREDICTED_SIGMA**2 * np.eye(3)
     predicted = PREDICTED_SIGMA * np.random.default_rng([77, k]).standard_normal(3)
@@ -52,7 +52,7 @@ def attitude(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
 
 
 def exposure(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
-    """Decision k about stars with noise of sigma 1, shape (8, 2): outliers are rejected, as the selection does."""
+    """Return decision ``k`` about stars with ``noise`` in sigmas, shape (8, 2); outliers are rejected."""
     squares = np.sum(noise**2, axis=-1)
     kept = squares < 16.0
     # The worst are rejected until the others are consistent.
@@ -101,7 +101,8 @@ def test_consistent_attitudes_are_as_stated(count: int) -> None:
     """120 windows: the stated probability of another result is one in a million."""
     found = [of_attitudes(white(seed, count)) for seed in range(40)]
     assert {one.kind for one in found} == {DiagnosisKind.AS_STATED}
-    # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n: 3.3 of them, halved for sigma.
+    # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n. The limit is 3.5 of these sigmas,
+    # halved because the factor is the root of chi².
     assert all(abs(one.factor - 1.0) < 0.5 * 3.5 * 1.05 / np.sqrt(count) + 0.02 for one in found)
     inside = [one.nis_band[0] < one.nis < one.nis_band[1] for one in found if one.nis_band]
     assert len(inside) == 40
@@ -180,7 +181,7 @@ def test_shifted_sensor_with_all_measurements_rejected_is_biased() -> None:
 
 
 def test_common_prediction_error_of_an_excluded_source_is_no_bias() -> None:
-    """The filter without it may have an error of two of its sigmas, 2″, while the source is excluded."""
+    """The filter without the source may have an error of two sigmas, 2″, while the source is excluded."""
     noise = white(16)
     noise[:, 1] += 2.0 / 3.0
     decisions = [attitude(k, row) for k, row in enumerate(noise)]

@@ -48,7 +48,7 @@ def test_old_and_surplus_innovations_are_dropped() -> None:
 @pytest.mark.parametrize("far", [0, 20, 60])
 @pytest.mark.parametrize("count", [29, 101, 150])
 def test_factor_is_by_the_median_or_the_lower_quartile(count: int, far: int) -> None:
-    """Two parts in each; some are rejected, and some innovations are mostly prediction error."""
+    """Each innovation has two parts; some parts are rejected, and some innovations are mostly prediction error."""
     rng = np.random.default_rng([count, far])
     squares = 2.0 * rng.chisquare(2, (count, 2))
     squares[:far, 1] = np.inf

@@ -206,7 +206,7 @@ def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None
 
 @pytest.mark.parametrize("per_min_arcsec", [0.0, 100.0, 200.0])
 def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_min_arcsec: float) -> None:
-    """Its correlated error walks by 0.3″ in a second, as that of a tilt; after a hundred seconds it also drifts."""
+    """The INS error walks by 0.3″ in a second, as a tilt error does; after a hundred seconds the INS also drifts."""
     samples, rng = stream(140.0, 50.0), np.random.default_rng(4)
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
     drifts_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
