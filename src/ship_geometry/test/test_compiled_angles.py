@@ -1,6 +1,6 @@
 """Compiled conversions of attitudes against the same functions for arrays in plain numpy.
 
-"Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
+"Equal" allows a difference of 1e-13, in radians or without a unit; covariances are of unit size.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """The compiled axis geometry of a mount on a ship against plain numpy and finite differences.
 
-"Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
+"Equal" allows a difference of 1e-13, in radians or without a unit; covariances are of unit size.
 """
 
 from typing import Any
@@ -66,7 +66,7 @@ def test_derivatives_equal_finite_differences() -> None:
 
 
 def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
-    """Return the arguments of pointings: arrays of N, and the estimate."""
+    """Return the arguments of ``pointings``: the arrays with one row for each reading, and those of the estimate."""
     rng = np.random.default_rng(RNG_SEED)
     errors, rotations, rates, angles = drawn_states()
     roots = rng.standard_normal((COUNT, 3, 3))

@@ -1,4 +1,4 @@
-"""The mean over an exposure against averages of true motions, and the noise by the samples."""
+"""The mean over an exposure against averages of true motions, and the noise of the mean due to the samples."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ CREST_S = 2.75
 
 
 def roll(time_s: np.ndarray) -> np.ndarray:
-    """Roll of 4° in 11 s, rad."""
+    """Roll with an amplitude of 4° and a period of 11 s, rad."""
     return np.deg2rad(4.0) * np.sin(2.0 * np.pi * np.asarray(time_s) / 11.0)
 
 
@@ -66,7 +66,7 @@ def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None)
 @pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, True), (100.0, False), (20.0, True), (5.0, True)])
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2, 0.5])
 def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, exposure_s):
-    """Angular acceleration and the centripetal part together, for directions in the rotating body."""
+    """Angular and centripetal acceleration both move the mean direction in the rotating body."""
     middle_ns = 33_000_000
     turning = exposure_motion(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
     seen = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]

@@ -1,4 +1,4 @@
-"""Angles, matrices and covariances of a device frame (models.md §1), against its printed matrices, scipy and draws."""
+"""Angles, matrices and covariances of a device frame against the matrices printed in models.md §1, scipy and draws."""
 
 import numpy as np
 import pytest
@@ -153,7 +153,7 @@ def test_installation_case_of_models_section_3(azimuth_deg: float, expected_arcs
 
 COVARIANCE_N = np.array([[100.0, 30.0, -8.0], [30.0, 400.0, 20.0], [-8.0, 20.0, 25.0]]) * ARCSEC**2
 DRAWS = 200_000
-# Of a sample covariance of this many draws, relative to the variances.
+# Standard error of a sample covariance from this number of draws, relative to the variances, times five.
 FIVE_STANDARD_ERRORS = 5 * (2 / DRAWS) ** 0.5
 
 
