@@ -1,5 +1,4 @@
-"""Interpolation of vectors: exact for constant acceleration, the short way round for angles, in any order of
-arrival."""
+"""Interpolation of vectors: exact for constant acceleration, the short way round for angles, any order of arrival."""
 
 import itertools
 

@@ -53,7 +53,7 @@ def test_refraction_raises_it():
     direction_n = directions(STAR, TIME_NS, SHIP, ORIENTATION)
     for model, angle_arcsec in (("almanac", 59.344), ("erfa", 59.74)):
         angle = refraction(model, elevation_of(direction_n), WEATHER).angle
-        # The expected values are for E = 42.2207°, 25" higher than this star: its refraction is 0.014" larger.
+        # The expected values are for E = 42.2207°. This star is 25" lower, where the refraction is 0.014" larger.
         assert angle / ARCSEC == pytest.approx(angle_arcsec + 0.014, abs=0.005)
         assert shift_arcsec(direction_n, raised_directions(direction_n, angle)) == pytest.approx(
             [0.0, angle / ARCSEC], abs=1e-6

@@ -220,8 +220,7 @@ def test_each_namespace_has_its_own_file(monkeypatch, tmp_path):
 
 
 def test_alerts_are_in_the_recording(start, tmp_path):
-    """The bag contains a message for each state of an alert, also for a state before the recorder discovered the
-    node."""
+    """Each state of each alert is a message in the bag, also a state from before the recorder discovered the node."""
     limits = tmp_path / "limits.yaml"
     limits.write_text("alerts: {start_s: 4.0, escalate_after_s: 3.0}\n")
     start("--limits", str(limits), "--state", str(tmp_path / "alerts.json"))
