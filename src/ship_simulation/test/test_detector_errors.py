@@ -67,7 +67,7 @@ def test_each_pixel_has_its_own_error():
 
 @pytest.mark.parametrize("kind", ["field_spatial_sigma_px", "pixel_spatial_sigma_px"])
 def test_centroids_of_a_run_contain_constant_detector_errors(kind: str):
-    """Centroids without noise, minus the true points, are the errors of one detector, for any stretches."""
+    """Centroids without noise, minus the true points, are the errors of one detector at all times."""
     camera = {kind: 0.3, "centroid_sigma_px": 1e-6}
     run = simulate(with_sensor(paper_stars(), camera=camera), seed=5)
     sightings, detector = run.stars["fore"], run.scenario.star_sensors["fore"].camera
