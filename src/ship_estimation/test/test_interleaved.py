@@ -1,4 +1,4 @@
-"""Interleaved streams: detected if there are two, never in healthy streams, and not after one has ended."""
+"""Two interleaved streams are detected; a healthy stream is one, also after the other stream has ended."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,7 +15,7 @@ LEAST = 40.0 * ARCSEC
 
 
 def stream_distances(samples: list[AttitudeSample]) -> list[float]:
-    """Return the distance of two streams after each sample."""
+    """Return the detected distance of two streams after each sample, 0 for one stream."""
     streams, distances = InterleavedStreams(LEAST), []
     for sample in samples:
         streams.add(sample.time_ns, sample.rotation_nd.ravel())

@@ -184,7 +184,7 @@ def test_late_sample_applies_dependent_measurements_again() -> None:
                 estimator.add_sample(10 if what == "s" else 20, 0.3 if what == "s" else 0.4)
     assert late.shell.state != START
     assert [decision.measurement.time_ns // MS for decision in prompt.decided] == [30]
-    # A newest sample changes no final value; one within the track does.
+    # A sample after all others changes no final value; a sample between others does.
     late.add_sample(15, 0.9)
     prompt.add_sample(15, 0.9)
     late.add_sample(40, 0.9)

@@ -24,7 +24,7 @@ def ship_rotation(time_s: float) -> np.ndarray:
 
 
 def ship_rate(time_s: float) -> np.ndarray:
-    """Angular velocity in the deck frame by scipy over ± 0.1 ms: good to 1e-10 rad/s."""
+    """Return the angular velocity in the deck frame, by differences over ± 0.1 ms, to 1e-10 rad/s."""
     turn = ship_rotation(time_s - 1e-4).T @ ship_rotation(time_s + 1e-4)
     return Rotation.from_matrix(turn).as_rotvec() / 2e-4
 

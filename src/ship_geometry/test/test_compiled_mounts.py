@@ -138,7 +138,7 @@ def test_result_does_not_depend_on_the_block() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     of_each, estimate = readings(13)
     parts = np.zeros((2, 3, 3, 3))
     calls = [

@@ -96,7 +96,7 @@ def test_directions_and_angles_broadcast() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     stars, coefficients, sigmas, turns = some_stars(), TWO_TERMS, SIGMAS["erfa"], np.zeros((3, 3))
     for arguments in (
         (stars[:, :2].copy(), coefficients, sigmas, turns),

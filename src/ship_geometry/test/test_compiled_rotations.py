@@ -223,7 +223,7 @@ def numpy_composed_attitude(links: FloatArray, fixed: FloatArray, clocks: FloatA
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     calls = [
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),

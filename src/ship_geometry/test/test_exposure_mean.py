@@ -9,7 +9,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 SECOND_NS = 1_000_000_000
-# At the largest roll, with the largest angular acceleration.
+# Time of the largest roll, where the angular acceleration is largest.
 CREST_S = 2.75
 
 
@@ -19,7 +19,7 @@ def roll(time_s: np.ndarray) -> np.ndarray:
 
 
 def attitude(time_s: float) -> np.ndarray:
-    """A ship that rolls, pitches and turns."""
+    """Return the attitude of a ship that rolls, pitches and turns."""
     heading, pitch = np.deg2rad(3.0 * time_s), np.deg2rad(5.0) * np.sin(2 * np.pi * time_s / 6.0)
     return rotation_from_angles(heading, pitch, np.deg2rad(10.0) * np.sin(2 * np.pi * time_s / 8.0 + 0.3))
 
@@ -84,7 +84,7 @@ def test_the_rate_is_that_of_the_mean_and_holds_little_of_the_noise():
     for _ in range(100):
         turning = exposure_motion(track(100.0, True, ARCSEC * rng.standard_normal((201, 3))), middle_ns, nodes)
         noisy.append(turning.rate - (true[1] - true[0]) / 0.25)
-    # 99.9 % of chi-square with 300 degrees of freedom: RMS/sigma in [0.87, 1.14]; between samples sigma is less.
+    # 99.9 % of chi-square with 300 degrees of freedom: RMS/sigma in [0.87, 1.14]; between the samples sigma is smaller.
     assert np.sqrt(np.mean(np.square(noisy))) < 1.14 * np.sqrt(2.0) / 0.25 * ARCSEC
 
 

@@ -141,7 +141,7 @@ def test_b_and_its_inverse_undo_one_another() -> None:
     ("azimuth_deg", "expected_arcsec"), [(0.0, (35.01, 49.75, 61.64)), (90.0, (141.42, 0.0, 100.0))]
 )
 def test_installation_case_of_models_section_3(azimuth_deg: float, expected_arcsec: tuple[float, ...]) -> None:
-    """Star sensor at As 235°, Es 45°, roll 90°, installed at E0 35°; 100″ about its boresight (models.md §3)."""
+    """Star sensor at As 235°, Es 45°, roll 90°, installed at E0 35°, with 100″ about its boresight (models.md §3)."""
     star = np.deg2rad([235.0, 45.0, 90.0])
     rotation_ns = rotation_from_angles(*star)
     rotation_ds = rotation_from_angles(np.deg2rad(azimuth_deg), np.deg2rad(35.0), 0.0)

@@ -1,4 +1,4 @@
-"""Star directions against ERFA's complete function, and the effect of each pitfall of models.md §2."""
+"""Star directions against ERFA's atco13, and the effect of each pitfall of models.md §2."""
 
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -48,7 +48,7 @@ def random_sky(seed, count):
 
 
 def by_atco13(stars, times_ns, observer, orientation):
-    """Return the directions by ERFA's complete function, from UTC; without air (pressure zero)."""
+    """Return the directions by ERFA's atco13, from UTC; without air (pressure zero)."""
     days, rest_ns = np.divmod(times_ns, DAY_NS)
     minutes, within_ns = np.divmod(rest_ns, 60 * SECOND_NS)
     # From calendar dates, because ERFA stretches the day of a leap second.
@@ -186,7 +186,7 @@ def test_position_is_brought_from_1991_to_2000_along_a_great_circle():
 
 
 def test_proper_motion_and_parallax_reach_the_direction():
-    # The part that atciqz omits.
+    # Proper motion and parallax are the part that atciqz omits.
     orientation, ship = TABLE.at(TIME_NS), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     still = fixed_stars(1.0, 0.5)
     moving = replace(still, pm_declination=np.array(0.1 * ARCSEC))

@@ -177,7 +177,7 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
 
 @pytest.mark.smoke
 def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
-    """A node's ended black box is a warning; /diagnostics contains the functions with their losses."""
+    """A node's ended black box is a warning; /diagnostics reports which functions are lost."""
     start("--state", str(tmp_path / "alerts.json"))
 
     def look():

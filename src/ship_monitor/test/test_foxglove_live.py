@@ -80,7 +80,7 @@ def subscribe(client, topic):
 
 
 def receive(client, ship, topic, message):
-    """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
+    """Subscribe to a topic of the ship, and publish a message until it arrives: later messages then arrive too."""
     subscribe(client, topic)
     ship.publish(topic, message)
     client.wait_until(lambda: client.received or ship.publish(topic, message))

@@ -178,7 +178,7 @@ def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
 
 
 def test_impossible_time_is_an_error(listening):
-    """The status depends on published messages: sentences of 2014 give none today."""
+    """The status depends on published messages: sentences of 2014 give no message today."""
     node = listening({"seapath": udp("ins", silent_after_s=0.5)})
 
     def error_text():

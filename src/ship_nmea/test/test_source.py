@@ -39,7 +39,7 @@ def published_topics(source, line, arrival_ns, now_ns=0, *sender):
 
 
 def test_backward_jump_of_node_time_resets_the_instrument(source):
-    """A bag that is played in a loop; without a reset no attitude would be later than the last one."""
+    """A bag is played in a loop: without a reset, attitudes of the second pass would be rejected as not later."""
     ins = source(becomes="ins")
     for _ in range(2):
         for seconds in range(3):
@@ -247,7 +247,7 @@ def test_datagrams_dropped_by_the_system_are_counted():
         for _ in range(count):
             sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
         read = sum(1 for _ in iter(link.read, (b"", "")))
-        # The count comes with the next datagram.
+        # The system reports the number of dropped datagrams with the next datagram.
         sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
         assert link.read()[0]
     assert link.dropped_count > 0

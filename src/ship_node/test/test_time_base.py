@@ -111,8 +111,8 @@ def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: f
 
 @pytest.mark.parametrize("step_s", [-1.0, -5.0])
 def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float) -> None:
-    """The star sensor steps alone and ends two seconds later; then a link delays all others permanently by the same
-    time.
+    """The star sensor steps alone and times out two seconds later; then a link delays all other inputs permanently by
+    the size of the step.
     """
 
     def delay_s(topic: str, valid_s: float) -> float:

@@ -87,7 +87,7 @@ def test_a_too_narrow_prior_is_detected() -> None:
 
 
 def next_voyage(calibration_run: SimulatedRun) -> Scenario:
-    """The same ship with the same installation and clock, another day: other errors of the INS and other noise."""
+    """Return a voyage of the same ship with the same installation and clock, but other INS errors and noise."""
     truth = calibration_run.truth
     sensors = {}
     for id_, sensor in calibration_run.scenario.star_sensors.items():

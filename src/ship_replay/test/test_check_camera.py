@@ -44,7 +44,7 @@ def mount_scenario(identified):
 
 
 def simulate_bag(folder, scenario, seed=1):
-    """A bag of a scenario with exact optics, and its suite configuration with the errors of a surveyed lens."""
+    """Return a bag of a scenario with exact optics, and its suite configuration with the default errors of optics."""
     make_optics_exact(scenario)
     (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
     bag = folder / f"bag_{seed}.mcap"

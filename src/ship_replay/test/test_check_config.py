@@ -138,7 +138,7 @@ def test_a_bag_in_a_namespace(check, tmp_path):
 
 
 def test_names_are_checked_as_by_a_node(check, tmp_path):
-    """A section without wildcard does not fit a node in a namespace, nor a section of a namespace one outside."""
+    """A section without a wildcard fits no node in a namespace; a section of a namespace fits no node outside it."""
     bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
     code, lines, _ = check(GOOD, bag, "--namespace", "palmer")
     assert code == 2
@@ -228,7 +228,7 @@ def test_a_topic_missing_for_two_nodes_is_reported_once_with_both(check, tmp_pat
 
 
 def test_a_camera_out_of_range_is_reported_once(check):
-    """Without the value there would be no camera: no second error about that."""
+    """Without this value there would be no camera, but there is no second error about a missing camera."""
     text = STARS.partition("star_attitude:")[0].replace(
         "input: solution}", "input: observations, camera: {focal_length_m: 50.0, pixel_pitch_m: 5.5e-6}}"
     )

@@ -1,5 +1,4 @@
-"""Errors of the estimated σ and τ of a Gauss-Markov INS are consistent with their stated sigmas, over many records.
-
+"""Errors of the estimated σ and τ of a Gauss-Markov INS are consistent with their stated sigmas over many records.
 
 In the first test records are drawn with an exponential covariance; :func:`log_likelihoods` computes their likelihood
 from the first value and the steps. In the second test records go through the filter and the fit of

@@ -129,8 +129,9 @@ def test_a_star_sensor_alone_is_rotated_to_the_deck_by_its_nominal_installation(
     assert values["star.fore.samples"] == 1
     assert values["star.fore.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
     assert values["star.fore.pitch.rms_arcsec"] == pytest.approx(0.0, abs=1e-6)
-    # Installation: 20, 1, 1 arcsec about forward, up, right; the boresight is 40° up. About the vertical axis:
-    # 20² sin²40° + 1² cos²40° (up and right equal), and 1 for the noise; level ship: heading is about Up.
+    # Installation: 20, 1, 1 arcsec about forward, up, right; the boresight is 40° up. The variance about the vertical
+    # axis is 20² sin²40° + 1² cos²40° (sigmas about up and right are equal), and 1 for the noise. The ship is level, so
+    # heading is about Up.
     vertical = 400.0 * np.sin(np.deg2rad(40.0)) ** 2 + np.cos(np.deg2rad(40.0)) ** 2 + 1.0
     assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(vertical))
 

@@ -58,7 +58,7 @@ MOUNTING_SHIFT = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, e
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Forty seconds of the demonstration, its INS at a quarter of its rate."""
+    """Forty seconds of the demonstration with the INS at a quarter of its rate."""
     folder, text = tmp_path_factory.mktemp("bags"), (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
     assert "  rate_hz: 100.0\n" in text
     (folder / "demo.yaml").write_text(text.replace("  rate_hz: 100.0\n", "  rate_hz: 25.0\n"), encoding="utf-8")
@@ -385,7 +385,7 @@ def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
 
 
 def test_own_faults_among_rejections():
-    """A star rejected by the gate, or without a known position, may be correct; a rejected fix is not."""
+    """Stars rejected by the gate, or for lack of a position fix, may be correct; a rejected fix is not."""
     stars = {"gate": 3, "attitude_conflict": 1, "gap": 1, "no_fix": 1}
     assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, stars) == []
     assert report_indications(HealthHistory(), 1, "theodolite/beacons", 9, stars) == []

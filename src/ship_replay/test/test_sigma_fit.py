@@ -121,7 +121,7 @@ def test_an_hour_of_consistent_innovations_is_as_stated() -> None:
 
 
 def test_three_percent_are_as_stated() -> None:
-    """Over an hour the band of all together would be 1 ± 0.01; no sigma is stated so exactly."""
+    """Over an hour the band of all innovations together would be 1 ± 0.01; no sigma is stated so exactly."""
     fit = nis_fit("star.bow", innovations(1, [1.03] * 60))
     assert fit.ratio == pytest.approx(1.03, abs=0.01)
     assert fit.words == f"σ as stated ({fit.ratio:.2f})"

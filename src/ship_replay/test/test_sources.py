@@ -53,7 +53,7 @@ def error_message(stamp_ns):
 
 
 def write_run(path, errors_arcsec, modes):
-    """Pointings 1 s apart towards North at an elevation, with errors of azimuth, elevation and rotation."""
+    """Write pointings 1 s apart towards North at 60° elevation, with errors of azimuth, elevation and rotation."""
     elevation = np.deg2rad(60.0)
     covariance_n = rotation_vector_covariance(np.diag((SIGMA_ARCSEC * ARCSEC) ** 2), 0.0, elevation)
     with BagWriter(path) as bag:

@@ -94,7 +94,7 @@ def test_correlated_rate_errors_have_the_configured_sigma_and_correlation_time()
 
 
 def test_gyroscopes_at_rest_measure_the_earth_rate():
-    """At 30° north with the bow to the East, half the Earth rate is about Up, the rest about North, which is port."""
+    """At 30° north with the bow to the East, half the Earth rate is about Up, and 0.87 of it about North (port)."""
     still = paper(duration_s=1.0)
     carrier = dataclasses.replace(still.carrier, heading=AngleMotion(90.0), pitch=AngleMotion(), roll=AngleMotion())
     still = dataclasses.replace(still, carrier=carrier, position=Position(latitude_deg=30.0))

@@ -23,7 +23,7 @@ def draw_errors(seed: int, field_px: float = 0.0, pixel_px: float = 0.0) -> Dete
 def test_the_field_errors_covariance_is_the_stated_one():
     """Variances at three positions, u and v, over 600 seeds, and the correlation of each pair.
 
-    Expected: exp(-d²/(2 · 1.5²)), d in half sides, less the mean over the detector, by sums over a grid.
+    The expected covariance is exp(-d²/(2 · 1.5²)), d in half sides, less the mean over the detector (sums over a grid).
     """
     side = (np.arange(40) + 0.5) / 20.0 - 1.0
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
