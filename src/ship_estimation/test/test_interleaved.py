@@ -1,4 +1,4 @@
-"""Two interleaved streams are detected; a healthy stream is one, also after the other stream has ended."""
+"""Two interleaved streams are detected; a healthy stream counts as one, also after a second stream has ended."""
 
 from dataclasses import replace
 from typing import Any

@@ -145,7 +145,7 @@ def test_one_second_of_ut1_is_fifteen_arcseconds():
 
 
 def test_own_velocity_is_10_mas_at_15_metres_per_second():
-    # Aberration: a star at a right angle to the velocity moves by v/c in its direction; a star ahead does not move.
+    # Aberration: a star at a right angle to the velocity moves by v/c along the velocity; a star ahead does not move.
     stars, _, _ = random_sky(8, 50)
     still = Observer(GeodeticPosition(0.6, 2.0, 0.0))
     under_way = replace(still, velocity_n_m_per_s=np.array([9.0, 0.0, 12.0]))

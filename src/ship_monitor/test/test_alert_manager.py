@@ -90,7 +90,8 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
         (60.0, "encoder.out", "encoder", Priority.ALARM),
     ):
         time_s, change = voyage.first(id_)
-        # The alert comes two seconds after the filter can detect the fault; the encoder's timeout is two seconds.
+        # The alert comes at most two seconds after the filter can detect the fault; the encoder's timeout is two
+        # seconds.
         assert start_s < time_s <= start_s + 2.0 + 2 * LOOK_NS / NS_PER_S
         assert (change.alert.source, change.alert.priority) == (source, priority)
     named = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}

@@ -288,7 +288,7 @@ def test_repeated_own_rejections_precede_later_exclusions():
     exclusions = [("star.bow", 10.5, EXCLUSION), ("star.port", 10.5, EXCLUSION)]
     assert named_sources(*ins, *exclusions) == {"ins"}
     assert named_sources(*exclusions, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
-    # A single rejection is no pattern. The gate compares a star sensor with the others, which may be faulty themselves.
+    # A single rejection is no pattern. The gate compares a star sensor with other sources, which may be faulty.
     assert named_sources(ins[0], *exclusions) == {"star.bow", "star.port"}
     assert named_sources(*STARS_REJECTED, *ins) == {"ins"}
     assert named_sources(
