@@ -237,7 +237,7 @@ def test_start_of_a_rotation_is_no_step() -> None:
 
 @pytest.mark.slow
 def test_changed_rate_noise_applies_at_once() -> None:
-    """With a configured rate noise of 60″/s the line before the step is shorter, and steps of 14″ are detected."""
+    """A configured rate noise of 60″/s makes the line before the step shorter, and steps of 14″ are detected."""
     first = number_at(100.0)
     counts = []
     for sigma in (0.0, 60.0):

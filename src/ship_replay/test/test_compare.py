@@ -150,7 +150,7 @@ class TestAnotherConfiguration:
         assert [float(b) / float(a) for a, b in cells] == pytest.approx([3.0] * 3, rel=0.1)
 
     def test_safe_share(self, pair):
-        """With three times the noise the 95 % error of pitch is 1.96 · 3″, always over the limit of 3″."""
+        """The 95 % error of pitch with three times the noise is 1.96 · 3″, always over the limit of 3″."""
         assert pair.b.recording.seconds("pitch")[Safety.SAFE] == 0
         assert pair.a.recording.seconds("pitch")[Safety.SAFE] > 0
         assert any(re.match(r"A was SAFE longer in .*pitch", text) for text in sentences(pair))
