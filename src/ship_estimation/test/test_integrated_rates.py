@@ -1,4 +1,4 @@
-"""Steps of an INS attitude against its own rates: detected, located, with the right size."""
+"""Steps of an INS attitude against the rates of the same INS: detection, time and size of each step."""
 
 import os
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ NOTHING_LATE = AttitudeTrack(500_000_000)
 
 
 class CheckedStream(NamedTuple):
-    """Result of the checks of a run: numbers of the rejected samples, jumps by the number of the reporting sample."""
+    """Indices of the rejected samples of a run, and jumps by the index of the sample that reported them."""
 
     rejected: list[int]
     jumps: dict[int, tuple[InsJump, ...]]
@@ -102,7 +102,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
         assert len(found.jumps) == 1, seed
         # After a rejection the consistent samples are counted again.
         assert first <= min([*found.rejected, *found.jumps]) <= first + round(0.2 * rate_hz), seed
-        # A step found by means is among accepted samples: the sample at its detection is rejected and reports it.
+        # Means find a smaller step after some of its samples are accepted: the sample at the detection is rejected.
         (known,) = found.jumps
         assert known in found.rejected or known - 1 in found.rejected, seed
         assert_inflated(found, changed, first, arcsec_n)
@@ -133,7 +133,7 @@ def test_steps_of_an_ins_with_a_resolution_of_a_hundredth_of_a_degree_are_detect
 
 @pytest.mark.parametrize("turned_too", [False, True])
 def test_permanently_exchanged_axes_are_rejected_and_then_inflate_the_covariance(turned_too: bool) -> None:
-    """Bow and starboard exchanged in the attitudes alone, and in the rates too."""
+    """Bow and starboard are exchanged in the attitudes, with ``turned_too`` also in the rates."""
     samples, first = stream(LEARNT_S + 4.0, 50.0), number_at(50.0)
     exchange = rotation_from_angles(np.pi / 2.0, 0.0, 0.0)
     changed = [replace(s, rotation_nd=s.rotation_nd @ exchange) for s in samples[first:]]
@@ -159,9 +159,9 @@ def test_occasionally_missing_rates_do_not_end_the_line(missing: str) -> None:
 
 
 def test_freeze_in_a_slow_rotation_is_detected_with_known_rate_drift() -> None:
-    """Gyroscopes with a bias of 30″/s that measure the Earth rate, in an INS that freezes in a rotation of 40″/s.
+    """The gyroscopes have a bias of 30″/s and measure the Earth rate; the INS freezes during a rotation of 40″/s.
 
-    Rates with an error of up to 60″/s cannot distinguish such a rotation from their bias.
+    Rates with an error of up to 60″/s cannot distinguish such a rotation from a bias that is not yet known.
     """
     earth_n = DAY_EARTH * np.array([0.5, np.sqrt(0.75), 0.0])
     errors = {"bias_arcsec_per_s": 30.0, "earth_n": earth_n}
@@ -182,9 +182,9 @@ def test_freeze_in_a_slow_rotation_is_detected_with_known_rate_drift() -> None:
 
 @pytest.mark.statistics
 def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
-    """A bound of 7.3 sigma of three axes: at 100 Hz six tests a sample, 3.4e-5 false steps an hour at most.
+    """The bound is 7.3 sigma of three axes. Six tests per sample at 100 Hz give at most 3.4e-5 false steps an hour.
 
-    Twenty minutes; in ``make campaign`` an hour.
+    The test runs over twenty minutes of samples, in ``make campaign`` over an hour.
     """
     per_hour = 6 * 360_000 * chi(3).sf(7.3)
     assert per_hour < 4e-5
@@ -237,7 +237,7 @@ def test_start_of_a_rotation_is_no_step() -> None:
 
 @pytest.mark.slow
 def test_changed_rate_noise_applies_at_once() -> None:
-    """Rates with noise of 60″/s: known, the line is shorter, and steps of 20″ are seen that were lost before."""
+    """A configured rate noise of 60″/s makes the line before the step shorter, and steps of 14″ are detected."""
     first = number_at(100.0)
     counts = []
     for sigma in (0.0, 60.0):

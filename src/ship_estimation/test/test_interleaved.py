@@ -1,4 +1,4 @@
-"""Interleaved streams: detected if there are two, never in healthy streams, and not after one has ended."""
+"""Two interleaved streams are detected; a healthy stream counts as one, also after a second stream has ended."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,7 +15,7 @@ LEAST = 40.0 * ARCSEC
 
 
 def stream_distances(samples: list[AttitudeSample]) -> list[float]:
-    """Return the distance of two streams after each sample."""
+    """Return the detected distance of two streams after each sample, 0 for one stream."""
     streams, distances = InterleavedStreams(LEAST), []
     for sample in samples:
         streams.add(sample.time_ns, sample.rotation_nd.ravel())
@@ -24,7 +24,7 @@ def stream_distances(samples: list[AttitudeSample]) -> list[float]:
 
 
 def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) -> list[AttitudeSample]:
-    """Return the samples with some of another INS among them."""
+    """Return the samples with every ``every``-th sample replaced by one of another INS, ``off_deg`` off in yaw."""
     other_d = exp_rotation([0.0, np.deg2rad(off_deg), 0.0])
     return [
         sample if n % every else replace(sample, rotation_nd=sample.rotation_nd @ other_d)

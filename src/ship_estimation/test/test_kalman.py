@@ -1,4 +1,4 @@
-"""Kalman steps on a covariance in parts, against the textbook filter with one full covariance."""
+"""Kalman steps on a covariance by error source, against the textbook filter with one full covariance."""
 
 from collections.abc import Iterator
 
@@ -22,7 +22,7 @@ def ship_like_model() -> StateModel:
 
 
 def random_measurements(model: StateModel, count: int, seed: int) -> Iterator[tuple[float, LinearMeasurement]]:
-    """Steps of time, zero among them, and measurements of 1 to 3 components with correlated noise."""
+    """Yield time steps, some of them zero, and measurements of 1 to 3 components with correlated noise."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         size = int(rng.integers(1, 4))
@@ -95,7 +95,7 @@ def test_every_part_stays_symmetric_and_positive_semidefinite() -> None:
 
 
 def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
-    """A noise 1e-14 of the prior's variance, where (I - K H) P alone loses its sign."""
+    """The noise variance is 1e-14 of the prior variance: (I - K H) P alone would not stay positive definite."""
     model = ship_like_model()
     parts = model.initial_covariance_by_source()
     for axis in (0, 1, 2, 1):
@@ -108,7 +108,7 @@ def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
 
 
 def test_covariance_by_source_is_the_variance_of_each_source_alone() -> None:
-    """Drawn errors with equal gains: the estimation error is the sum of the effects of all sources."""
+    """Errors drawn for each source are filtered with the same gains; their sum is the estimation error."""
     model = ship_like_model()
     rng = np.random.default_rng(8)
     draws = 20_000

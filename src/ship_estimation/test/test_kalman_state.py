@@ -79,7 +79,7 @@ def test_steady_state_stays_and_is_found_from_anywhere(model: StateModel) -> Non
 
 
 def test_no_time_no_change_not_even_of_white_noise(model: StateModel) -> None:
-    """Two simultaneous measurements share the white error of that time."""
+    """Two simultaneous measurements share the white error of their common time."""
     decay, noise = model.transition(0.0)
     np.testing.assert_array_equal(decay, 1.0)
     np.testing.assert_array_equal(noise, 0.0)

@@ -33,7 +33,7 @@ def test_sigma_multipliers_keep_the_configured_probabilities():
 
 
 def test_error_under_an_undetected_fault_is_within_the_protection_level():
-    """Two sensors and a third: sensor 0 has faults of all sizes; without a detection the level bounds the error."""
+    """Sensor 0 of three has faults of all sizes; without a detection the level bounds the error."""
     rng = np.random.default_rng(5)
     sigma = np.array([3.0, 3.0, 3.0])
     k = SigmaMultipliers(fault_free=4.0, false_exclusion=4.0, missed_detection=np.full(3, 3.0))
@@ -54,8 +54,9 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
 def misleading_ratio(sensors, bias, pairs, draws=300, seed=5):
     """Return the probability that two equal faults are not detected and an error exceeds its protection level.
 
-    The estimate is the mean of the sensors, of three components. Each sensor measures them with a sigma of 3: the mean
-    of k sensors has the variance 9/k. The variance of the separation of nested estimates is the difference of theirs.
+    The estimate has three components and is the mean of the sensors. Each sensor measures each component with a sigma
+    of 3: the mean of k sensors has the variance 9/k. The separation of nested estimates has the difference of their
+    variances.
     """
     rng, everyone = np.random.default_rng(seed), set(range(sensors))
     left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]
@@ -75,24 +76,25 @@ def misleading_ratio(sensors, bias, pairs, draws=300, seed=5):
 
 
 MISSED = 2.0
-"""K_md: one-sided, 2.3 % of a component are larger."""
+"""K_md: a normal error of one component exceeds two sigmas on one side with a probability of 2.3 %."""
 
 
 @pytest.mark.parametrize("sensors", [3, 4])
 def test_error_under_two_undetected_faults_is_within_the_protection_level_of_pairs(sensors):
     biases = np.linspace(0.0, 40.0, 21)
-    # Each of three components may exceed it.
+    # Each of the three components may exceed its level.
     most = 3.0 * norm.sf(MISSED)
     assert max(misleading_ratio(sensors, bias, pairs=True) for bias in biases) <= most
-    # The levels of single faults do not guarantee that.
+    # The levels for single faults do not guarantee this probability.
     assert max(misleading_ratio(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
 
 
 def test_prior_of_two_faults_is_the_product_of_their_hourly_probabilities():
-    """Faults of two Poisson processes of an hour, counted."""
+    """Faults of two Poisson processes are drawn, and the hours with a fault of both are counted."""
     rng, rates, hours = np.random.default_rng(6), [0.02, 0.05], 400_000
     both = np.sum(np.all(rng.poisson(rates, (hours, 2)) > 0, axis=1)) / hours
-    # One in a thousand: 400 cases, of a relative sigma of 5 %; two of a source in an hour count as one (3.5 %).
+    # The probability of 1e-3 gives 400 cases, with a relative sigma of 5 %. Two faults of one source in an hour count
+    # as one, which lowers the number by 3.4 %.
     assert joint_prior_per_h(rates) == pytest.approx(1e-3)
     assert both == pytest.approx(joint_prior_per_h(rates), rel=0.2)
 
@@ -130,7 +132,7 @@ def test_invalid_prior_is_refused_by_name(prior):
 
 @pytest.mark.parametrize("statistic", [5.2, math.nan])
 def test_no_level_with_a_separation_above_its_threshold(statistic):
-    """The level of a source is at least K_fa sigma_d: it is no bound if the separation itself is larger."""
+    """The level of a source is at least K_fa sigma_d: the level is no bound if the separation itself is larger."""
     k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.12, missed_detection=np.array([2.0, 2.0]))
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
         # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.
@@ -143,7 +145,7 @@ def test_no_level_with_a_separation_above_its_threshold(statistic):
 
 
 def test_excluded_source_does_not_affect_the_level():
-    """Its subfilter is separated by a hundred sigmas, and would give the largest level."""
+    """The subfilter without the excluded source is separated by 41 sigmas, and would give the largest level."""
     k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.12, missed_detection=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
     found = solution_separations(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])

@@ -7,7 +7,7 @@ from ship_estimation.rts_step import GaussianEstimate, SmootherStep, smoother_st
 
 
 def test_backward_step_equals_batch_least_squares() -> None:
-    # One state is known exactly and one is repeated; dense numpy over all epochs.
+    # The last two states have no process noise, and one of them is known exactly. The reference is dense least squares.
     rng, n, count = np.random.default_rng(2), 4, 12
     start = np.diag([4.0, 1.0, 0.0, 2.0])
     decays, noise = rng.uniform(0.5, 1.0, (count, n)), rng.uniform(0.1, 1.0, (count, n))

@@ -1,4 +1,4 @@
-"""Subfilters against single filters, and by Monte Carlo."""
+"""Subfilters, compared with single filters and tested by Monte Carlo."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,10 @@ def test_each_filter_is_updated_as_if_alone_and_the_main_filter_keeps_its_parts(
 
 
 def test_subfilter_gets_no_information_from_its_excluded_source():
-    """Three sources in turn; the states 5 and 6 belong to the first only. Against a filter without it."""
+    """Three sources measure in turn, states 5 and 6 only the first.
+
+    The reference is a filter without the first source.
+    """
     rng = np.random.default_rng(2)
     stack, mean = _stack(rng, 1), np.zeros((1, STATES))
     own = np.arange(STATES) >= 5
@@ -105,7 +108,7 @@ def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
                 np.zeros((1, STATES)), filter_covariances(stack, 1), drawn, np.zeros(STATES), by_turn
             )
             found.append(compared.whitened_innovation[0])
-    # The sampling error of a variance of 2000 draws is 3 %; 0.12 is 3.8 of it.
+    # The sampling error of a variance of 2000 draws is 3 %; 0.12 is 3.8 times this error.
     np.testing.assert_allclose(np.cov(np.array(turns).T), np.eye(3), atol=0.12)
     np.testing.assert_allclose(np.cov(np.array(by_noise).T), compared.whitened_noise, atol=0.12)
 
@@ -118,7 +121,7 @@ def test_invalid_innovation_covariance_raises():
 
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
 def test_solution_separations_in_their_sigmas(wrong: float) -> None:
-    """Four filters of five states, the third more accurate than the main filter; by numpy."""
+    """Four filters of five states, the third more accurate than the main filter; numpy gives the expected values."""
     rng = np.random.default_rng(3)
     roots = rng.normal(size=(5, 5, 10))
     stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))

@@ -1,4 +1,4 @@
-"""The time-ordered estimator with a toy model whose step rounds and does not commute: any wrong order shows."""
+"""The time-ordered estimator with a toy model whose steps do not commute: any wrong order changes the state."""
 
 import itertools
 import math
@@ -49,7 +49,7 @@ ToyOutcome = Outcome[MeasurementDecision[Toy], float]
 
 
 class Estimator:
-    """An estimator whose state depends on each measurement and on the sample of the track before it."""
+    """An estimator whose state depends on each measurement and on the last track sample before each measurement."""
 
     def __init__(self) -> None:
         self.track: VectorTrack[VectorSample] = VectorTrack(SECOND_NS)
@@ -99,7 +99,7 @@ def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
 
 
 def state_for_outputs(estimator: Estimator) -> float:
-    """Return the state for an output at the next time."""
+    """Return the state that the estimator uses for an output."""
     outcome, times_ns = ToyOutcome(), itertools.count(10**15)
     while not outcome.estimates:
         estimator.shell.add_output(outcome, next(times_ns), 0, lambda state: state)
@@ -139,7 +139,7 @@ def test_late_measurement_is_inserted_and_later_ones_are_applied_again() -> None
     for time_ms in (20, 30, 10):
         outcome = late.add(toy(time_ms, 0.01 * time_ms))
     assert late.shell.state == in_order.shell.state
-    # Only the new decision is reported: the others are unchanged. The model receives all.
+    # Only the new decision is reported: the others are unchanged. ``on_decision`` receives all decisions.
     assert [decision.measurement.time_ns for decision in outcome.decisions] == [10 * MS]
     assert [decision.measurement.time_ns // MS for decision in late.decided] == [20, 30, 10, 20, 30]
 
@@ -184,7 +184,7 @@ def test_late_sample_applies_dependent_measurements_again() -> None:
                 estimator.add_sample(10 if what == "s" else 20, 0.3 if what == "s" else 0.4)
     assert late.shell.state != START
     assert [decision.measurement.time_ns // MS for decision in prompt.decided] == [30]
-    # A newest sample changes no final value; one within the track does.
+    # A sample after all others changes no final value; a sample between others does.
     late.add_sample(15, 0.9)
     prompt.add_sample(15, 0.9)
     late.add_sample(40, 0.9)
@@ -200,7 +200,7 @@ def test_measurement_waits_for_its_data_up_to_the_lag() -> None:
     assert estimator.add(toy(10)).decisions == []
     assert estimator.add(toy(20)).decisions == []
     decisions = estimator.add_sample(15, 0.1).decisions
-    assert decisions == []  # a differenced rate needs one more
+    assert decisions == []  # a differenced rate needs one more sample
     decisions = estimator.add_sample(18, 0.1).decisions
     assert [decision.measurement.time_ns // MS for decision in decisions] == [10]
     outcome = estimator.add(toy(2021))
@@ -230,7 +230,7 @@ def test_failed_inflation_is_reported_once() -> None:
     assert (time_ns, rejection.reason) == (120 * MS, Reason.FAILED)
     assert "no size" in rejection.text
     assert estimator.shell.state == before
-    # A repeated application does not report it again, and continues after it.
+    # When the jump is applied again, the failure is not reported again, and the steps after the jump follow.
     estimator.shell.add(toy(110), outcome)
     estimator.shell.add(toy(130), outcome)
     assert len(outcome.failures) == 1
@@ -293,7 +293,7 @@ def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data
             else:
                 estimator.shell.add_jump(what[0] * MS, "ins", what[1])
             add_one_output(estimator, number)
-        # A newest sample does not repeat what the toy model, unlike a real one, did not wait for.
+        # Unlike a real model, the toy model does not wait for the next sample, and a newest sample repeats no step.
         estimator.shell.rewind_after(0)
         estimator.shell.apply(ToyOutcome())
         assert estimator.claimed == sorted(set(estimator.claimed))
@@ -389,7 +389,10 @@ def flood(rng: np.random.Generator, count: int, seconds: float) -> list[Toy]:
 
 
 def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
-    """Fifty times an exposure at 2 Hz, with a source in order; without limits about 100 repeats for each."""
+    """One source sends 100 measurements a second, 50 times as many as a sensor at 2 Hz; another source sends in order.
+
+    Without limits each measurement would cause about 100 repeats.
+    """
     seconds, estimator = 30.0, Estimator()
     reasons, texts, at_once = [], [], []
     flooded = flood(np.random.default_rng(7), 3000, seconds)
@@ -407,7 +410,8 @@ def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
     taken, late = reasons.count(None), reasons.count(Reason.LATE)
     assert late < 20
     assert reasons.count(Reason.OVERFLOW) == 3000 - taken - late > 1800
-    # Each once, once more when the window closes, and the repeats of each second; the first second has one in reserve.
+    # Each measurement is applied once, and once more when the window closes. The repeats of each second are added, and
+    # those of one second in reserve.
     assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
     assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
     report = next(text for text in texts if "source" in text)
@@ -426,7 +430,7 @@ def test_overflow_does_not_change_the_state() -> None:
 
 
 def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> None:
-    """Samples at 100 Hz, each up to two seconds late, with measurements at 20 Hz: each would repeat up to forty."""
+    """Samples at 100 Hz are up to two seconds late; each one would repeat up to forty measurements at 20 Hz."""
     rng, seconds, estimator, in_order = np.random.default_rng(9), 20.0, Estimator(), Estimator()
     estimator.waits = in_order.waits = True
     stamps_ms = np.arange(10_000, 10_000 + round(1000 * seconds), 10)
@@ -440,7 +444,7 @@ def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> Non
             estimator.add_sample(ms, value)
         assert len(estimator.decided) - steps <= MOST_REPEATS_AT_ONCE + 20
     assert len(estimator.decided) < 2 * len(stamps_ms[::5]) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
-    # Without further inputs the ticks continue.
+    # Without further inputs, ticks apply the rest.
     ticks = 0
     while estimator.shell.is_behind:
         ticks += 1

@@ -15,7 +15,7 @@ from ship_estimation.time_ordered_estimator import MOST_REPEATS_AT_ONCE, MOST_RE
 repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=200)
 
 State = tuple[int, float]
-"""Measurements so far, and a number that depends on their order."""
+"""Number of measurements so far, and a value that depends on their order."""
 Decision = tuple[int, float]
 """Time of the measurement and the state before it."""
 Log = TimeOrderedLog[State, tuple[int, float], Decision]
@@ -211,7 +211,7 @@ def test_failed_measurement_is_applied_again_to_another_state() -> None:
 
 
 class LogAgainstSorting(RuleBasedStateMachine):
-    """Any mixture of arrivals, replacements, rewinds, applications and commits, against sorting everything."""
+    """Any mixture of arrivals, replacements, rewinds and commits gives the state of the sorted measurements."""
 
     @initialize()
     def start(self) -> None:
@@ -265,7 +265,7 @@ TestLogAgainstSorting.settings = settings(repeatable, max_examples=100, stateful
 
 
 def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -> None:
-    """Half of the measurements are a second late: without limits each would repeat everything since."""
+    """Half of the measurements are a second late: without limits each would repeat all steps of this second."""
     ms, lag_ns, log = 1_000_000, 2_000_000_000, Log(START)
     known: dict[Key, float] = {}
     repeats_by_second, most_at_once, most_waiting = [0] * 8, 0, 0
@@ -281,7 +281,8 @@ def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -
             most_at_once = max(most_at_once, repeats)
         log.commit_before(newest_ns - lag_ns)
         most_waiting = max(most_waiting, log.pending_count)
-    # Without limits it would be 500 times some 500 a second. Each is applied once more when the window closes.
+    # Without limits, 500 late measurements a second would each repeat about 500 steps. Each measurement is applied once
+    # more when the window closes.
     assert max(repeats_by_second) <= 2 * MOST_REPEATS_PER_S + 1000
     assert most_at_once <= MOST_REPEATS_AT_ONCE + 2
     assert most_waiting <= 3 * 1000

@@ -1,4 +1,4 @@
-"""A repeated value is stuck only if other sources show a rotation of the ship above its resolution.
+"""A repeated value is stuck only if other sources show a rotation of the ship above the resolution of the value.
 
 A value that jumps is rejected; after a few consistent rejected values the jump is accepted.
 """

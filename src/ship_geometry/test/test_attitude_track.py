@@ -24,7 +24,7 @@ def ship_rotation(time_s: float) -> np.ndarray:
 
 
 def ship_rate(time_s: float) -> np.ndarray:
-    """Angular velocity in the deck frame by scipy over ± 0.1 ms: good to 1e-10 rad/s."""
+    """Return the angular velocity in the deck frame, by differences over ± 0.1 ms, to 1e-10 rad/s."""
     turn = ship_rotation(time_s - 1e-4).T @ ship_rotation(time_s + 1e-4)
     return Rotation.from_matrix(turn).as_rotvec() / 2e-4
 
@@ -46,7 +46,7 @@ def regular(count: int, with_rate: bool, first_ns: int = 0) -> list[AttitudeSamp
 
 
 def irregular(seed: int, count: int = 24) -> list[AttitudeSample]:
-    """Uneven stamps, gaps longer than the track joins, some samples with rates and some without."""
+    """Return samples with uneven stamps and four gaps too long to bridge; none, half or all samples have rates."""
     rng = np.random.default_rng(seed)
     steps_ns = rng.integers(10_000_000, 300_000_000, count)
     steps_ns[rng.choice(count, 4, replace=False)] = 600_000_000
@@ -98,7 +98,7 @@ def test_interpolation_agrees_with_scipys_rotation_spline() -> None:
         [s.time_ns / SECOND_NS for s in samples], Rotation.from_matrix([s.rotation_nd for s in samples])
     )
     track = track_of(samples)
-    # Away from its ends, where the spline assumes a rate.
+    # Not near the ends of the track, where the spline assumes a rate.
     for time_ns in range(15 * STEP_NS, 85 * STEP_NS, 17_000_001):
         found = track.at(time_ns)
         assert found is not None
@@ -113,7 +113,8 @@ def test_constant_rotation_is_interpolated_exactly_up_to_half_a_turn(with_rate: 
     track = AttitudeTrack(MAX_GAP_NS)
     for k in range(6):
         rotation = Rotation.from_rotvec(rate * k * 0.1).as_matrix()
-        # Differences over two samples would exceed half a turn: the ends of the track use one step.
+        # The inner samples have rates: differences over two steps would exceed half a turn. At the ends one step is
+        # used.
         track.insert(AttitudeSample(k * STEP_NS, rotation, rate if with_rate or 0 < k < 5 else None))
     for time_ns in range(0, 5 * STEP_NS, 3_333_333):
         found = track.at(time_ns)
@@ -132,7 +133,7 @@ def test_the_chord_is_scipys_slerp_whatever_the_rates(fraction: float) -> None:
     expected = slerp(time_ns - samples[1].time_ns).as_matrix()
     assert found is not None
     assert found.chord_nd(time_ns) == pytest.approx(expected, abs=1e-15)
-    # For a ship in a seaway it differs from the cubic, except at the samples.
+    # For a ship in a seaway the chord differs from the cubic, except at the samples.
     assert (error_arcsec(found.rotation_nd, expected) > 1.0) == (fraction > 0.0)
 
 
@@ -269,7 +270,7 @@ def test_values_are_final_up_to_the_newest_sample_with_rates_and_the_one_before_
     assert not with_rates.is_final_at(3 * STEP_NS + 1)
     assert without.is_final_at(2 * STEP_NS)
     assert not without.is_final_at(2 * STEP_NS + 1)
-    # It is not final: the next sample changes it.
+    # A value that is not final is changed by the next sample.
     early = without.at(2 * STEP_NS + STEP_NS // 2)
     without.insert(sample_at(4 * STEP_NS, False))
     assert not identical(early, without.at(2 * STEP_NS + STEP_NS // 2))
@@ -353,7 +354,7 @@ def test_noise_gain_is_the_variance_of_noisy_tracks(with_rate: bool, fraction: f
 @pytest.mark.slow
 @pytest.mark.parametrize("ahead_s", [-0.02, -0.005, 0.0, 0.005, 0.02])
 def test_newest_sample_propagated_by_measured_rates(ahead_s: float) -> None:
-    """Second order: the error is the third derivative's, 0.1 rad/s³ in this seaway, and the rate's change."""
+    """The propagation is of second order: its error comes from the third derivative, 0.1 rad/s³ in this seaway."""
     for count in range(20, 60):
         track = track_of(regular(count, with_rate=True))
         time_s = (count - 1) * 0.1
@@ -375,7 +376,7 @@ def test_newest_sample_propagated_forth_and_back_is_not_the_same_attitude() -> N
 def test_newest_sample_propagated_by_differences(ahead_s: float) -> None:
     samples = regular(20, with_rate=False)
     moved = track_of(samples).propagate_newest(ahead_s)
-    # Second order, by three samples; the third derivative is below 0.15 rad/s³.
+    # Three samples give a propagation of second order; the third derivative is below 0.15 rad/s³.
     error = error_arcsec(moved.rotation_nd, ship_rotation(1.9 + ahead_s)) * ARCSEC
     assert error <= 0.15 / 6.0 * abs(ahead_s) * (ahead_s + 0.1) * (ahead_s + 0.2) + 1e-15
     still = [AttitudeSample(s.time_ns, np.eye(3)) for s in samples]

@@ -1,6 +1,6 @@
 """Compiled conversions of attitudes against the same functions for arrays in plain numpy.
 
-"Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
+"Equal" allows a difference of 1e-13, in radians or without a unit; covariances are of unit size.
 """
 
 import numpy as np
@@ -101,7 +101,7 @@ def test_attitude_does_not_depend_on_the_block() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     calls = [
         lambda: compiled_angles.angles(np.zeros((2, 2, 3))),
         lambda: compiled_angles.rotations(np.zeros((2, 4))),

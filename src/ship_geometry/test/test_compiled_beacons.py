@@ -1,6 +1,6 @@
-"""The compiled lines of sight and image points against plain numpy; their derivatives are tested where they are called.
+"""The compiled lines of sight and image points against plain numpy.
 
-"Equal" is 1e-13 of the numbers' size.
+The users of both also test the derivatives by finite differences. "Close" is 1e-13 of the numbers' size.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def random_exposures() -> list[FloatArray]:
-    """Return the arrays of each exposure: baselines, drones, levers of the lights, ships, mounts, refraction."""
+    """Return arrays of exposures: baselines, drone attitudes, light levers, ship attitudes, mounts, refraction."""
     rng = np.random.default_rng(RNG_SEED)
     turns = [rng.uniform(-2.0, 2.0, shape) for shape in ((EPOCHS, LIGHTS, 3), (EPOCHS, 3), (EPOCHS, 3))]
     baselines = 1000.0 * rng.standard_normal((EPOCHS, LIGHTS, 3))
@@ -95,7 +95,7 @@ def test_exposure_does_not_depend_on_the_block() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     fewer = [[v[:3] if n == number else v for n, v in enumerate(random_exposures())] for number in range(6)]
     calls = [
         *(lambda arrays=arrays: lines(arrays) for arrays in fewer),

@@ -1,6 +1,6 @@
 """The compiled axis geometry of a mount on a ship against plain numpy and finite differences.
 
-"Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
+"Equal" allows a difference of 1e-13, in radians or without a unit; covariances are of unit size.
 """
 
 from typing import Any
@@ -66,7 +66,7 @@ def test_derivatives_equal_finite_differences() -> None:
 
 
 def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
-    """Return the arguments of pointings: arrays of N, and the estimate."""
+    """Return the arguments of ``pointings``: the arrays with one row for each reading, and those of the estimate."""
     rng = np.random.default_rng(RNG_SEED)
     errors, rotations, rates, angles = drawn_states()
     roots = rng.standard_normal((COUNT, 3, 3))
@@ -138,7 +138,7 @@ def test_result_does_not_depend_on_the_block() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     of_each, estimate = readings(13)
     parts = np.zeros((2, 3, 3, 3))
     calls = [

@@ -89,7 +89,7 @@ def test_a_vector_between_samples_is_that_by_numpy(before: int, behind: int, per
 
 @pytest.mark.parametrize("left", [-1, 3])
 def test_an_interval_that_is_not_there_is_refused(left: int) -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the function checks the interval."""
     with pytest.raises(ValueError, match="do not fit together"):
         compiled_polynomials.interpolate_vector(
             np.arange(4), np.zeros((4, 2)), left, 0, np.inf, *hermite_weights(0.5), NEXT_TERM_SHARE, ANY_DIRECTION

@@ -44,7 +44,7 @@ def by_numpy(model: ModelName, elevation: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def some_stars() -> FloatArray:
-    """Low and high ones, one below the horizon."""
+    """Return directions to low and high stars, one of them below the horizon."""
     rng, elevation = np.random.default_rng(RNG_SEED), np.deg2rad([-20.0, 4.0, 6.0, 13.0, 15.0, 45.0, 89.9])
     azimuth = rng.uniform(0.0, 2.0 * np.pi, len(elevation))
     level = np.cos(elevation)
@@ -96,7 +96,7 @@ def test_directions_and_angles_broadcast() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     stars, coefficients, sigmas, turns = some_stars(), TWO_TERMS, SIGMAS["erfa"], np.zeros((3, 3))
     for arguments in (
         (stars[:, :2].copy(), coefficients, sigmas, turns),

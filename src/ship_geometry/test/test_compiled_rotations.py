@@ -1,6 +1,7 @@
 """The compiled single rotations against those of arrays, finite differences and plain numpy.
 
-"Equal" is 1e-13, in radians and parts of one: the rounding of a product of a few rotations is a hundredth of that.
+"Equal" allows a difference of 1e-13, in radians or without a unit. Rounding of a product of a few rotations is a
+hundredth of this difference.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from ship_geometry.sample_track import hermite_weights
 
 RNG_SEED = 5
 SIZES = [0.0, 1e-9, 0.99e-4, 1.01e-4, 0.01, 1.0, 2.5, 3.1]
-"""Angles, rad: none, within the series, on both sides of its end, far from it, and near half a turn."""
+"""Angles, rad: zero, angles within the series, on both sides of its end at 1e-4, beyond it, and near half a turn."""
 
 
 def vectors(count: int) -> FloatArray:
@@ -47,7 +48,7 @@ def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
 
 
 def test_composed_attitude_is_the_product_with_derivatives_of_small_steps() -> None:
-    """Four links, the third on a rotating base and the last with a factor of 0.7; two clocks."""
+    """Four links: a base that rotates between two clocks follows the third; the last has a factor of 0.7."""
     rng = np.random.default_rng(RNG_SEED)
     links, fixed, base = np.array([9, 3, 0, 6]), exp_rotation(vectors(9)[5:]), exp_rotation(np.array([0.3, -1.0, 0.2]))
     mean, rate, signs, root = np.zeros(14), rng.standard_normal(3), np.array([1.0, -1.0]), rng.standard_normal((3, 3))
@@ -105,7 +106,7 @@ def test_differences_are_logarithms() -> None:
 
 @pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
 def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> None:
-    """Hermite's cubic by numpy; the rate is that of small steps along it."""
+    """The reference is Hermite's cubic by numpy; small steps along the cubic give its rate."""
     first, turn, interval_s = exp_rotation(np.array([0.4, -1.0, 0.3])), np.array([0.02, -0.03, 0.05]), 0.2
     start_rate, end_rate = np.array([0.3, -0.1, 0.2]), np.array([0.0, -0.2, 0.4])
     end_slope = np.linalg.solve(left_jacobian(turn).T, end_rate * interval_s)
@@ -182,7 +183,10 @@ def test_propagation_does_not_depend_on_the_block() -> None:
 
 
 def test_corrected_attitudes_equal_numpy() -> None:
-    """Fifty samples by five estimates; some components of their errors do not decay. All values are near one."""
+    """Five estimates correct fifty samples; some error components of the estimates do not decay.
+
+    All values are near one.
+    """
     rng = np.random.default_rng(RNG_SEED)
     count, sources, estimates = 50, 4, 5
     by = rng.integers(estimates, size=count)
@@ -213,13 +217,13 @@ def test_corrected_attitudes_equal_numpy() -> None:
 
 
 def numpy_composed_attitude(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
-    """Seven states on a base."""
+    """Call ``composed_attitude`` with seven states and a base at rest."""
     base, rate = np.eye(3), np.zeros(3)
     compiled_rotations.composed_attitude(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops do not check bounds."""
+    """The compiled loops do not check bounds, so the functions check shapes."""
     calls = [
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),

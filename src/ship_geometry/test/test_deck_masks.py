@@ -83,7 +83,8 @@ def test_with_a_margin_all_of_a_small_circle_is_hidden() -> None:
         return masks.is_hidden(points.reshape(-1, 3)).reshape(72, -1).all(axis=0)
 
     hidden = masks.is_hidden(middle, margin)
-    # Within half a step of the edge's points, and a corner may lie between two of the circle's.
+    # The margin is exact to half the spacing of the edge points. A corner may also lie between two points of the
+    # circle.
     assert not np.any(hidden & ~circle_hidden(margin))
     assert not np.any(~hidden & circle_hidden(margin + np.deg2rad(0.6)))
     assert 50 < np.count_nonzero(hidden) < np.count_nonzero(masks.is_hidden(middle))

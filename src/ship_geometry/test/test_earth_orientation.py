@@ -50,7 +50,7 @@ def test_interpolation_runs_smoothly_over_a_leap_second(table):
     midnight_ns = ns_of(2017, 1, 1)
     before, after = table.at(midnight_ns - DAY_NS // 2), table.at(midnight_ns + DAY_NS // 2)
     at_midnight = table.at(midnight_ns)
-    # The day is 1 ms longer than 86 400 s: half of it to either side, apart from the whole second.
+    # The day is 1 ms longer than 86 400 s: apart from the leap second, UT1 - UTC changes by half of that in half a day.
     assert at_midnight.ut1_minus_utc_s - before.ut1_minus_utc_s == pytest.approx(1.0, abs=2e-3)
     assert after.ut1_minus_utc_s - at_midnight.ut1_minus_utc_s == pytest.approx(0.0, abs=2e-3)
     just_before = table.at(midnight_ns - 1)
@@ -70,7 +70,8 @@ def test_error_of_a_prediction_grows_from_the_last_measurement(table):
     measured_until_ns = round(table.measured_until_mjd - UNIX_EPOCH_MJD) * DAY_NS
     times_ns = measured_until_ns + DAY_NS * np.array([-1, 0, 1, 30, 100])
     predicted = table.at(times_ns)
-    # 5 ms at 30 days by definition; the two terms of measurement add less than 0.1 ms.
+    # The prediction error is 5 ms at 30 days by definition; the errors of measurement and interpolation are below 0.1
+    # ms.
     assert predicted.ut1_sigma_s[3] == pytest.approx(5e-3, rel=1e-3)
     assert predicted.ut1_sigma_s[4] == pytest.approx(5e-3 * (100 / 30) ** 1.2, rel=1e-3)
     assert predicted.ut1_sigma_s[1] < 1e-4

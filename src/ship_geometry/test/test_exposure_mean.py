@@ -1,4 +1,4 @@
-"""The mean over an exposure against averages of true motions, and the noise by the samples."""
+"""The mean over an exposure against averages of true motions, and the noise of the mean due to the samples."""
 
 import numpy as np
 import pytest
@@ -9,17 +9,17 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 SECOND_NS = 1_000_000_000
-# At the largest roll, with the largest angular acceleration.
+# Time of the largest roll, where the angular acceleration is largest.
 CREST_S = 2.75
 
 
 def roll(time_s: np.ndarray) -> np.ndarray:
-    """Roll of 4° in 11 s, rad."""
+    """Roll with an amplitude of 4° and a period of 11 s, rad."""
     return np.deg2rad(4.0) * np.sin(2.0 * np.pi * np.asarray(time_s) / 11.0)
 
 
 def attitude(time_s: float) -> np.ndarray:
-    """A ship that rolls, pitches and turns."""
+    """Return the attitude of a ship that rolls, pitches and turns."""
     heading, pitch = np.deg2rad(3.0 * time_s), np.deg2rad(5.0) * np.sin(2 * np.pi * time_s / 6.0)
     return rotation_from_angles(heading, pitch, np.deg2rad(10.0) * np.sin(2 * np.pi * time_s / 8.0 + 0.3))
 
@@ -66,7 +66,7 @@ def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None)
 @pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, True), (100.0, False), (20.0, True), (5.0, True)])
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2, 0.5])
 def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, exposure_s):
-    """Angular acceleration and the centripetal part together, for directions in the rotating body."""
+    """Angular and centripetal acceleration both move the mean direction in the rotating body."""
     middle_ns = 33_000_000
     turning = exposure_motion(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
     seen = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
@@ -84,7 +84,7 @@ def test_the_rate_is_that_of_the_mean_and_holds_little_of_the_noise():
     for _ in range(100):
         turning = exposure_motion(track(100.0, True, ARCSEC * rng.standard_normal((201, 3))), middle_ns, nodes)
         noisy.append(turning.rate - (true[1] - true[0]) / 0.25)
-    # 99.9 % of chi-square with 300 degrees of freedom: RMS/sigma in [0.87, 1.14]; between samples sigma is less.
+    # 99.9 % of chi-square with 300 degrees of freedom: RMS/sigma in [0.87, 1.14]; between the samples sigma is smaller.
     assert np.sqrt(np.mean(np.square(noisy))) < 1.14 * np.sqrt(2.0) / 0.25 * ARCSEC
 
 

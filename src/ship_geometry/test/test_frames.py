@@ -1,4 +1,4 @@
-"""Angles, matrices and covariances of a device frame (models.md §1), against its printed matrices, scipy and draws."""
+"""Angles, matrices and covariances of a device frame against the matrices printed in models.md §1, scipy and draws."""
 
 import numpy as np
 import pytest
@@ -141,7 +141,7 @@ def test_b_and_its_inverse_undo_one_another() -> None:
     ("azimuth_deg", "expected_arcsec"), [(0.0, (35.01, 49.75, 61.64)), (90.0, (141.42, 0.0, 100.0))]
 )
 def test_installation_case_of_models_section_3(azimuth_deg: float, expected_arcsec: tuple[float, ...]) -> None:
-    """Star sensor at As 235°, Es 45°, roll 90°, installed at E0 35°; 100″ about its boresight (models.md §3)."""
+    """Star sensor at As 235°, Es 45°, roll 90°, installed at E0 35°, with 100″ about its boresight (models.md §3)."""
     star = np.deg2rad([235.0, 45.0, 90.0])
     rotation_ns = rotation_from_angles(*star)
     rotation_ds = rotation_from_angles(np.deg2rad(azimuth_deg), np.deg2rad(35.0), 0.0)
@@ -153,7 +153,7 @@ def test_installation_case_of_models_section_3(azimuth_deg: float, expected_arcs
 
 COVARIANCE_N = np.array([[100.0, 30.0, -8.0], [30.0, 400.0, 20.0], [-8.0, 20.0, 25.0]]) * ARCSEC**2
 DRAWS = 200_000
-# Of a sample covariance of this many draws, relative to the variances.
+# Standard error of a sample covariance from this number of draws, relative to the variances, times five.
 FIVE_STANDARD_ERRORS = 5 * (2 / DRAWS) ** 0.5
 
 

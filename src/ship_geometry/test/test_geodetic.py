@@ -106,7 +106,7 @@ def test_radii_of_the_horizon_are_metres_per_radian_on_the_ellipsoid(latitude_de
     position = GeodeticPosition(np.deg2rad(latitude_deg), 0.3, 500.0)
     step = 1e-5
     north_m = vector_between(position, GeodeticPosition(position.latitude + step, 0.3, 500.0))[0] / step
-    # A rotation by the step about the axis of the meridian is a longitude of step / cos φ.
+    # A rotation by the step about the North axis changes the longitude by step / cos φ.
     east = GeodeticPosition(position.latitude, 0.3 + step / np.cos(position.latitude), 500.0)
     east_m = vector_between(position, east)[2] / step
     np.testing.assert_allclose(horizon_radii_m(position), [north_m, east_m], rtol=1e-7)

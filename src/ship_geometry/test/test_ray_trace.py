@@ -16,7 +16,7 @@ REFRACTIVE = 79.0265e-6
 
 AIR = {"pressure_hpa": 1013.25, "temperature_c": 15.0, "relative_humidity": 0.5}
 LOW_DEG = np.array([5.01, 6.0, 7.0, 8.0, 10.0, 15.0, 20.0, 30.0, 45.0])
-"""Elevations without air."""
+"""True elevations (without refraction), degrees."""
 
 
 def trace_refraction(zenith_deg: FloatArray | float, weather: Weather, atmosphere: Atmosphere = STANDARD) -> FloatArray:
@@ -41,8 +41,8 @@ def test_slalibs_own_value():
     of_observer = np.array([678.9]), np.array([280.0 - 273.15]), 0.9, 0.55
     above = Atmosphere(lapse_k_per_m=0.006, latitude=-0.3, height_m=3456.7)
     ours = traced_refraction(np.array([1.4]), *of_observer, above)[0, 0]
-    # SLALIB neglects the air above 80 km. There n - 1 is 3.6e-9, by the barometric formula from 3457 m on, and
-    # tan z 4.6, by n r sin z.
+    # SLALIB neglects the air above 80 km. There the barometric formula gives n - 1 = 3.6e-9, and a constant n r sin z
+    # gives tan z = 4.6.
     assert ours - 0.00106715763018568 == pytest.approx(3.6e-9 * 4.6, abs=1e-9)
 
 
@@ -53,7 +53,7 @@ def test_slalibs_own_value():
 def test_rays_of_erfas_description(zenith_deg, arcsec):
     # The description of ERFA's refco: 1005 hPa, 7 °C, 80 % humidity, 0.574 µm, a lapse rate of 6.5 K/km, at sea.
     found = traced_refraction(np.deg2rad([zenith_deg]), np.array([1005.0]), np.array([7.0]), 0.8, 0.574)[0, 0]
-    # Its refractivity of air is an older one: 0.02 %.
+    # ERFA's description uses an older refractivity of air, which differs by 0.02 %.
     assert found / ARCSEC == pytest.approx(arcsec, rel=2.5e-4, abs=0.005)
 
 
@@ -63,7 +63,7 @@ def test_high_up_it_is_erfas_refraction():
     a, b = erfa.refco(*AIR.values(), 0.55)
     ours = refraction("ray_trace", high, weather).angle
     tan_z = np.tan(np.pi / 2 - high - ours)
-    # refco states 10 mas up to 55° of zenith distance for itself.
+    # ERFA states an error of 10 mas for refco up to a zenith distance of 55°.
     assert np.abs(ours - (a * tan_z + b * tan_z**3)).max() < 0.012 * ARCSEC
 
 
@@ -71,8 +71,8 @@ def drawn_ray(zenith: float, temperature: Callable[[float], tuple[float, float]]
     """Return the refraction of dry air by the equation of a light ray in a plane, integrated step by step.
 
     Args:
-        zenith: distance with air, rad.
-        temperature: K, and its change per metre, at a height in metres.
+        zenith: zenith distance with air, rad.
+        temperature: returns the temperature, K, and its change with height, K/m, at a height in metres.
     """
     radius_m, per_scale = 6_378_120.0, 9.784 * 28.9644 / 8314.32
 
@@ -119,7 +119,7 @@ def standard_1976(height_m: float) -> tuple[float, float]:
 
 
 def over_the_sea(warmer_k: float, within_m: float) -> Callable[[float], tuple[float, float]]:
-    """Air that is some kelvin warmer above than on deck, with the difference growing up to some height."""
+    """Return air that becomes ``warmer_k`` warmer with height than the model air, mostly below ``within_m``."""
 
     def temperature(height_m: float) -> tuple[float, float]:
         kelvin, slope = model_air(height_m)
@@ -164,8 +164,8 @@ def test_sigma_is_what_varying_the_air_gives(temperature_c):
     for pair in pairs:
         both = np.array([trace_refraction(zenith_deg, weather, other) - given for other in pair])
         squares += np.abs(both).max(axis=0) ** 2
-    # 1 hPa in 100 km along the sight. At constant temperature ∂n/∂x goes with the pressure, and (n - 1) summed over the
-    # height is 2.77e-4 times 8.4 km.
+    # The pressure gradient is 1 hPa in 100 km along the line of sight. At constant temperature ∂n/∂x is proportional to
+    # this gradient, and the integral of n - 1 over the height is 2.77e-4 times 8.4 km.
     tilted = 2.77e-4 * 8400.0 * 1e-5 / 1013.25 / np.sin(np.deg2rad(LOW_DEG)) ** 2
     refractivity = 2e-4 * given
     needed = np.sqrt(squares + tilted**2 + refractivity**2)
@@ -178,10 +178,10 @@ def test_sigma_is_what_varying_the_air_gives(temperature_c):
 @pytest.mark.parametrize("temperature_c", [-30.0, -10.0, 15.0, 40.0])
 @pytest.mark.parametrize("pressure_hpa", [950.0, 1050.0])
 def test_the_other_models_err_by_their_sigma(pressure_hpa, temperature_c):
-    """erfa errs by 1.3 of its sigmas at most (it is 17.8″ off at 5.3°), the almanac's by 2.0.
+    """The error of erfa is at most 1.3 sigmas (17.8″ at 5.3°), that of the almanac's model at most 2.0.
 
-    The latter has no humidity, and adds what pressure and temperature do where they multiply: it is worst in hot thin
-    air.
+    The almanac's model has no humidity, and adds the effects of pressure and temperature instead of multiplying them:
+    this model is worst in hot thin air.
     """
     weather = Weather(pressure_hpa, temperature_c, 0.7)
     for model, most in (("erfa", 1.35), ("almanac", 2.0)):

@@ -19,7 +19,8 @@ PAPER = Weather(pressure_hpa=1008.3, temperature_c=28.2)
 
 
 def test_the_papers_example():
-    # [P15] prints 59.34"; models.md §2 gives 59.344" for it and 59.74" for erfa (humidity 50 %, 0.55 µm).
+    # [P15] prints 59.34"; models.md §2 gives 59.344" for the same model and 59.74" for erfa (humidity 50 %,
+    # 0.55 µm).
     elevation = np.deg2rad(42.2207)
     assert refraction("almanac", elevation, PAPER).angle / ARCSEC == pytest.approx(59.344, abs=0.0005)
     assert refraction("erfa", elevation, PAPER).angle / ARCSEC == pytest.approx(59.74, abs=0.005)
@@ -92,7 +93,7 @@ def test_derivatives_equal_finite_differences(model):
         less = replace(PAPER, **{name: getattr(PAPER, name) - 0.1})
         difference = (refraction(model, elevation, more).angle - refraction(model, elevation, less).angle) / 0.2
         usable = ~np.isnan(difference)
-        # Below 10° the derivatives neglect a change of some percent.
+        # Below 10° the derivatives neglect terms of some percent.
         assert derivative[usable] == pytest.approx(difference[usable], rel=0.03 if model == "erfa" else 1e-4)
         assert derivative[2:] == pytest.approx(difference[2:], rel=2e-3)
 
@@ -114,7 +115,7 @@ def test_slopes_equal_finite_differences(model):
         less, here, more = refraction(model, elevation + step * np.array([-1.0, 0.0, 1.0]), PAPER).angle
         if np.isnan(less):
             continue
-        # For erfa the slopes neglect that its zenith distance is the observed one.
+        # The slopes neglect that the model of erfa takes the observed zenith distance.
         exact = 1e-3 / np.sin(elevation) ** 2 if model == "erfa" else 1e-6
         slope, curvature = refraction_slopes(model, float(elevation), PAPER)
         assert slope == pytest.approx((more - less) / (2.0 * step), rel=exact)

@@ -26,7 +26,7 @@ each_attitude = pytest.mark.parametrize(
 
 
 def ros_quaternion(heading_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
-    """REP-103: yaw = 90° - heading from East to North, pitch bow down, roll starboard down."""
+    """REP-103: yaw from East to North is 90° - heading, pitch is positive bow down, roll starboard down."""
     return Rotation.from_euler("ZYX", [90.0 - heading_deg, -pitch_deg, roll_deg], degrees=True).as_quat(canonical=True)
 
 
@@ -73,7 +73,8 @@ def test_quaternions_of_all_attitudes_there_and_back() -> None:
     of_scipy = Rotation.from_matrix(turned).as_quat(canonical=True).reshape(50, 10, 4)
     np.testing.assert_allclose(quaternions, of_scipy, rtol=0, atol=1e-15)
     np.testing.assert_allclose(rotation_from_quaternion(quaternions), rotations, rtol=0, atol=2e-15)
-    # One at a time, as in a live node. All four divisions occur: each component is the largest for some attitude.
+    # One at a time, as in a live node. All four cases of the formula occur: each component is the largest in some
+    # attitude.
     assert set(np.argmax(np.abs(quaternions), axis=-1).ravel()) == {0, 1, 2, 3}
     for index in np.ndindex(50, 10):
         one = quaternion_from_rotation(rotations[index])
@@ -123,7 +124,7 @@ def test_unknown_convention_is_named() -> None:
 
 @each_attitude
 def test_a_device_on_the_deck_is_turned_in_the_axes_of_ros(heading_deg, pitch_deg, roll_deg) -> None:
-    """Forward, left, up on both sides: clockwise seen from above is negative about up, up is negative about left."""
+    """Both frames are forward, left, up: an azimuth is negative about up, and an elevation is negative about left."""
     rotation_dv = rotation_from_angles(*np.deg2rad([heading_deg, pitch_deg, roll_deg]))
     expected = Rotation.from_euler("ZYX", [-heading_deg, -pitch_deg, roll_deg], degrees=True).as_quat(canonical=True)
     found = mounting_quaternion(rotation_dv)

@@ -53,7 +53,7 @@ def test_tiny_rotations_keep_their_relative_precision(angle: float) -> None:
 def test_log_near_half_a_turn(short_of_half_turn: float) -> None:
     vectors = (np.pi - short_of_half_turn) * directions(60, 4)
     back = log_rotation(exp_rotation(vectors))
-    # The matrix itself is rounded at 1e-16; closer than that to half a turn, the sign of the axis is lost with it.
+    # The matrix itself is rounded at 1e-16; closer than this to half a turn, the sign of the axis is lost.
     if short_of_half_turn < 1e-14:
         back *= np.sign(np.sum(back * vectors, axis=1, keepdims=True))
     np.testing.assert_allclose(back, vectors, rtol=0, atol=4e-15)
@@ -133,7 +133,7 @@ def test_angle_between_by_construction(angle: float) -> None:
     axes = directions(30, 10)
     first = np.cross(axes, axes[::-1] + np.array([0.1, 0.2, 0.3]))
     second = Rotation.from_rotvec(angle * axes).apply(first)
-    # Lengths have no effect. Rounding of the vectors themselves is 1e-16 of an angle.
+    # Lengths have no effect. Rounding of the vectors themselves changes the angle by 1e-16 rad.
     np.testing.assert_allclose(angle_between(3.0 * first, 1e-3 * second), angle, rtol=0, atol=1e-15)
 
 

@@ -1,4 +1,4 @@
-"""Star directions against ERFA's complete function, and the effect of each pitfall of models.md §2."""
+"""Star directions against ERFA's atco13, and the effect of each pitfall of models.md §2."""
 
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -48,7 +48,7 @@ def random_sky(seed, count):
 
 
 def by_atco13(stars, times_ns, observer, orientation):
-    """Return the directions by ERFA's complete function, from UTC; without air (pressure zero)."""
+    """Return the directions by ERFA's atco13, from UTC; without air (pressure zero)."""
     days, rest_ns = np.divmod(times_ns, DAY_NS)
     minutes, within_ns = np.divmod(rest_ns, 60 * SECOND_NS)
     # From calendar dates, because ERFA stretches the day of a leap second.
@@ -124,7 +124,8 @@ def test_result_does_not_depend_on_earlier_calls():
 
 
 def test_a_ship_that_moves_150_m_moves_the_sky():
-    # models.md §2: an apco13 only refreshed by aper13 omits it. Further north the horizon is rotated about East.
+    # models.md §2: a result of apco13 that only aper13 refreshes omits the motion. Further north the horizon is rotated
+    # about East.
     star, north_m = fixed_stars(1.0, 0.5), 150.0
     sky = RefreshedSky(TABLE)
     turn = north_m / 6.37e6
@@ -144,7 +145,7 @@ def test_one_second_of_ut1_is_fifteen_arcseconds():
 
 
 def test_own_velocity_is_10_mas_at_15_metres_per_second():
-    # Aberration: a star a right angle from the motion moves by v/c towards it, one ahead does not move.
+    # Aberration: a star at a right angle to the velocity moves by v/c along the velocity; a star ahead does not move.
     stars, _, _ = random_sky(8, 50)
     still = Observer(GeodeticPosition(0.6, 2.0, 0.0))
     under_way = replace(still, velocity_n_m_per_s=np.array([9.0, 0.0, 12.0]))
@@ -178,14 +179,14 @@ def test_position_is_brought_from_1991_to_2000_along_a_great_circle():
     east = np.array([-np.sin(alpha), np.cos(alpha), 0.0])
     straight = start + 8.75 * (motion[0] * east + motion[1] * north)
     assert angle_between(end, straight) < 1e-4 * MAS
-    # Without the epoch the error is a minute of arc; with the tabulated motion as dα/dt, seven seconds.
+    # The error is 62" if the epoch is ignored, and 7" if the tabulated motion is taken for dα/dt.
     assert angle_between(end, start) / ARCSEC == pytest.approx(61.77, abs=0.05)
     wrong = stars_from_epoch(replace(at_epoch, pm_right_ascension=motion[0]), 1991.25)
     assert angle_between(erfa.s2c(wrong.right_ascension, wrong.declination), end) / ARCSEC > 5.0
 
 
 def test_proper_motion_and_parallax_reach_the_direction():
-    # The part that atciqz omits.
+    # Proper motion and parallax are the part that atciqz omits.
     orientation, ship = TABLE.at(TIME_NS), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     still = fixed_stars(1.0, 0.5)
     moving = replace(still, pm_declination=np.array(0.1 * ARCSEC))

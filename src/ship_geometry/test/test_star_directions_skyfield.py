@@ -1,4 +1,4 @@
-"""Star directions against Skyfield, which shares no code with ERFA, with the JPL ephemeris de421."""
+"""Star directions against Skyfield with the JPL ephemeris de421; Skyfield shares no code with ERFA."""
 
 from pathlib import Path
 

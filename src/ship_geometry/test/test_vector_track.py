@@ -1,4 +1,4 @@
-"""Interpolation of vectors: exact for a cubic with differenced slopes, the short way round, any order."""
+"""Interpolation of vectors: exact for constant acceleration, the short way round for angles, any order of arrival."""
 
 import itertools
 

@@ -126,7 +126,8 @@ def test_one_star_is_not_solved_but_has_information_on_two_components():
 
 @pytest.mark.parametrize("second", [1.0, -1.0], ids=["parallel", "antiparallel"])
 def test_two_stars_nearly_in_line_are_not_solved(second):
-    # Two stars of 3" that are 10" apart determine the rotation about their line to 3" sqrt(2) / 10", 24°; 10': 0.4°.
+    # Two stars of 3" that are 10" apart determine the rotation about their line to 3" sqrt(2) / 10" = 24°, two stars
+    # that are 10' apart to 0.4°.
     for separation_arcsec, solved in ((10.0, False), (600.0, True)):
         turn = exp_rotation(np.array([0.0, separation_arcsec * ARCSEC, 0.0]))
         stars = np.array([[1.0, 0.0, 0.0], second * (turn @ [1.0, 0.0, 0.0])])

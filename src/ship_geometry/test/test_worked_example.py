@@ -20,7 +20,7 @@ from ship_testing.worked_example import (
 
 
 def test_the_papers_own_result_lacks_aberration_and_ut1():
-    # [P15] prints A 71.9528°, E 42.2207°; within 0.01" cos E and 2.8" (models.md §2).
+    # [P15] prints A 71.9528°, E 42.2207°: the suite differs by 0.01" cos E and 2.8" (models.md §2).
     azimuth_deg, elevation_deg = angles_deg(without_aberration(UT1_TAKEN_AS_UTC, diurnal=False))
     assert (azimuth_deg - 71.9528) * 3600.0 == pytest.approx(0.0, abs=0.02)
     assert (elevation_deg - 42.2207) * 3600.0 == pytest.approx(-2.8, abs=0.05)
@@ -53,7 +53,7 @@ def test_refraction_raises_it():
     direction_n = directions(STAR, TIME_NS, SHIP, ORIENTATION)
     for model, angle_arcsec in (("almanac", 59.344), ("erfa", 59.74)):
         angle = refraction(model, elevation_of(direction_n), WEATHER).angle
-        # The values are for E = 42.2207°, 25" higher: 0.014" more refraction here.
+        # The expected values are for E = 42.2207°. This star is 25" lower, where the refraction is 0.014" larger.
         assert angle / ARCSEC == pytest.approx(angle_arcsec + 0.014, abs=0.005)
         assert shift_arcsec(direction_n, raised_directions(direction_n, angle)) == pytest.approx(
             [0.0, angle / ARCSEC], abs=1e-6

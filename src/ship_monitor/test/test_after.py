@@ -39,7 +39,7 @@ def pictures(suite):
 
 
 def complete_state(pictures):
-    """Return the state after the ten minutes have been read."""
+    """Return the state after the ten minutes of history have been read."""
     picture = pictures.current_state()
     while not pictures.is_history_complete:
         picture = pictures.current_state()
@@ -140,7 +140,7 @@ class TestBagPlayback:
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 
     def test_first_state_has_safety_sources_and_alerts(self, suite, pictures):
-        """The last minute is enough except for events and plots."""
+        """The messages of the last minute give all of the state except events and plots."""
         pictures.go_to(450.0)
         first, later = pictures.current_state(), complete_state(pictures)
         assert not math.isnan(first.angles[0].value)
@@ -176,9 +176,9 @@ class TestBagPlayback:
             START_NS + 790 * NS_PER_S <= each.log_time_ns <= START_NS + 850 * NS_PER_S for each in suite.messages(0)
         )
         at_first = len(processed)
-        assert at_first <= minute + 2  # the alerts, and one attitude that another start of its tenths leaves
+        assert at_first <= minute + 2  # the alerts, and one attitude, because reading starts within a tenth of a second
         pictures.current_state()
-        assert len(processed) <= at_first + 1  # one message of the ten minutes
+        assert len(processed) <= at_first + 1  # one message of the ten minutes of history
 
     def test_chosen_time_is_displayed_at_once(self, pictures):
         seen = []

@@ -1,4 +1,4 @@
-"""Alerts of whole voyages with faults, read from bags; no alert is lost with its process."""
+"""Alerts of whole voyages with faults, read from bags; no alert is lost when the process ends."""
 
 import json
 from pathlib import Path
@@ -90,7 +90,8 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
         (60.0, "encoder.out", "encoder", Priority.ALARM),
     ):
         time_s, change = voyage.first(id_)
-        # Two seconds after the filter can detect it; the timeout of the encoder itself is two seconds.
+        # The alert comes at most two seconds after the filter can detect the fault; the encoder's timeout is two
+        # seconds.
         assert start_s < time_s <= start_s + 2.0 + 2 * LOOK_NS / NS_PER_S
         assert (change.alert.source, change.alert.priority) == (source, priority)
     named = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
@@ -138,7 +139,7 @@ def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "ship_alerts", "version": 9, "alerts": []}', "\0"])
 def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> None:
-    """One line names the file; the node continues and writes a valid one."""
+    """One line names the file; the node continues and writes a valid file."""
     state = tmp_path / "alerts.json"
     state.write_text(content)
     reports: list[str] = []
@@ -153,7 +154,7 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
 
 
 def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
-    """While the file cannot be written alerts continue; they are saved as soon as it can be."""
+    """Alerts continue while the file cannot be written, and are saved as soon as writing is possible."""
     state = tmp_path / "folder" / "alerts.json"
     reports: list[str] = []
     manager = AlertManager(Limits(), state, 0, reports.append)
@@ -168,7 +169,7 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
 
 
 def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
-    """An hour of sleep is not a timeout of the suite: no alert for ten seconds, in which data arrive again."""
+    """An hour of sleep is not a timeout of the suite: no alert for ten seconds, so that data can arrive again."""
     voyage = Voyage(faulty)
     before = voyage.manager.alerts
     later_ns = voyage.end_ns + 3600 * NS_PER_S
@@ -178,7 +179,7 @@ def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
 
 
 def test_node_status_expires() -> None:
-    """An ended black box is a warning; it clears when the node stops publishing its status."""
+    """An ended black box is a warning; the warning clears when the node stops publishing its status."""
     manager = AlertManager(Limits(), None, 0, lambda _: None)
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
@@ -193,7 +194,7 @@ def test_node_status_expires() -> None:
 
 
 def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
-    """The limit is more than any disk has; then the disk does not exist."""
+    """First the limit is more than the free space of any disk; then the disk does not exist."""
     machine = Limits().machine
     for path in (tmp_path, tmp_path / "gone"):
         limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))

@@ -177,7 +177,7 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
 
 @pytest.mark.smoke
 def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
-    """A node's ended black box is a warning; /diagnostics contains the functions with their losses."""
+    """A node's ended black box is a warning; /diagnostics reports which functions are lost."""
     start("--state", str(tmp_path / "alerts.json"))
 
     def look():
@@ -220,7 +220,7 @@ def test_each_namespace_has_its_own_file(monkeypatch, tmp_path):
 
 
 def test_alerts_are_in_the_recording(start, tmp_path):
-    """Each state of each alert is a message in the bag, also those from before the recorder discovered the node."""
+    """Each state of each alert is a message in the bag, also a state from before the recorder discovered the node."""
     limits = tmp_path / "limits.yaml"
     limits.write_text("alerts: {start_s: 4.0, escalate_after_s: 3.0}\n")
     start("--limits", str(limits), "--state", str(tmp_path / "alerts.json"))
@@ -247,7 +247,8 @@ def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start
     other_node = Node(node, context=ship.context, namespace="other")
     diagnostics = other_node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     start("--state", str(tmp_path / "alerts.json"))
-    # The second status belongs to this suite by its name and is in the same message, so both are received together.
+    # The second status belongs to this suite by its hardware id. Both are in one message, so both are received
+    # together.
     statuses = [
         DiagnosticStatus(level=b"\x02", name=f"{node}: clock", message="stands", hardware_id=hardware_id),
         DiagnosticStatus(level=b"\x02", name="ship_attitude: stamps", hardware_id="/demo/ship_attitude"),

@@ -44,7 +44,7 @@ def test_each_second_keeps_its_minimum_and_maximum() -> None:
     time_ns = np.array([point.utc_ns for point in points])
     value = np.array([point.value for point in points])
     kept = rows_to_draw(time_ns, value)
-    for second in range(1000, 1019):  # the last is not over yet
+    for second in range(1000, 1019):  # the last second is not over yet
         inside = value[time_ns // SECOND_NS == second]
         left = value[kept][time_ns[kept] // SECOND_NS == second]
         assert len(left) == 2

@@ -220,7 +220,7 @@ SAFE, CAUTION = Safety.SAFE, Safety.CAUTION
     ],
 )
 def test_ribbon_joins_seconds_of_equal_safety(words, stretches):
-    # The first second of the history is one after the start of the ribbon.
+    # The first point of the history is one second after the start of the ribbon.
     expected = [((start + 1) / 600, (end + 1) / 600, word) for start, end, word in stretches]
     assert ribbon(words) == [[pytest.approx(start), pytest.approx(end), word] for start, end, word in expected]
 

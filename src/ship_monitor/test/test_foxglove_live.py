@@ -80,7 +80,7 @@ def subscribe(client, topic):
 
 
 def receive(client, ship, topic, message):
-    """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
+    """Subscribe to a topic of the ship, and publish a message until it arrives: later messages then arrive too."""
     subscribe(client, topic)
     ship.publish(topic, message)
     client.wait_until(lambda: client.received or ship.publish(topic, message))
@@ -116,7 +116,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
     assert [each.data for each in received] == published
     times_ns = [each.log_time_ns for each in received]
     assert begin_ns <= times_ns[0] <= times_ns[-1] <= time.time_ns()
-    # Arrival times of the single messages, not of the fetches twenty times a second.
+    # The times are arrivals of single messages, not the times of the fetches (twenty a second).
     assert len(set(times_ns)) == 100
     for each, message in zip(received, messages, strict=True):
         found = decode(client, each)
@@ -184,7 +184,7 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 @pytest.mark.parametrize("is_awaited", [False, True])
 def test_topic_with_another_type_is_offered_again(sail, connect, live_suite, is_awaited):
     ship, client = sail(), connect()
-    if is_awaited:  # Both types exist at any time: a subscriber has the one, the client has the other.
+    if is_awaited:  # Both types exist at the same time: the subscriber has Float64, the publisher has String.
         sail().node.create_subscription(Float64, "text", lambda _: None, 10)
     ship.publish("text", String(data="a"))
     receive(client, ship, "text", String(data="a"))
@@ -232,7 +232,7 @@ def test_page_does_not_depend_on_a_client(sail, connect, live_suite):
 
 @pytest.fixture
 def monitor(resources, tmp_path):
-    """Return the executable, and its address for Foxglove."""
+    """Return the process of the executable, and the address of its Foxglove server."""
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
     process = resources.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
@@ -263,7 +263,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, resources, monit
     ship.publish("text", message)
     receive(client, ship, "text", message)
     stalled = resources.enter_context(client_that_never_reads(address, client.channels["/demo/text"]["id"]))
-    # More than the buffers of a connection: unread messages then wait in the server.
+    # These messages exceed the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
     def has_come():

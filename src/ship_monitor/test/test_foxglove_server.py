@@ -170,7 +170,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
         for number in range(40):
-            # 160 MB for a client that reads nothing; at most 1024 messages of them, 4 MB, wait.
+            # The client that reads nothing is sent 160 MB; at most 1024 messages, 4 MB, wait in the server.
             for _ in range(1000):
                 server.forward("/demo/text", payload, number)
             good.receive(0.01)
@@ -180,7 +180,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
         assert resident_mb() - before_mb < 100.0
         begin_s = time.monotonic()
         server.close()
-        server.close()  # while the first one still waits for the client
+        server.close()  # while the first call still waits for the client
         assert time.monotonic() - begin_s < 5.0
 
 

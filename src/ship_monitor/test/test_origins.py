@@ -1,4 +1,4 @@
-"""Requests answered by the page and by the Foxglove server, by Host and Origin; also with a real browser."""
+"""The page and the Foxglove server answer or refuse requests by Host and Origin; also with a real browser."""
 
 import http.client
 import http.server
@@ -137,7 +137,7 @@ def test_page_of_another_site_reads_no_topics_in_a_browser(foxglove, site):
                 (f"ws://localhost:{port_of(page)}/ws", "['bokeh', 'token']"),
             ):
                 assert browser.evaluate(attempt.format(address=address, protocols=protocols)) == "refused", address
-            # A foreign name that resolves to this server is a site of its own, without content.
+            # A foreign name that resolves to this server gets an error page.
             browser.open(f"http://evil.localhost:{port_of(page)}/")
             assert browser.text("p").startswith("403")
             # The same attempt from a page of this computer succeeds.

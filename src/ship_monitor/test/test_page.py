@@ -87,7 +87,7 @@ def test_first_screen_at_1280_by_800_matches_the_design(browser, page):
     assert rectangle(browser, "#ribbons") == pytest.approx([16, 632, 1248, 160], abs=1.0)
 
 
-# Least heights of capitals for two metres and for one, as font sizes in px of a screen 1280 wide (design of the page).
+# Minimum font sizes for reading at two metres and at one metre, px, on a screen 1280 px wide (design of the page).
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("selector", "least_px"),
@@ -187,7 +187,7 @@ def test_lost_link_makes_every_value_old(browser, source, page):
 def test_lost_link_is_reported_within_two_seconds(browser, page):
     browser.open(page)
     browser.wait_until_true(LIVE)
-    # Measured by the clock and the timers of the page, not by times of this test.
+    # The page detects the loss by its own clock and timers: their limits are compared, not times of this test.
     limits = browser.evaluate("[monitor.limits.linkLostMs, monitor.limits.lookMs]")
     assert sum(limits) <= 2000
 
@@ -402,7 +402,7 @@ def test_first_paint_does_not_wait_for_bokeh(browser, page):
     assert painted - sent < 1000.0
 
 
-# Bokeh draws into shadow roots: what is inside all of them.
+# Bokeh draws into shadow roots: this expression returns the elements inside all of them.
 INSIDE = """(() => {
   const found = [], look = (root) => root.querySelectorAll('*').forEach((each) => {
     found.push(each);
@@ -472,7 +472,7 @@ def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size)
     browser.open(page, *SIZES[size])
     browser.wait_until_true("monitor.isLinked()")
     browser.evaluate("document.querySelector('#roll').click()")
-    # The panels are made and drawn meanwhile.
+    # The panels are made and drawn during this wait.
     browser.wait_until_true(f"{PANEL}('Error budget')[0].startsWith('roll, ')", 90.0)
     browser.wait_until_true(f"{FIGURES}.some((each) => each.title?.text === '▶ roll')")
     assert browser.wait_until_true(f"{PANEL}('Error budget')[1] && {PANEL}('Error inside')[1]")
@@ -483,7 +483,7 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
     source.set(simulated_state(), simulated_history())
     browser.open(page, 1280, 1600)
     browser.wait_until_true("monitor.isLinked()")
-    # Number of plots in the document at each text: texts in between keep the link while plots are made.
+    # Number of plots in the document at each text update: updates between the plots keep the link.
     browser.evaluate(
         "window.plots = []; const show = monitor.show; monitor.show = (model) => {"
         " plots.push([...Bokeh.documents[0]._all_models.values()].filter((each) => each.type === 'Figure').length);"
@@ -501,7 +501,7 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
 
 
 def wait_for_marks(browser, each):
-    """Wait until the given numbers of each kind are marked."""
+    """Wait until this number of titles, frames, rows and labels is marked."""
     browser.wait_until_true(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
 
@@ -513,8 +513,8 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
     browser.wait_until_true(f"{FIGURES}.length === 14")
     wait_for_marks(browser, 0)
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
-    # The title and frame of its innovations and of its field of view; the rows of its input and of its alert; the two
-    # parts of the budget that star sensors contribute.
+    # Two of each: titles and frames of the sensor's innovations and field of view, rows of its input and alert, and
+    # labels of the two parts of the budget that star sensors contribute.
     wait_for_marks(browser, 2)
     clock = browser.text("#utc")
     browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
@@ -570,7 +570,7 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
     ):
 
         def is_drawn_only(where=where, wanted=wanted, unwanted=unwanted):
-            browser.evaluate(where)  # once more: the page grows while its panels come
+            browser.evaluate(where)  # repeated: the page grows while panels are added
             return wanted in drawn[-3:] and unwanted not in drawn[-3:]
 
         browser.wait(is_drawn_only, where, 90.0)

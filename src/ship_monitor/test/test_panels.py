@@ -167,7 +167,7 @@ def test_only_new_points_are_streamed(panels) -> None:
 
 
 def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
-    # Each message is packed and sent separately: forty each for three browsers take a tenth of a core.
+    # Each message is packed and sent separately: forty a second for each of three browsers take a tenth of a core.
     history = simulated_history()
     document = Document()
     document.add_root(panels.layout)
@@ -200,7 +200,7 @@ def test_new_points_do_not_recompute_the_document_models(panels, monkeypatch) ->
     assert looks == []
     panels.choose("roll")
     panels.update(history, PICTURE)
-    assert 1 <= len(looks) <= 3  # not at each band
+    assert 1 <= len(looks) <= 3  # not once for each band
 
 
 def test_rejected_stars_differ_and_rows_count_downward() -> None:
@@ -348,7 +348,7 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
     assert found["fields"] == found["states"] == []
     panels.marked = "weather"
     panels.update(history, picture)
-    assert highlights()["bands"] == ["refraction"]  # the smallest of all has a band of its own
+    assert highlights()["bands"] == ["refraction"]  # the smallest part of the budget has a band of its own
     panels.marked = ""
     panels.update(history, picture)
     assert not any(highlights().values())

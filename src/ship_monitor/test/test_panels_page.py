@@ -57,7 +57,7 @@ class Minutes:
 
 @contextlib.contextmanager
 def serve_panels(theme):
-    """Return the address of a page with the panels only, and the panels."""
+    """Yield the address of a page with the panels only, and a queue that gets the panels of each opened page."""
     queue: Queue = Queue()
     minutes = Minutes()
 
@@ -125,10 +125,10 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
         assert browser.problems == []
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
         heights = evaluate(browser, "found('Figure').map((each) => each.el.offsetHeight)")
-        assert width > 700 or sorted(heights)[-4:-2] == [180, 180]  # below them the map and the states, a row for each
+        assert width > 700 or sorted(heights)[-4:-2] == [180, 180]  # only the map and the states are higher
         pixels = matplotlib.image.imread(BytesIO((tmp_path / f"{theme}_{width}.png").read_bytes()))[..., :3]
     assert len(np.unique(pixels.reshape(-1, 3)[::7], axis=0)) > 30, "nothing is drawn"
-    if theme == "night":  # red light alone: a quarter of the red in the hue of its text, and what rounding adds
+    if theme == "night":  # only red light: green and blue are at most a quarter of red, plus rounding
         assert np.all(pixels[..., 1:].max(axis=-1) <= 0.26 * pixels[..., 0] + 0.02)
 
 
@@ -169,7 +169,7 @@ def test_drag_zooms_all_plots_and_double_click_returns(browser):
         assert panels.times.range.end == before
 
         def is_live_again():
-            """Two clicks are a double click only if they are fast enough: on a busy computer another may be needed."""
+            """Double-click and return True if the plots are live; on a busy computer two clicks can be too slow."""
             for count in (1, 2):
                 mouse(browser, "mousePressed", x, y, count)
                 mouse(browser, "mouseReleased", x, y, count)
@@ -182,7 +182,7 @@ def test_drag_zooms_all_plots_and_double_click_returns(browser):
 
 
 def has_text_at(browser, view):
-    """True if a tooltip appears after the pointer has moved across a plot; its layout may not be finished yet."""
+    """True if a tooltip appears after the pointer has moved across a plot; the plot may not be laid out yet."""
     box = f"((box) => [box.left + box.width / 2, box.top + box.height * 0.3])({view}.el.getBoundingClientRect())"
     x, y = evaluate(browser, box)
     for step in range(-10, 1):

@@ -24,7 +24,7 @@ def page():
 
 
 def get(page, path, host=None, origin=None, upgrade=False):
-    """Return status and text of an answer; for an accepted websocket no text, after the server has closed it."""
+    """Return status and text of an answer; for an accepted websocket, wait until the server closes it."""
     place = page.address.removeprefix("http://").rstrip("/")
     connection = http.client.HTTPConnection(place, timeout=20)
     headers = {"Host": host or place} | ({"Origin": origin} if origin else {})
@@ -35,7 +35,7 @@ def get(page, path, host=None, origin=None, upgrade=False):
     answer = connection.getresponse()
     text = answer.read()
     if answer.status == 101:
-        while connection.sock.recv(1024):  # what the server logs of it is logged before it closes
+        while connection.sock.recv(1024):  # the server logs before it closes the websocket
             pass
     connection.close()
     return answer.status, text.decode("utf-8", "replace")
@@ -101,7 +101,7 @@ def test_other_sites_are_refused_and_ssh_tunnels_are_not(page):
 
 
 async def leave_early(page):
-    """Open a page and leave messages on a connection whose end the server has detected by a ping."""
+    """Open a page, and send messages on a connection that the server already treats as lost."""
     loop = asyncio.get_running_loop()
     text = (await loop.run_in_executor(None, get, page, "/"))[1]
     token = re.search(r'"token":"([^"]+)"', text)[1]
@@ -125,7 +125,7 @@ async def leave_early(page):
 
 
 def test_early_closed_tab_logs_no_traceback(caplog, monkeypatch):
-    monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # without handlers of others bokeh has its own
+    monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # without other handlers bokeh uses its own
     with run_page_server() as page:
         asyncio.run(leave_early(page))
         assert get(page, "/")[0] == 200

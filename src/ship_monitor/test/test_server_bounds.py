@@ -15,7 +15,7 @@ from ship_testing.page_runs import run_page_server
 
 
 class Lines(logging.Handler):
-    """Lines of the log, each with its traceback."""
+    """Handler that collects the lines of the log and the tracebacks."""
 
     def __init__(self):
         super().__init__()
@@ -124,6 +124,6 @@ def test_too_many_pages_are_refused_until_others_are_closed(page, lines):
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
     wait_until(lambda: len(lines.texts) == 1)
     assert status(page) == 200
-    # Bokeh collects garbage after each closed page; objects from before are excluded.
+    # Bokeh collects garbage after each closed page; objects from before the first page are excluded.
     assert gc.get_freeze_count() > 0
     wait_until(lambda: status(page, "/") == 200)

@@ -31,8 +31,9 @@ def test_map_positions(azimuth_deg, elevation_deg, place) -> None:
 
 
 def test_moon_covered_the_sun_in_the_eclipse_of_2017() -> None:
-    # The bulletin gives the Sun there: azimuth 197.9°, altitude 63.9°. The centres were 0.4367 Earth radii apart as
-    # seen from the Earth's centre; from the place of greatest eclipse they coincide within a minute of arc.
+    # The bulletin gives the Sun at this place: azimuth 197.9°, altitude 63.9°. The axis of the shadow passes the
+    # Earth's centre at 0.4367 Earth radii. Seen from this place, the centres of Sun and Moon coincide within a minute
+    # of arc.
     direction = moon_direction(ECLIPSE_NS, *ECLIPSE_PLACE)
     assert direction is not None
     azimuth_deg, elevation_deg = np.rad2deg(direction)

@@ -41,7 +41,7 @@ def row_of(lines, start):
 
 
 def cells(text):
-    """Return the cells of a text by Unicode (East Asian Width), independent of the drawing library."""
+    """Return the number of cells of a text by Unicode (East Asian Width), independent of the drawing library."""
     return sum(2 if unicodedata.east_asian_width(char) in "WF" else 1 for char in text)
 
 

@@ -174,7 +174,8 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.wait_for_subscribers(until, reader.fetch, "/clock")
     ship.publish("/clock", clock_at(900))
     until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
-    # Its own clock is earlier, which is not a step back; then the other bag restarts.
+    # The clock of the namespace is earlier than the global clock: no step back. Then the bag of the global clock
+    # restarts.
     ship.publish("clock", clock_at(100))
     looks = []
 
@@ -191,7 +192,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
         receive("/clock", 5)()
     until(receive("clock", 101))
     assert not any(taken.time_went_back for taken in looks)
-    # After its own clock has ended, the global one is used again.
+    # After the clock of the namespace has ended, the global clock is used again.
     ship.node.destroy_publisher(ship.publishers.pop("clock"))
     until(receive("/clock", 6))
 

@@ -164,7 +164,7 @@ def test_time_just_before_midnight_is_not_hour_24(before_ns, printed):
 
 
 def test_default_decimals_show_star_sensor_accuracy():
-    """0.3″, which a field of 0.001° could not show."""
+    """The standard deviations are 0.3″, which a field with steps of 0.001° could not show."""
     shown = attitude(1.0, 2.0, 3.0, sigmas_deg=(math.degrees(0.3 * ARCSEC),) * 3)
     read = pynmea2.parse(pashr(shown, "", 4).render(), check=True)
     assert 0.3 <= read.heading_accuracy * 3600.0 <= 0.34
@@ -172,11 +172,11 @@ def test_default_decimals_show_star_sensor_accuracy():
 
 @pytest.mark.parametrize("angles_deg", [(10.0, 0.0, 0.0), (350.0, 20.0, -15.0), (180.0, -35.0, 40.0)])
 def test_heading_rate_is_the_derivative_of_heading(angles_deg):
-    """The expected rate is by the heading a short time later, with the rotations of ship_geometry."""
+    """The expected rate is the change of heading in 1 µs, by the rotations of ship_geometry."""
     rate_flu = np.array([0.02, -0.03, 0.05])
     rotation_nd = rotation_from_angles(*np.radians(angles_deg))
     step_s = 1e-6
-    # The deck frame (forward, up, right) and its angular velocity in it.
+    # Rotation vector of the step in the deck frame (forward, up, right).
     forward, left, up = rate_flu
     x, y, z = np.array([forward, up, -left]) * step_s
     turn = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])

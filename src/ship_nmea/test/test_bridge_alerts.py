@@ -1,7 +1,7 @@
 """A simulated alert management of a bridge: it receives ALF, ALC and HBT and acknowledges with ACN.
 
-The alerts are those of the real node ``alerts``, over DDS. The bridge is connected to a TCP sink, another one to a UDP
-sink.
+The alerts are those of the real node ``alerts``, over DDS. The bridge is connected to a TCP sink, a second display
+(``wing``) to a UDP sink.
 """
 
 import os
@@ -115,7 +115,7 @@ def bridge():
 
 
 def acknowledgement(identifier):
-    """Return an ACN without an instance, which refers to the present one."""
+    """Return an ACN without an instance, which refers to the present instance of the alert."""
     body = f"BNACN,,ZZZ,{identifier},,A,C"
     return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}\r\n".encode()
 
@@ -183,7 +183,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         heading_display.send(f"BNACN,120000.00,ZZZ,{NO_DATA},1,A,C")
         wait_until(ship, lambda: heading_display.read() or heading_display.last("ARC"))
         heading_display.close()
-        # A host that is not the bridge cannot acknowledge any, and receives no answer.
+        # A host that is not the bridge cannot acknowledge an alert, and receives no answer.
         for number, (kind, port) in enumerate(
             ((socket.SOCK_STREAM, bridge.display.port), (socket.SOCK_DGRAM, listen_port)), start=1
         ):
@@ -196,7 +196,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         refused = [(NO_DATA, 2, "A"), (NO_DATA, 1, "S"), (NO_DATA + 1, 1, "A")]
         wait_for(lambda state: sorted(state.refusals) == sorted(refused))
         assert ship.alerts["attitude.silent"].state == Alert.ACTIVE_UNACKNOWLEDGED
-        bridge.display.send(f"BNACN,120000.00,FEC,{NO_DATA},1,A,C")  # to another source: no answer at all
+        bridge.display.send(f"BNACN,120000.00,FEC,{NO_DATA},1,A,C")  # addressed to another source: no answer at all
         bridge.display.connection.sendall(b"$BNACN,broken*00\r\n\xff\xfe$\r\n")
         bridge.command(NO_DATA, 1, "Q")
         bridge.command(NO_DATA, 1, "A")

@@ -19,7 +19,7 @@ def lines_of(*datagrams):
 
 @pytest.mark.parametrize("at", range(1, len(HDT) + 1))
 def test_sentence_over_two_datagrams_is_joined(at):
-    """Cut at any place, after another sentence, and with a datagram of another sender between its parts."""
+    """The second sentence is cut at any place; a datagram of another sender arrives between its parts."""
     data = ROT + b"\r\n" + HDT + b"\r\n"
     cut = len(ROT) + 2 + at
     found, late = lines_of((data[:cut], ONE, 0), (HDT + b"\r\n", OTHER, 50), (data[cut:], ONE, 190))

@@ -9,7 +9,7 @@ from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARS
 from ship_nmea.line_splitter import LineSplitter
 from ship_testing.ship_logs import sentence
 
-# Of the log of R/V Nathaniel B. Palmer, 2014-08-01, see test_import_nmea.
+# Lines of the log of R/V Nathaniel B. Palmer, 2014-08-01, see test_import_nmea.
 HDT, PSXN23 = b"$HEHDT,218.53,T*12", b"$PSXN,23,0.35,-1.74,218.26,0.58*13"
 
 
@@ -93,13 +93,13 @@ def test_content_of_lines(line, expected):
 
 UBX = b"\xb5b\x01\x07\x08\x00" + bytes(range(0x20, 0x28)) + b"\x8a\x3f"
 RTCM = b"\xd3\x02\xbc" + bytes(number % 251 for number in range(700)) + b"\x47\xea\x4b"
-"""A message with ``$`` in it, and one longer than a line may be, with line ends in it."""
+"""UBX contains a ``$``; RTCM is longer than a line may be, and contains line ends."""
 
 
 @pytest.mark.parametrize("binary", [UBX, RTCM, RTCM.translate(None, b"\r\n"), RTCM.translate(None, b"\r\n$")])
 @pytest.mark.parametrize("size", [7, 100, 10_000])
 def test_no_sentence_is_lost_after_binary_messages(binary, size):
-    """A receiver that sends UBX or RTCM on the same line, in chunks of any size."""
+    """A receiver sends UBX or RTCM on the same line, in chunks of any size."""
     stream, splitter, found = 5 * (binary + HDT + b"\r\n" + PSXN23 + b"\r\n"), LineSplitter(), []
     for at in range(0, len(stream), size):
         found += [name for line in splitter.split(stream[at : at + size]) for name in outcomes(line)]

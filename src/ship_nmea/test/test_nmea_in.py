@@ -86,7 +86,7 @@ def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg
 
 
 def test_bow_east_is_the_identity_in_ros_axes(listening):
-    """REP-103: ENU <- FLU is the identity if the bow points east; independent of our own conversions."""
+    """REP-103: ENU <- FLU is the identity if the bow points east; the test uses none of our own conversions."""
     node = listening({"seapath": udp("ins")})
     node.send("seapath", psxn(datetime.now(timezone.utc), 90.0, 0.0, 0.0))
     (message,) = node.wait_until(lambda: node.received["ins/imu"])
@@ -95,7 +95,7 @@ def test_bow_east_is_the_identity_in_ros_axes(listening):
 
 
 def test_each_role_has_its_topics_and_stamps(listening):
-    """GGA of the Palmer's log. HDT and weather contain no time and get the arrival, as all do with 'arrival'."""
+    """THS and weather contain no time: the stamp is the arrival, as for all sources with ``time: arrival``."""
     node = listening({
         "gps": udp("gnss", time="arrival"), "gyro": udp("gyro"), "second": udp("reference", time="arrival"),
         "mast": udp("weather"),
@@ -178,7 +178,7 @@ def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
 
 
 def test_impossible_time_is_an_error(listening):
-    """The status depends on published messages: sentences of 2014 give none today."""
+    """The status depends on published messages: sentences of 2014 give no message today."""
     node = listening({"seapath": udp("ins", silent_after_s=0.5)})
 
     def error_text():
@@ -204,7 +204,7 @@ def test_source_without_data_is_an_error_until_data_arrives(listening):
 
 
 def test_foreign_sender_and_cut_datagrams_lose_no_ins_message(listening):
-    """Every 20th datagram is foreign and stamped 30 s ahead; the INS's are cut in two, after UBX data."""
+    """Sentences of the INS are cut in two after UBX data; after every 20th a foreign one is stamped 30 s ahead."""
     node = listening({"seapath": udp("ins"), "gps": udp("gnss", **{"from": ["127.0.0.3"]})})
     start = datetime.now(timezone.utc) - timedelta(seconds=2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
@@ -263,7 +263,7 @@ def test_server_restart_and_lines_in_chunks(listening):
 
 
 def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
-    """A real pseudo-terminal, behind a link as udev makes one; it does not exist at the start."""
+    """The device is a link to a real pseudo-terminal, as udev makes one; the link does not exist at the start."""
     device = tmp_path / "ttyUSB0"
     node = listening({"gyro": {"kind": "serial", "device": str(device), "baud": 9600, "becomes": "gyro"}})
     node.wait_until(lambda: "No such file or directory" in node.source_status("gyro")[1])
@@ -364,7 +364,7 @@ def resident_mb(process):
 
 
 def test_many_faults_at_once(listening, tmp_path):
-    """A flood, noise, a server that restarts, a device that is unplugged; one source works."""
+    """Four sources have a flood, noise, a stopped server and an unplugged device; one source works."""
     tcp_port = free_port(socket.SOCK_STREAM)
     controller, terminal = os.openpty()
     device = tmp_path / "ttyUSB0"
@@ -382,7 +382,7 @@ def test_many_faults_at_once(listening, tmp_path):
 
     def flood():
         heading, sender = lines_of("HEHDT,10.0,T"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        while not stop.wait(0.001):  # faster than any machine processes them: sending is as fast as this thread
+        while not stop.wait(0.001):  # 10 datagrams a millisecond: more than any machine processes
             for _ in range(10):
                 sender.sendto(10 * heading, ("127.0.0.1", node.config.sources["flooded"].port))
         sender.close()
@@ -407,7 +407,7 @@ def test_many_faults_at_once(listening, tmp_path):
     flooding.start()
     try:
         run_until(lambda: well and int(node.source_status("flooded")[2].get("dropped", "0")) > 2000)
-        # Some may be lost before DDS has matched both sides.
+        # Some headings may be lost before DDS has matched both sides.
         node.wait_until(lambda: int(node.source_status("well")[2]["lines"]) == sent)
         before_mb, before, sent = resident_mb(node.process), len(well), 0
         server.close()
@@ -428,7 +428,7 @@ def test_many_faults_at_once(listening, tmp_path):
         stop.set()
         flooding.join()
     assert node.exception_text() == "no exception"
-    # A source has a line when its state or reason changes. The thousands of lines dropped add none.
+    # The log has a line when the state or reason of a source changes, and none for the thousands of dropped lines.
     previous: dict[str, tuple[str, str]] = {}
     for severity, source, text in re.findall(r"\[(\w+)\].* source (\w+): (.*)", node.log.read_text()):
         line = (severity, re.sub(r"\d+", "", text))

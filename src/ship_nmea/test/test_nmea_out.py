@@ -104,7 +104,7 @@ def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
     assert float(bridge.last("ROT").rate_of_turn) == pytest.approx(30.0, abs=0.2)
     pashr = bridge.last("ASHRATT")
     assert (pashr.pitch, pashr.roll) == (2.0, -3.0)
-    # 3″, 2″ and 1″, rounded up at 0.0001°.
+    # 3″, 2″ and 1″, rounded up to a multiple of 0.0001°.
     assert (pashr.heading_accuracy, pashr.pitch_accuracy, pashr.roll_accuracy) == (0.0009, 0.0006, 0.0003)
     assert pashr.data[1][4:] in messages  # the time is that of the stamp
 

@@ -57,7 +57,7 @@ def test_invalid_command_addresses_are_refused(sink, parameter, complaint):
 
 
 def test_commands_are_accepted_from_configured_addresses_only():
-    """Default for UDP is the destination address; a serial line has only its far end."""
+    """The default for UDP is the destination address; commands on a serial line have no address."""
     listed = {"from": ["10.0.0.7"]}
     sinks = build(NmeaOutConfig, {"sinks": {
         "udp": UDP, "other": UDP | listed, "server": SERVER, "bridge": SERVER | listed | {"port": 10111},

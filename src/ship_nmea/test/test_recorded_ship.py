@@ -1,4 +1,4 @@
-"""The recorded ship's lines sent live give the same messages as import_nmea gives from them."""
+"""Recorded lines of a ship, sent live, give the same messages as import_nmea gives."""
 
 from datetime import datetime, timezone
 from pathlib import Path
@@ -21,7 +21,7 @@ ARRIVAL_STAMPED = ("reference/gyro/imu", "met/temperature", "met/humidity", "met
 
 MIDNIGHT_NS = datetime_ns(datetime(2014, 8, 1, tzinfo=timezone.utc))
 EXCERPT_S, CLOCK_STEP_S, BLOCK_S = 240, 80, 10
-"""An instrument's time is accepted within a minute of the node's: /clock is constant in the middle of each step."""
+"""During each step of 80 s /clock stays at the middle of the step: instrument times may differ from it by a minute."""
 
 pytestmark = [
     pytest.mark.live,
@@ -73,7 +73,7 @@ def test_live_messages_equal_imported_ones(listening, imported_messages):
         for time_s, source, line in lines:
             if begin_s <= time_s < begin_s + BLOCK_S:
                 node.send(source, line.partition(" ")[2].encode())
-        # As fast as the node takes it, without loss.
+        # The next lines are sent when the node has published all messages of these: no line is lost.
         for topic, expected in imported_messages.items():
             count = sum(time_s < begin_s + BLOCK_S for time_s, _ in expected)
             node.wait_until(lambda topic=topic, count=count: len(node.received[topic]) >= count)

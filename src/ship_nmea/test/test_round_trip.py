@@ -71,7 +71,7 @@ def test_attitude_round_trip(listening, make_publisher):
         times_ns = set()
 
         def received_messages(sent=sent, times_ns=times_ns):
-            """Return the messages of one of these attitudes; a busy machine may lose some on the way to nmea_out."""
+            """Publish the attitude again, as a busy machine may lose it; return the messages with one of its stamps."""
             times_ns.add(time.time_ns() // 1_000_000 * 1_000_000)  # PASHR has milliseconds
             sent.header.stamp.sec, sent.header.stamp.nanosec = stamp_fields(max(times_ns))
             publisher.publish(sent)

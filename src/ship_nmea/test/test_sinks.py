@@ -130,7 +130,7 @@ def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
 
 @pytest.mark.slow
 def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monkeypatch):
-    """Its own system takes 2 kB. The 8 kB that this side's keeps for it take minutes more to fill."""
+    """The client's system takes 2 kB. At a low rate the 8 kB of the send buffer take minutes more to fill."""
     monkeypatch.setattr("ship_nmea.out.network_outlets.CLIENT_TIMEOUT_S", 1.0)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
@@ -149,7 +149,7 @@ def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monk
             return "1 clients, 1 clients disconnected" in sink.status().message
 
         wait_until(one_more)
-        assert count < 400  # of 21 bytes; 480 fill both buffers
+        assert count < 400  # sentences of 21 bytes; 480 fill both buffers
 
 
 def test_one_host_cannot_use_all_connections(open_sink):
@@ -224,7 +224,7 @@ def test_file_as_serial_device_is_an_opening_error(open_sink, tmp_path):
 
 @pytest.fixture
 def line(tmp_path):
-    """A serial line: the far end of a pseudo-terminal, and the path of this end, which may be another one."""
+    """Return a function that makes a pseudo-terminal and returns its far end, and the path of its near end."""
     lines = []
 
     def plug_in(path=tmp_path / "ttyUSB0"):
@@ -274,7 +274,7 @@ def test_lost_serial_line_is_reported_and_opened_again(open_sink, tmp_path):
     try:
         wait_until(lambda: sink.status().level is not Level.ERROR)
         sink.queue(SENTENCE)
-        # Sentences queued while it was unplugged are not sent afterwards.
+        # Sentences queued while the line was unplugged are not sent afterwards.
         assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
         assert sink.status().values["dropped: while it was not open"] == "1"
     finally:
@@ -286,7 +286,7 @@ def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
     sink = open_sink(kind="serial", device=path)
 
     def one_more():
-        # A thousand per second: MOST_WAITING of them last for four times their maximum age.
+        # A thousand sentences per second: a queue of MAX_QUEUED sentences exceeds their maximum age.
         for _ in range(10):
             sink.queue(SENTENCE * 20, max_wait_ns=50_000_000)
         return any("expired in the queue" in why for why in sink.status().values)
@@ -385,7 +385,7 @@ def test_folder_as_file_is_refused(open_sink, tmp_path):
 
 
 def test_hanging_disk_delays_neither_node_nor_end(tmp_path):
-    """A pipe without a reader is a file whose write never returns."""
+    """A full pipe that is not read is a file whose write never returns."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

@@ -39,7 +39,7 @@ def published_topics(source, line, arrival_ns, now_ns=0, *sender):
 
 
 def test_backward_jump_of_node_time_resets_the_instrument(source):
-    """A bag that is played in a loop; without a reset no attitude would be later than the last one."""
+    """A bag is played in a loop: without a reset, attitudes of the second pass would be rejected as not later."""
     ins = source(becomes="ins")
     for _ in range(2):
         for seconds in range(3):
@@ -55,7 +55,7 @@ def test_no_line_is_used_without_node_time(source):
 
 
 def test_corrected_clock_is_used_again(source):
-    """30 s ahead for 10 s, then right: attitudes are not rejected for 20 s until their stamps are later again."""
+    """The instrument's clock is 30 s ahead for 10 s, then right: attitudes are rejected for 4 s, not for 30 s."""
     ins, given = source(becomes="ins"), []
     for second in range(20):
         arrival = START + timedelta(seconds=second)
@@ -90,7 +90,7 @@ def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
 
 
 def test_clock_behind_is_reported(source):
-    """GPS time less leap seconds taken for UTC: 18 s behind."""
+    """An instrument that subtracts the leap seconds from GPS time twice is 18 s behind."""
     ins = source(becomes="ins")
     published_topics(ins, pashr(START - timedelta(seconds=18)), datetime_ns(START))
     status = ins.status("", 0, 0)
@@ -143,7 +143,7 @@ def test_heave_is_in_the_status(source):
 
 
 def test_ths_takes_precedence_over_hdt(source):
-    """HDT is used before the first THS and 3 s after the last one, whatever its mode."""
+    """HDT is used before the first THS, and again more than 3 s after the last THS of any mode."""
     gyro = source(becomes="gyro")
     hdt, used = "HDT,10.0,T", []
     bodies = {
@@ -239,7 +239,7 @@ def test_odd_fields_never_raise(source):
 
 
 def test_datagrams_dropped_by_the_system_are_counted():
-    """Linux buffers a limited number of bytes for a socket, which is not read while ten thousand datagrams arrive."""
+    """Linux buffers a limited number of bytes for a socket; ten thousand datagrams arrive before the link reads."""
     port, count = free_port(), 10_000
     link = UdpLink("127.0.0.1", port, "")
     link.open()
@@ -247,7 +247,7 @@ def test_datagrams_dropped_by_the_system_are_counted():
         for _ in range(count):
             sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
         read = sum(1 for _ in iter(link.read, (b"", "")))
-        # The count comes with the next datagram.
+        # The system reports the number of dropped datagrams with the next datagram.
         sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
         assert link.read()[0]
     assert link.dropped_count > 0

@@ -15,7 +15,7 @@ def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def live_relay(own_domain: None) -> Iterator[object]:
-    """Starts relay nodes in this process; see :class:`ship_testing.live_relay.LiveRelay`."""
+    """Return a function that starts relay nodes in this process; see :class:`ship_testing.live_relay.LiveRelay`."""
     from ship_testing.live_relay import LiveRelay
 
     started: list[LiveRelay] = []

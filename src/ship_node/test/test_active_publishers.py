@@ -16,7 +16,8 @@ def test_one_publisher_with_lost_messages() -> None:
 
 
 def test_a_restarted_publisher_is_one() -> None:
-    # The number of the one before is passed with a message lost, and another start follows.
+    # After the restart the numbers pass 5, the last one before the restart, and message 5 is lost. Another restart
+    # follows.
     assert not any(two_found([3, 4, 5, 1, 2, 3, 4, 6, 7, 8, 9, 1, 2, 3]))
 
 
@@ -47,7 +48,7 @@ def test_a_new_publisher_after_two_is_one() -> None:
 
 
 def test_without_sequence_numbers_no_publisher_is_stored() -> None:
-    """CycloneDDS gives none: each message would count as a new publisher for ten seconds."""
+    """CycloneDDS gives no numbers: each message would count as a new publisher for ten seconds."""
     publishers = ActivePublishers()
     assert not any(two_found([2**64 - 1] * 500, publishers=publishers))
     assert publishers._publishers == []

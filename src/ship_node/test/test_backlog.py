@@ -38,7 +38,7 @@ def test_persistent_long_waiting_times_are_an_overload_after_one_second() -> Non
 def test_a_standstill_is_no_overload() -> None:
     node = Node()
     assert node.evaluate(2900.0, step_ns=2900 * MS) is OverloadChange.NONE
-    # It takes messages faster than they came.
+    # The node then processes messages faster than they arrive.
     assert [node.evaluate(waited_ms) for waited_ms in range(2900, 0, -40)] == [OverloadChange.NONE] * 73
     assert not node.backlog.is_behind
 
@@ -70,7 +70,7 @@ def test_overload_ends_after_one_second_of_short_waits_with_a_frozen_clock() -> 
 
 
 def evaluate_stalls(node: Node, seconds: float, stall_ms: int, rate: float) -> list[OverloadChange]:
-    """Return the changes while the node stops for ``hiccup_ms`` each 0.9 s and then processes the queue."""
+    """Return the changes while the node stops for ``stall_ms`` each 0.9 s and then processes the queue."""
     changes = []
     for _ in range(round(seconds / 0.9)):
         changes += node.evaluate_for(0.9, 0.0)

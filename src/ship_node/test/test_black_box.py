@@ -272,7 +272,7 @@ def test_black_box_continues_in_a_new_file_after_a_full_disk(tmp_path: Path, mon
 
 
 def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> None:
-    """All files are read as one through the first; each is also a black box with its parameters."""
+    """The first file gives access to the entries of all files; each file is also a black box with its parameters."""
     black_box = new_black_box(tmp_path / "box.mcap", part_bytes=20_000)
     random = np.random.default_rng(1)
     given = [(SECOND_NS * number, random.bytes(100)) for number in range(1, 301)]

@@ -69,7 +69,7 @@ def test_black_box_contains_everything_in_order_of_use(live_relay, tmp_path):
     topics = [topic for topic, _, _ in rows if topic in ("ins/imu", "ship/attitude")]
     assert topics == ["ins/imu", "ship/attitude"] * 2
     outputs = [deserialize_message(what, ShipAttitude) for topic, what, _ in rows if topic == "ship/attitude"]
-    # As texts: the NaN in them equals nothing.
+    # Compared as texts, because a NaN in a message is not equal to itself.
     assert list(map(str, outputs)) == list(map(str, relay.attitudes))
 
 

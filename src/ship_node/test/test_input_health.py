@@ -17,7 +17,7 @@ IMU, STAR = "ins/imu", "star/fore/horizon_attitude"
 
 @pytest.fixture
 def health():
-    """Return the health of a required INS and an optional star sensor."""
+    """Return a monitor of a required INS and an optional star sensor."""
     return InputHealthMonitor(
         [
             InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100),
@@ -57,7 +57,7 @@ def test_good_data_is_ok_with_rate_latency_and_age(health):
     assert (status.level, status.message) == (Level.OK, "100.0 Hz, latency 0.005 s")
     message = imu_message(health, last_ns + 10 * MS)
     assert (message.received, message.accepted, message.rejected, message.level) == (200, 200, 0, 0)
-    # 10 ms apart, 5 ms under way, then 10 ms more.
+    # The messages are 10 ms apart with a latency of 5 ms; the status is taken 10 ms after the last arrival.
     assert (message.rate_hz, message.latency_s, message.age_s) == pytest.approx((100.0, 0.005, 0.015))
 
 
@@ -87,7 +87,7 @@ def test_first_message_timeout_text_depends_on_the_publishers(health):
 
 
 def test_a_configured_device_without_messages_is_a_warning():
-    """Its topic has no publisher, as after a mistyped id."""
+    """The topic of the device has no publisher, as after a mistyped id."""
     monitor = InputHealthMonitor(
         [InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)]
     )
@@ -250,7 +250,7 @@ def test_too_old_stamps_are_an_error(health):
     assert imu_status(health, last_ns).message.endswith(": /clock is published: start the node with use_sim_time:=true")
     message = imu_message(health, last_ns)
     assert (message.level, message.accepted, message.rejected) == (2, 20, 0)
-    # It ends with the first stamp of today.
+    # The error ends with the first recent stamp.
     last_ns = feed(health, 1, start_ns=last_ns + 10 * MS)
     assert imu_status(health, last_ns).level == Level.OK
     assert health.stale_stamps_text() == ""

@@ -1,4 +1,4 @@
-"""INS messages read as a batch equal those read one by one, to the last bit, as long as they do not differ otherwise.
+"""INS messages read as a batch equal those read one by one, to the last bit; a batch ends before a differing message.
 """
 
 import functools

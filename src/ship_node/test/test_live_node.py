@@ -199,7 +199,7 @@ def test_reliable_inputs_and_the_override_of_one_topic(live_relay, more, expecte
 
 
 def test_a_reliable_input_queues_a_burst_after_an_outage(live_relay):
-    """Five times the queue of a best-effort input, not yet processed by a slow node when the last sample arrives."""
+    """The burst is five times as long as the queue of a best-effort input, and faster than the slow node."""
     relay = live_relay("-p", "reliable_inputs:=true")
     handle, count = relay.adapter.handle, 5 * relay.adapter.inputs[0].depth
 
@@ -231,7 +231,7 @@ def test_a_flood_stops_neither_ticks_nor_later_messages(live_relay):
         for _ in range(10):
             publisher.publish(old)
         time.sleep(0.001)
-    # Thousands of events would now wait in front of them.
+    # Without limits, thousands of events would now wait in front of the ticks.
     assert len(relay.adapter.ticks) - ticks_before >= 5
     handled = len(relay.adapter.handled)
     relay.wait_until(lambda: len(relay.live._inbox) == 0)
@@ -316,7 +316,7 @@ def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
         assert goes_on.wait(TIMEOUT_S)
         return take(timeout_s)
 
-    # On a busy machine the first event may take long without having been waited for.
+    # On a busy machine the first event may take long although it existed already.
     monkeypatch.setattr(node_events, "_WAITED_NS", 10**10)
     monkeypatch.setattr(node_events, "MAX_EVENTS", 1)
     monkeypatch.setattr(relay.live._events, "process_events", take_after_standstill)
@@ -348,7 +348,7 @@ def test_bag_time_ticks_on_the_grid_and_a_jump_back_restarts_once(live_relay):
     set_time = relay.clock_publisher()
     for time_s in (1000.03, 1000.12, 1000.34):
         set_time(time_s)
-        # The node has read its clock; otherwise a slow node would begin its grid at the next time.
+        # Wait until the node has read /clock; otherwise a slow node would begin its grid at the next time.
         relay.wait_until(lambda time_s=time_s: relay.live._last_ns == round(time_s * 1e9))
     relay.wait_until(lambda: len(relay.adapter.ticks) == 3)
     assert relay.adapter.ticks == [1000_100_000_000, 1000_200_000_000, 1000_300_000_000]

@@ -67,7 +67,7 @@ def test_covariance_of_rounded_correlations_is_accepted_symmetric():
 
 
 def test_covariance_that_rounding_made_indefinite_has_no_negative_variance():
-    # Fully correlated, but for a correlation of 1 + 5e-7: eigenvalue -5e-7 times 39 rad² would be a negative variance.
+    # Two axes have a correlation of 1 + 5e-7: the eigenvalue -5e-7 times 39 rad² would be a negative variance.
     given = 39.0 * np.array([[1.0, 1.0 + 5e-7, 0.0], [1.0 + 5e-7, 1.0, 0.0], [0.0, 0.0, 1.0]])
     assert np.linalg.eigvalsh(given)[0] < -1e-6
     checked = covariance_3x3(given.ravel())
@@ -84,7 +84,7 @@ def test_covariance_with_a_perfectly_known_axis_is_a_covariance():
     [
         ([[1, 0, 0], [0, -1e-12, 0], [0, 0, 1]], "negative variance"),
         ([[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], "not symmetric"),
-        # Small against the largest variance, large against its own sigmas.
+        # The asymmetry is small against the largest variance, but large against the sigmas of its two axes.
         ([[1, 0, 0], [0, 1e-10, 1e-12], [0, -1e-12, 1e-10]], "not symmetric"),
         ([[1, 2, 0], [2, 1, 0], [0, 0, 1]], "correlation exceeds 1"),
         ([[0, 1e-9, 0], [1e-9, 1, 0], [0, 0, 1]], "correlation exceeds 1"),

@@ -44,13 +44,13 @@ def test_events_do_not_accumulate_in_the_executor(context):
     sent = [serialize_message(Int32(data=number)) for number in range(2)]
     deadline_s = time.monotonic() + 15.0
     while not seen and time.monotonic() < deadline_s:
-        # Until both are connected.
+        # Until publisher and subscription are connected.
         publisher.publish(sent[0])
         events.process_events(0.01)
     assert events.status().level is Level.OK
     rounds = 0
     while events.status().level is Level.OK and rounds < 200:
-        # 1.5 times the maximum, each for a message that is soon displaced.
+        # 1.5 times the maximum number of events; most of their messages are displaced by newer ones.
         for _ in range(MAX_EVENTS * 3 // 2):
             publisher.publish(sent[0])
         steady_ns += 200_000_000
@@ -100,7 +100,7 @@ def test_no_message_or_request_is_late_after_dropped_events(context):
     for number in range(2 * DEPTH):
         publisher.publish(Int32(data=number))
     futures = [client.call_async(SetBool.Request(data=True))]
-    time.sleep(1.0)  # the middleware has reported them
+    time.sleep(1.0)  # until the middleware has reported all messages and the request
     seen.clear()
     events._drop()
     assert (seen[-1], requests) == (2 * DEPTH - 1, [True])
@@ -166,9 +166,9 @@ def test_an_overload_cuts_all_topics_at_one_time() -> None:
     inbox.cut_all(now_ns=90 * S, waiting_ns=91, since_ns=92)
     assert inbox.take_overload_cuts() == {"star": 2, "ins": 49}
     assert inbox.take_overload_cuts() == {}
-    # A position holds until the next one. It is used now.
+    # The newest position is valid until the next one, so it is kept and used now.
     assert [arrival[2:5] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90 * S, 91, 92)]
-    # Stars of before the newest INS sample that was cut would be compared with nothing.
+    # Stars from before the newest INS sample that was cut have no INS sample for comparison.
     for arrival in arrival_at("star", 48, 49, 50) + arrival_at("ins", 50) + arrival_at("fix", 3):
         inbox.add(arrival)
     assert inbox.take_overload_cuts() == {"star": 2}

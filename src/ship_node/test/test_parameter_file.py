@@ -73,7 +73,7 @@ def test_sections_match_the_same_nodes_as_in_rcl(tmp_path, section, fits):
 
 
 def in_section(section, parameters):
-    """Return a parameter file; ``: `` in the name of the section nests it."""
+    """Return a parameter file; each ``: `` in the name of the section begins a nested level."""
     names = section.split(": ")
     return "".join(f"{{'{name}': " for name in names) + f"{{ros__parameters: {{{parameters}}}}}" + "}" * len(names)
 
@@ -148,7 +148,7 @@ def test_a_file_for_other_nodes_is_a_warning():
 
 
 def test_a_section_for_all_nodes_matches():
-    """ros2 launch writes inline parameters so; a section with the node's name that does not match is a warning."""
+    """ros2 launch writes inline parameters this way; a section of the node's name that does not match is a warning."""
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
     assert section_warning(inline, AURORA) == ""
     assert section_warning(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""

@@ -46,7 +46,7 @@ class Value:
 
 @dataclass
 class TinyCore:
-    """Core that returns the given outcome, or raises it if it is an exception."""
+    """Core that returns ``next``, or raises ``next`` if that is an exception."""
 
     next: Any = field(default_factory=Outcome)
     calls: list[Any] = field(default_factory=list)

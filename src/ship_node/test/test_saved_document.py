@@ -1,4 +1,4 @@
-"""Saved documents: valid covariances are read, invalid ones refused."""
+"""Saved documents: valid ones are read, invalid ones refused, unusable files set aside."""
 
 import errno
 import os
@@ -178,7 +178,7 @@ def test_an_unusable_file_is_set_aside_and_reported_until_the_next_save(tmp_path
     assert str(path) in saved.unreadable_reason
     assert saved.unreadable_reason.endswith(f"; set aside as {path}.unreadable")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
-    # A replay of the black box gets the same.
+    # A replay of the black box gets the same reason.
     recorded = RecordedFiles(lambda difference: None)
     for use in files.uses:
         recorded.expect(use)

@@ -46,7 +46,7 @@ def detected_steps(
         delay_s: delay of a message in addition to the usual latency.
         duration_s: duration of the run.
         computer_s: offset of the computer's clock at a time, if a live node reports its steps.
-        node_follows: True if the node's clock has the offset of the INS's, without reports of a live node.
+        node_follows: True if the node's clock has the offset of the INS clock; not used with ``computer_s``.
         clocks: the time base; None for a new one.
         periods_s: topic → its period, if it is not the usual one; infinite for none.
     """
@@ -66,7 +66,7 @@ def detected_steps(
 @pytest.mark.parametrize("step_s", [-900.0, -300.0, -10.0, -1.0, -0.7, 2.0, 10.5, 300.0, 900.0])
 @pytest.mark.parametrize("at_s", [20.0, 20.005, 20.3])
 def test_a_step_of_all_stamps_is_detected_within_1_3_s(step_s: float, at_s: float) -> None:
-    # A small step forward is in the future of the node's clock, or it is the end of a delay.
+    # A small step forward counts only if the stamps are ahead of the node's clock; else it may be the end of a delay.
     follows = step_s < 0.0 or step_s > 10.0
     steps = detected_steps(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
     ((waiting_s, detected_s),) = steps
@@ -111,8 +111,8 @@ def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: f
 
 @pytest.mark.parametrize("step_s", [-1.0, -5.0])
 def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float) -> None:
-    """The star sensor steps alone and ends two seconds later; then a link delays all others permanently by the same
-    time.
+    """The star sensor steps alone and times out two seconds later; then a link delays all other inputs permanently by
+    the size of the step.
     """
 
     def delay_s(topic: str, valid_s: float) -> float:
@@ -128,7 +128,7 @@ def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float)
 
 @pytest.mark.parametrize("later_s", [0.0, -300.0])
 def test_the_computers_clock_alone_is_no_step_of_the_time_base(later_s: float) -> None:
-    """Nor together with the clock of one device twenty seconds later."""
+    """A step of one device's clock twenty seconds later makes no difference."""
 
     def step(topic: str, valid_s: float) -> float:
         return later_s if topic == "star/fore" and valid_s >= 40.0 else 0.0
@@ -153,7 +153,7 @@ def test_a_clock_that_drifts_ahead_has_not_moved() -> None:
 
 
 def test_an_input_with_both_times_confirms_no_step() -> None:
-    """Every other sample of the INS has the old time: a second publisher uses the clock of all others."""
+    """Two publishers send INS samples: the clock of one steps with the other inputs, that of the other does not."""
 
     def step(topic: str, valid_s: float) -> float:
         return 0.0 if topic == "ins/imu" and round(100.0 * valid_s) % 2 else -300.0 * (valid_s >= 20.0)
@@ -187,7 +187,7 @@ def test_disorder_within_two_seconds_is_no_step(seed: int) -> None:
     ({"star/fore": np.inf, "met/pressure": 5.0}, 1.9, 0.95, 40.0), ({"ins/imu": np.inf}, 1.0, 0.5, 22.0),
 ])  # fmt: skip
 def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: float, end_s: float) -> None:
-    """From 20 s on the first part of each second's messages arrives seconds later, together with the rest."""
+    """From 20 s on the messages of the first part of each second arrive ``late_s`` later, among the rest."""
 
     def delay_s(topic: str, valid_s: float) -> float:
         return late_s if 20.0 <= valid_s < end_s and valid_s % 1.0 < share else 0.0
@@ -205,7 +205,7 @@ def test_a_longer_latency_after_a_step_is_no_further_step() -> None:
 
 @pytest.mark.parametrize("step_s", [-0.7, -15.0])
 def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: float) -> None:
-    """The first message after the step is of the air, which alone seems late. The star sensor shows the step;
+    """The first message after the step is a pressure, which alone seems late. The star sensor shows the step;
     afterwards no step is pending.
     """
     clocks = TimeBase()
@@ -219,7 +219,7 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
 
 
 def test_the_step_is_that_of_the_fastest_input() -> None:
-    """The latency of the first fix after it is longer by 0.3 s."""
+    """The latency of the first fix after the step is longer by 0.3 s."""
     ((_, step_s),) = detected_steps(
         lambda topic, valid_s: -300.0 * (valid_s >= 20.0),
         lambda topic, valid_s: 0.3 if topic == "gnss/fix" and 20.0 <= valid_s < 21.0 else 0.0,
@@ -229,7 +229,7 @@ def test_the_step_is_that_of_the_fastest_input() -> None:
 
 
 def test_an_input_far_ahead_is_unused_while_others_are_present() -> None:
-    """The input is unused even if the node's clock is ahead too, and so does not reject it."""
+    """The input is unused even if the node's clock is ahead too, so that the stamps are not rejected."""
     clocks = TimeBase()
 
     def ahead_s(topic: str, valid_s: float) -> float:

@@ -38,7 +38,7 @@ def true_axes() -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def fit_folder(table, tmp_path_factory):
-    """Folder with the fit; the scenario bends the tube."""
+    """Return a folder with a fit that includes flexure, because the scenario bends the tube."""
     folder = tmp_path_factory.mktemp("fit")
     assert fit_axes_command.main([str(table), "--out", str(folder), "--flexure"]) == 0
     return folder
@@ -46,7 +46,7 @@ def fit_folder(table, tmp_path_factory):
 
 @pytest.mark.statistics
 def test_fitted_axis_errors_are_within_their_sigmas(table, fit_folder):
-    """The deformation of the deck (20″, in this bag 45″) is in the offsets: as noise it gave βx 57″ ± 0.8″ off."""
+    """The offsets contain a deck deformation of 45″. If it were noise, βx would be 57″ off with a sigma of 0.8″."""
     assert len(read_sightings(table).labels) > 100
     document = yaml.safe_load((fit_folder / "axes.yaml").read_text(encoding="utf-8"))
     true = true_axes()
@@ -57,13 +57,13 @@ def test_fitted_axis_errors_are_within_their_sigmas(table, fit_folder):
     assert np.all(np.abs(error_arcsec) < 3.0 * sigma_arcsec), error_arcsec / sigma_arcsec
     # 99.9 % of chi square with seven degrees of freedom.
     assert error_arcsec @ np.linalg.solve(covariance, error_arcsec) < 24.3
-    # Limited by the separation of a 20″ deck rotation from the theodolite's tilt.
+    # The sigma is limited because a deck rotation of 20″ and the theodolite's tilt cannot be separated.
     assert 15.0 < sigma_arcsec[NAMES.index("beta_x")] < 25.0
 
 
 @pytest.mark.slow
 def test_node_loads_the_fit_from_its_calibration_file(fit_folder, tmp_path):
-    """Encoders alone, after the lights: what the fit found points the axis within its sigmas."""
+    """Without lights, encoders and fitted axis errors give pointings within their sigmas."""
     with read_bag(BAGS / "theodolite.mcap") as bag:
         suite = yaml.safe_load(suite_text(bag, None))
     sections = [section for name, section in suite.items() if name.endswith("optical_axis")]

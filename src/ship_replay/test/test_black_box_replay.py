@@ -51,8 +51,8 @@ def error_text(capsys, *arguments):
 def test_a_whole_black_box_is_equal_to_the_last_bit(black_box, capsys):
     code, out, _ = verify(capsys, black_box)
     assert code == 0, out
-    # 8 s at 100 Hz and 300 messages more after the clock went back; 2 parameter changes, one refused by the adapter
-    # and one by the node.
+    # 8 s at 100 Hz and 300 messages more after the clock went back; 2 accepted parameter changes, one refused by the
+    # adapter and one refused by the node.
     events = "clock jump back 1", "parameters 3", "parameters refused 1"
     for used in (*events, "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
@@ -83,7 +83,7 @@ def test_a_black_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, caps
     assert code == 0, out
     for used in ("clock jump back 1", "parameters 3", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
-    # 8 s at 50 Hz, and the repeated ones after the clock jumped back.
+    # 8 s at 50 Hz, and the repeated pointings after the clock jumped back.
     pointings = int(re.search(r"theodolite/pointing (\d+)", out).group(1))
     assert pointings > 400
     # Once a second, and again after the clock jumped back.
@@ -119,7 +119,7 @@ def test_a_black_box_with_an_exclusion_is_equal_to_the_last_bit(node, fault, sou
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_black_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
-    """The node's clock is put forward while nothing comes for 2.2 s, and back later."""
+    """The node's clock is put forward during 2.2 s without messages, and back later."""
 
     def node_ns(waiting_ns):
         return waiting_ns + (700_000_000 if 3_500_000_000 < waiting_ns < 6_000_000_000 else 0)
@@ -158,7 +158,7 @@ NEWER = {
 
 
 def older_release(kind):
-    """The node of a release that did not publish the newer topics."""
+    """Return the adapter class of a release that did not publish the newer topics."""
     newer = NEWER[kind]
 
     class Older(kind):
@@ -185,7 +185,7 @@ def test_a_black_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path
         topic, start_ns = node.adapter_class.outputs[0].topic, bag.start_ns
         given = [(r.log_time_ns - start_ns, r.decode().status) for r in bag.records({topic})]
     behind = [status for time_ns, status in given if 6_510_000_000 < time_ns < 7_790_000_000]
-    # Once when it is found, and once a second.
+    # INVALID is published when the overload is detected, and then once a second.
     assert behind == [3]
     assert {status for time_ns, status in given if time_ns > 7_820_000_000} != {3}
 
@@ -235,7 +235,7 @@ def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path,
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tmp_path, capsys, monkeypatch, node):
-    """Its black box lacks the parameter, whose default is once a minute; here a minute passes within a second."""
+    """The black box lacks the autosave period, whose default is a minute; here a minute passes within a second."""
     black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node).path
 
     def without_the_parameter(record, _topics):
@@ -270,7 +270,7 @@ UNSET_INPUTS = {
 
 
 def without_an_orientation(node, folder):
-    """The bag of a node with -1 as the first element of the covariances of its inputs from the third second on."""
+    """Return the node's bag with -1 as the first element of the covariances of its inputs from 3 s on."""
     faults, hit = folder / "faults.yaml", folder / "hit.mcap"
     unset = "kind: corrupt, field: 'orientation_covariance[0]', value: -1.0, start_s: 3.0"
     topics = enumerate(UNSET_INPUTS[node.adapter_class][0])
@@ -295,7 +295,7 @@ def test_a_black_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_black_box_from_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
-    """Its node used them without the parameter, and stated no covariance of the rates in ship/imu."""
+    """The node used such orientations without the parameter, and stated no covariance of the rates in ship/imu."""
     hit = without_an_orientation(node, tmp_path)
     parameters = {f"{group}.accept_unset_covariance": True for group in UNSET_INPUTS[node.adapter_class][1]}
     parameters |= {"ins.rate_sigma_arcsec_per_s": 4.0} if node is SHIP_ATTITUDE else {}

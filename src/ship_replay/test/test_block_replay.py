@@ -1,7 +1,7 @@
 """A replay in blocks publishes the same messages at the same times as one by one, byte for byte.
 
-The scenarios are those of the repository, shortened; the faults are drawn from the injector's by seed. FAULTED_BAGS is
-their number.
+The scenarios are those of the repository, shortened; the faults are drawn by seed from those of the injector.
+FAULTED_BAGS is the number of bags with drawn faults.
 """
 
 import os
@@ -94,7 +94,7 @@ def test_scenarios(tmp_path: Path, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("latency_s", [2.15, 2.25])
 def test_an_ins_that_comes_about_lag_s_after_the_stars(tmp_path: Path, latency_s: float) -> None:
-    """If the newest star attitude is more than ``lag_s`` ahead, a sample that follows the previous one is late."""
+    """If the newest star attitude is more than ``lag_s`` ahead, even an INS sample in order is late."""
     text = (SCENARIOS / "demo.yaml").read_text()
     assert text.count("ins:\n  rate_hz") == 1
     scenario = tmp_path / "late_ins.yaml"
@@ -109,7 +109,7 @@ def clean_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def suite_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All nodes: star sensors whose stars are solved, and the theodolite by ship/attitude."""
+    """Return a bag for all nodes: star_attitude solves stars, and the theodolite uses ship/attitude."""
     path = tmp_path_factory.mktemp("faulted") / "everything.mcap"
     return make_bag(SCENARIOS / "everything.yaml", SUITE_SECONDS, 2, path)
 

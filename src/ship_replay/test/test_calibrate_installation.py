@@ -60,12 +60,13 @@ AZIMUTH, PITCH, ROLL = (f"all sensors rotated together in {angle}" for angle in 
 def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
     result = calibrate(tmp_path, capsys)
     assert observability(result) == {ROLL: "no", AZIMUTH: "no", PITCH: "no"}
-    # 20" twice, and an INS good to 72" in heading, 10" in tilt: 1 / sqrt(2 / 20² + 1 / 72²) = 13.88".
+    # Two installations with sigmas of 20" and an INS heading with a sigma of 72": 1 / sqrt(2 / 20² + 1 / 72²) = 13.88".
     text = " ".join(result.lines)
     assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); add a reference" in text
     assert "turn the ship by 180 deg or more, or add a reference of known installation" in text
     assert result.values["angles"]["star.fore.azimuth"]["open_in"] == ["2"]
-    # Each against the other: 100" about the boresight, 61 exposures, the other sensor sees it across.
+    # The sensors are compared: one measures its roll to 100" in each of 61 exposures, the other measures this rotation
+    # precisely, across its line of sight.
     assert result.values["angles"]["star.fore.roll"]["sigma_arcsec"] < 0.6 * 28.28
 
 
@@ -148,7 +149,7 @@ def test_a_sensor_at_the_zenith_has_no_azimuth_of_its_own(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_path, capsys):
-    """600″ off with a configured sigma of 20″: rejected as improbable, found with --prior-sigma."""
+    """An installation 600″ off with a configured sigma of 20″ is rejected, and found with --prior-sigma."""
     far = session(STILL, sigma_arcsec=600.0)
 
     def with_small_sigmas(text: str) -> str:
@@ -209,7 +210,7 @@ def test_every_input_of_a_star_sensor_serves(tmp_path, capsys, source):
     for id_, truth in result.run.truth.stars.items():
         roll = result.values["angles"][f"star.{id_}.roll"]
         true_arcsec = np.rad2deg(wrap_pi(angles_from_rotation(truth.rotation_dv)[2])) * 3600.0
-        # 20" beforehand, 100" / sqrt 15 by the worst of the sensors.
+        # The sigma is 20" beforehand; the worst sensor measures to 100" / sqrt 15.
         assert abs(true_arcsec - roll["correction_arcsec"]) < 4.0 * roll["sigma_arcsec"] < 4.0 * 16.5
 
 

@@ -23,7 +23,7 @@ from ship_simulation.suite.suite import suite_configuration
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session
 
 SEEDS = int(os.environ.get("SEEDS", "16"))
-"""``make campaign`` takes more."""
+"""Number of sessions of a case; ``make campaign`` takes more."""
 VOYAGES = 16
 SENSORS = "fore", "starboard"
 
@@ -35,7 +35,7 @@ def calibrate_run(run: SimulatedRun, core: ShipAttitudeCore) -> InstallationCali
 
 
 def angle_errors(calibration: InstallationCalibration, run: SimulatedRun) -> np.ndarray:
-    """True minus installed, of all angles, rad."""
+    """Return true minus estimated installation angles, rad."""
     true = np.concatenate([angles_from_rotation(run.truth.stars[id_].rotation_dv) for id_ in SENSORS])
     return wrap_pi(true - [angle.installed for angle in calibration.angles])
 
@@ -53,7 +53,7 @@ CALM = {"bow": "no", "up": "no", "starboard": "no"}
     [
         (session(STILL), CALM),
         (session(STILL, sigma_arcsec=1200.0), CALM),
-        # The INS's heading error turns with the ship: a turn in calm water makes only its tilt observable.
+        # The INS's heading error turns with the ship: a turn in calm water makes only roll and pitch observable.
         (session(TURN), CALM | {"bow": "yes", "starboard": "yes"}),
         (session(HEELING), dict.fromkeys(CALM, "yes")),
         (session(STILL, reference=True), dict.fromkeys(CALM, "yes")),
@@ -77,7 +77,7 @@ def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str
 
 
 def test_a_too_narrow_prior_is_detected() -> None:
-    """The bands can fail: installations five times as far off as configured."""
+    """The bands are exceeded by installations five times as far off as configured."""
     scenario = session(STILL, sigma_arcsec=4.0)
     values = [
         nees(calibrate_run(simulate(session(STILL), seed), core_for(scenario)), simulate(session(STILL), seed))
@@ -87,7 +87,7 @@ def test_a_too_narrow_prior_is_detected() -> None:
 
 
 def next_voyage(calibration_run: SimulatedRun) -> Scenario:
-    """The same ship with the same installation and clock, another day: other errors of the INS and other noise."""
+    """Return a voyage of the same ship with the same installation and clock, but other INS errors and noise."""
     truth = calibration_run.truth
     sensors = {}
     for id_, sensor in calibration_run.scenario.star_sensors.items():
@@ -109,7 +109,7 @@ def next_voyage(calibration_run: SimulatedRun) -> Scenario:
 def test_a_voyage_with_the_calibration_is_better_and_consistent(tmp_path: Path) -> None:
     """The calibration passes through the file and its real loader."""
     scenario = session(STILL, reference=True)
-    # The voyage goes without the reference that the harbour had.
+    # The voyage has no reference; the calibration in the harbour had one.
     config = build(ShipAttitudeConfig, suite_configuration(session(STILL)))
     errors: dict[str, list[float]] = {"configured": [], "calibrated": []}
     values = []
@@ -129,5 +129,6 @@ def test_a_voyage_with_the_calibration_is_better_and_consistent(tmp_path: Path) 
     low, high = mean_nees_band(VOYAGES, degrees=3)
     assert low <= np.mean(values) <= high
     rms = {name: np.sqrt(np.mean(squares)) / ARCSEC for name, squares in errors.items()}
-    # 20" about every axis of two sensors, against tenths of an arcsecond of harbour time and ten seconds of stars.
+    # The configured installations are off by 20" about each axis, the calibrated ones by tenths of an arcsecond; ten
+    # seconds of stars add their noise to both.
     assert rms["calibrated"] < 0.3 * rms["configured"], rms

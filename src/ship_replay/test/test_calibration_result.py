@@ -40,7 +40,7 @@ def test_nothing_measured_leaves_everything_unobserved() -> None:
     combos = find_combinations(PRIOR_COVARIANCE)
     assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
     assert {combo.observability for combo in combos} == {"no"}
-    # Two sensors of 20": the sigma of the turn of both is 20" / sqrt 2.
+    # Two sensors with a sigma of 20": the sigma of their common rotation is 20" / sqrt 2.
     assert [combo.sigma / ARCSEC for combo in combos[:3]] == pytest.approx([20.0 / np.sqrt(2.0)] * 3)
 
 
@@ -51,12 +51,12 @@ def test_at_constant_heading_only_the_turn_of_all_is_unobserved() -> None:
     assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([8.165, 13.877, 8.165], abs=1e-3)
     assert [combo.ratio for combo in combos] == pytest.approx([1.0] * 3, abs=1e-3)
     assert {combo.observability for combo in combos} == {"no"}
-    # The same turn of the deck for both, 13.9": half of it about each sensor's forward, half about its up axis.
+    # The common rotation is 13.9" about the deck's up axis: 13.9" / sqrt 2 about each sensor's forward and up axes.
     assert combos[1].rotation_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)
 
 
 def test_one_observation_bounds_a_wide_prior() -> None:
-    """The sum of INS and installation is not an observation, however wide the prior."""
+    """The INS alone gives only the sum of INS error and installation: not observed, however wide the prior."""
     wide = 180.0 * PRIOR
     combos = find_combinations(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
     assert [combo.sigma / ARCSEC for combo in combos] == pytest.approx([10.0, 72.0, 10.0], rel=1e-3)

@@ -280,7 +280,7 @@ class Command:
         self.process.communicate()
 
     def a_worker(self):
-        """The process of a worker, created by the fork server among the children of the command."""
+        """Return the process id of a worker: a child of the fork server, which is a child of the command."""
         return wait_until(
             lambda: next(
                 (
@@ -400,7 +400,8 @@ class TestPooled:
         (heading,) = fused.channels
         assert heading.rms_arcsec == pytest.approx(math.sqrt((100 * 9 + 300 * 25) / 400))
         assert heading.sigma_arcsec == pytest.approx(math.sqrt((100 * 4 + 300 * 25) / 400))
-        # 10 of 6 and 30 of 2; the band of 40 means with three degrees each is chi-square of 120 (scipy's chdtri).
+        # The mean of 10 values of 6 and 30 values of 2. The band of the mean of 40 values with three degrees of freedom
+        # is that of chi-square with 120 (scipy's chdtri).
         assert fused.fit.mean == pytest.approx(3.0)
         assert fused.fit.independent == 40.0
         assert fused.band == pytest.approx((75.46653 / 40, 177.60290 / 40), rel=1e-6)

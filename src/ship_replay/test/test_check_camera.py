@@ -1,7 +1,7 @@
-"""check_config with a bag: contradictions of a camera's stars, on the deck and on the theodolite.
+"""check_config with a bag: stars that contradict the camera's configuration, on the deck and on the theodolite.
 
 Bags are simulated; the error is put into the bag's messages, or into the suite configuration. The expected result
-follows from it: the true focal length, the offset of the magnitudes, the reversed axis.
+follows from the error: the true focal length, the offset of the magnitudes, the reversed axis.
 """
 
 import re
@@ -44,7 +44,7 @@ def mount_scenario(identified):
 
 
 def simulate_bag(folder, scenario, seed=1):
-    """A bag of a scenario with exact optics, and its suite configuration with the errors of a surveyed lens."""
+    """Return a bag of a scenario with exact optics, and its suite configuration with the default errors of optics."""
     make_optics_exact(scenario)
     (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
     bag = folder / f"bag_{seed}.mcap"
@@ -129,7 +129,7 @@ MIRRORS = pytest.mark.parametrize(
 
 
 def hold_focal_length(lines, name):
-    """The one line about a focal length: the value that fits and its sigma, m."""
+    """Return the focal length that fits and its sigma, m, and the difference, %, from the only line."""
     (line,) = lines
     found = re.fullmatch(
         rf"warning: parameter '{name}' = \S+ m, but angles between stars on '\S+' in BAG are those of (\S+) m, "
@@ -209,7 +209,7 @@ def test_magnitudes_that_are_not_the_catalogues_are_named(check, deck, mount, tm
             line,
         )
         assert match, line
-        # The simulated sensors measure magnitudes with 0.1.
+        # The simulated sensors measure magnitudes with a sigma of 0.1.
         assert float(match[1]) == pytest.approx(offset, abs=0.1)
 
 

@@ -138,7 +138,7 @@ def test_a_bag_in_a_namespace(check, tmp_path):
 
 
 def test_names_are_checked_as_by_a_node(check, tmp_path):
-    """A section without wildcard fits in no namespace, one of a namespace not outside of it: a node would end."""
+    """A section without a wildcard fits no node in a namespace; a section of a namespace fits no node outside it."""
     bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
     code, lines, _ = check(GOOD, bag, "--namespace", "palmer")
     assert code == 2
@@ -204,7 +204,7 @@ def test_each_node_of_the_suite_is_checked(check, tmp_path):
     assert lines[0] == "error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"
     expected = "parameter 'star_sensors.fore.frame_id' = 'star_fore', but topic 'star/fore/observations' in a.mcap"
     assert lines[1] == f"error: suite.yaml:11: {expected} carries frame_id 'camera'"
-    # What star_attitude gives need not be in the bag.
+    # The outputs of star_attitude need not be in the bag.
     assert not any("star/fore/solution" in line for line in lines)
     wrong = STARS.replace("pixel_pitch_m: 5.5e-6", "pixel_pitch_mm: 5.5e-3")
     assert "error: suite.yaml:12: parameter 'star_sensors.fore.camera.pixel_pitch_mm' is unknown" in check(wrong)[1][0]
@@ -228,7 +228,7 @@ def test_a_topic_missing_for_two_nodes_is_reported_once_with_both(check, tmp_pat
 
 
 def test_a_camera_out_of_range_is_reported_once(check):
-    """Without the value there would be no camera: no second error about that."""
+    """Without this value there would be no camera, but there is no second error about a missing camera."""
     text = STARS.partition("star_attitude:")[0].replace(
         "input: solution}", "input: observations, camera: {focal_length_m: 50.0, pixel_pitch_m: 5.5e-6}}"
     )
@@ -252,7 +252,7 @@ def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
     assert code == 0
     expected = "parameter 'sky.fix_sigma_m' is 100.0 for star_attitude, but 5.0 for ship_attitude"
     assert lines[:-1] == [f"warning: suite.yaml:13: {expected}"]
-    # Without a use for it, the sky of ship_attitude does not matter.
+    # The sky of ship_attitude does not matter if ship_attitude does not use it.
     assert not any("sky" in line for line in check(text.replace("input: solution", "input: horizon_attitude"))[1])
 
 
@@ -331,7 +331,7 @@ def test_no_parameter_file_is_one_line_and_two(check, text, complaint):
 
 @pytest.mark.parametrize("id_", ["fore mast", "fore-mast", "1", "före", "fore/mast"])
 def test_an_id_that_is_no_topic_name_is_an_error(check, id_):
-    """A node with such a sensor ended with a traceback: invalid topic name."""
+    """Without this error a node with such a sensor would end with a traceback: invalid topic name."""
     text = STARS.replace("      fore:", f"      '{id_}':")
     code, lines, _ = check(text)
     assert code == 2

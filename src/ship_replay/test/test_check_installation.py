@@ -203,7 +203,7 @@ def test_a_bag_of_only_nan_is_no_contradiction(check, tmp_path, name):
 
 
 def without_numbers(message):
-    """Every float of a message is NaN."""
+    """Set every float of a message to NaN."""
     for field in message.__dataclass_fields__:
         value = getattr(message, field)
         if isinstance(value, float):

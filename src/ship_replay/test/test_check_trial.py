@@ -45,7 +45,7 @@ def simulate_bag(folder, name, duration_s, change=lambda scenario: None):
 
 
 def rewrite_bag(path, source, change, until_s=30.0):
-    """A copy of the beginning of a bag with each message changed in place by its topic."""
+    """Write the first ``until_s`` seconds of a bag; ``change`` changes each message in place, by its topic."""
     with read_bag(source) as bag, BagWriter(path) as out:
         for name, content in bag.attachments.items():
             out.add_attachment(name, content)
@@ -158,7 +158,7 @@ def test_a_coarse_ins_is_named_with_the_value_that_fits_and_no_star_with_it(chec
     _, lines = check(rewrite_bag(tmp_path / "coarse.mcap", BAGS / "demo.mcap", coarse))
     (line,) = [line for line in lines if line.startswith("warning: ")]
     assert "parameter 'ins.white_sigma_arcsec' = 1 arcsec, but 'ins/imu' in BAG: attitudes scatter" in line
-    # Three of the four numbers turn by 2 · 1e-4 / sqrt(12) each.
+    # Rounding of the quaternion to 1e-4 rotates by 2 · 1e-4 / sqrt(12) about each of three axes.
     assert float(re.search(r"by (\S+) arcsec, 1 sigma", line)[1]) == pytest.approx(12.0, rel=0.3)
 
 

@@ -50,7 +50,7 @@ def test_a_voyage_is_made_and_repeats(kind):
 
 @pytest.mark.statistics
 def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
-    """The original requirement: 99.5 % of the time, in the reference motion."""
+    """The original requirement is 12″ for 99.5 % of the time, in the reference motion."""
     found = run_clean_voyage(CleanVoyage(1, THREE, False), SCENARIOS, 660.0)
     assert found["settled"] >= 60
     assert found["available"] == found["settled"]

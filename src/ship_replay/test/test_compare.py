@@ -112,7 +112,7 @@ class TestAnotherConfiguration:
         assert "One parameter differs: ship_attitude ins.white_sigma_arcsec 1 in A, 3 in B." in sentences(pair)
 
     def test_the_difference_of_the_outputs_by_hand(self, pair, plain, noisier):
-        """B minus A, largest, its time, and RMS, from the messages themselves."""
+        """The largest difference B minus A, its time and the RMS are computed from the messages."""
         headings = []
         for path in (plain, noisier):
             with read_bag(path) as bag:
@@ -150,7 +150,7 @@ class TestAnotherConfiguration:
         assert [float(b) / float(a) for a, b in cells] == pytest.approx([3.0] * 3, rel=0.1)
 
     def test_safe_share(self, pair):
-        """95 % pitch of three times the noise, 1.96 · 3″, is over its limit of 3″ at all times."""
+        """The 95 % error of pitch with three times the noise is 1.96 · 3″, always over the limit of 3″."""
         assert pair.b.recording.seconds("pitch")[Safety.SAFE] == 0
         assert pair.a.recording.seconds("pitch")[Safety.SAFE] > 0
         assert any(re.match(r"A was SAFE longer in .*pitch", text) for text in sentences(pair))
@@ -242,7 +242,7 @@ def test_an_angle_in_one_run_only(plain, noisier, folder):
 
 
 def test_a_sensor_out_in_one_only(plain, inputs, folder):
-    """B lacks the data of the forward sensor from 8 s on: the summary names it, and the received messages."""
+    """B lacks the data of the forward sensor from 8 s on: the summary names the sensor and counts its messages."""
     topic = "star/fore/horizon_attitude"
     with read_bag(inputs) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
@@ -259,7 +259,7 @@ def test_a_sensor_out_in_one_only(plain, inputs, folder):
 
 
 def with_outages(report_data, outages_s):
-    """Return the recording with outages of star.fore from and to seconds after its start; None: to the end."""
+    """Return the recording with outages of star.fore: begin and end, s after the start; None is the end of the run."""
     start_ns = report_data.recording.start_utc_ns
     events = []
     for from_s, to_s in outages_s:
@@ -316,7 +316,7 @@ def test_a_difference_across_north(tmp_path):
 
 
 def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, truth=True):
-    """Write attitudes ten times a second; with truth, their heading is off by ``offset_rad``."""
+    """Write attitudes ten times a second, with a heading of ``offset_rad``; the true heading is zero."""
     with BagWriter(path) as bag:
         for tick in range(10 * seconds):
             stamp_ns = START_NS + start_s * SECOND_NS + tick * SECOND_NS // 10

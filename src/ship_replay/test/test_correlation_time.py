@@ -1,7 +1,8 @@
-"""σ and τ of a Gauss-Markov INS are known as well as stated, over many records; what is stated of one record.
+"""Errors of the estimated σ and τ of a Gauss-Markov INS are consistent with their stated sigmas over many records.
 
-Records of the first test are drawn by the exponential covariance, and their likelihood is that of the first value and
-of the steps, written out here. Those of the second go through the filter and the fit of ``identify_noise``.
+In the first test records are drawn with an exponential covariance; :func:`log_likelihoods` computes their likelihood
+from the first value and the steps. In the second test records go through the filter and the fit of
+``identify_noise``.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, scenar
 
 SEEDS = 200
 LOW, HIGH = np.sqrt(chi2.ppf([0.0005, 0.9995], SEEDS) / SEEDS)
-"""99.9 % of the RMS of as many normal errors: 0.84 and 1.17."""
+"""Bounds of the RMS of ``SEEDS`` normal errors with a probability of 99.9 %: 0.84 and 1.17."""
 
 
 def root_mean_square(values: np.ndarray) -> np.ndarray:
@@ -25,7 +26,7 @@ def root_mean_square(values: np.ndarray) -> np.ndarray:
 
 
 def log_likelihoods(series: np.ndarray, step_s: float, times_s: np.ndarray) -> np.ndarray:
-    """Return log likelihoods of series of axes, shape (k, n), with noise density 2, at times."""
+    """Return the log likelihood of k series, shape (k, n), with noise density 2, for each correlation time."""
     found = []
     for time_s in times_s:
         decay = np.exp(-step_s / time_s)

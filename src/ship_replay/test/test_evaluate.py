@@ -65,7 +65,8 @@ def test_errors_by_hand(tmp_path):
         "fused.roll.bias_arcsec": 0.0,
         "fused.roll.sigma_arcsec": 3.0,
         "fused.roll.rms_over_sigma": 1.0,
-        # Heading 17/16 on average, pitch 1, roll 1; products of errors of 5 arcsec matter in the fifth digit.
+        # Heading contributes 17/16 on average, pitch 1, roll 1; products of errors of 5 arcsec matter in the fifth
+        # digit.
         "fused.nees_mean": pytest.approx(17.0 / 16.0 + 2.0, abs=1e-4),
     }
     assert values.keys() == expected.keys()
@@ -80,7 +81,7 @@ def test_heading_errors_are_wrapped_at_north(tmp_path):
 
 
 def test_covariance_turns_with_the_heading(tmp_path):
-    """Heading East, pitch is about North: its sigma is the second one then."""
+    """If the heading is East, pitch is about North, with the second sigma."""
     values = evaluate(write_run(tmp_path / "a.mcap", [(0.0, 3.0, 2.0)] * 2, [np.pi / 2] * 2)).quantities()
     assert values["fused.pitch.sigma_arcsec"] == pytest.approx(3.0)
     assert values["fused.roll.sigma_arcsec"] == pytest.approx(2.0)
@@ -128,8 +129,9 @@ def test_a_star_sensor_alone_is_rotated_to_the_deck_by_its_nominal_installation(
     assert values["star.fore.samples"] == 1
     assert values["star.fore.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
     assert values["star.fore.pitch.rms_arcsec"] == pytest.approx(0.0, abs=1e-6)
-    # Installation: 20, 1, 1 arcsec about forward, up, right; the boresight is 40° up. About the vertical axis:
-    # 20² sin²40° + 1² cos²40° (up and right equal), and 1 for the noise; level ship: heading is about Up.
+    # Installation: 20, 1, 1 arcsec about forward, up, right; the boresight is 40° up. The variance about the vertical
+    # axis is 20² sin²40° + 1² cos²40° (sigmas about up and right are equal), and 1 for the noise. The ship is level, so
+    # heading is about Up.
     vertical = 400.0 * np.sin(np.deg2rad(40.0)) ** 2 + np.cos(np.deg2rad(40.0)) ** 2 + 1.0
     assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(vertical))
 
@@ -147,7 +149,7 @@ star_attitude:
 
 
 def write_solutions(path, error_arcsec, truth=True):
-    """Solutions of the sensor fore and of all sensors, their heading wrong; between them one without an attitude."""
+    """Write solutions of the sensor fore and of all sensors with a heading error; the second one has no attitude."""
     rotation_dv = rotation_from_angles(*np.deg2rad([30.0, 40.0, 5.0]))
     reported_nd = rotation_from_angles(1.0 + error_arcsec * ARCSEC, 0.0, 0.0)
     with BagWriter(path) as bag:
@@ -171,7 +173,7 @@ def test_solutions_of_the_stars(tmp_path):
     for source in ("star.fore", "star.joint"):
         assert values[f"{source}.samples"] == 2
         assert values[f"{source}.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
-    # About Up: as in the message; for the sensor alone plus the installation, worked out as above.
+    # The sigma about Up is that of the message; for a single sensor the installation is added, as computed above.
     installation = (20.0 * np.sin(np.deg2rad(40.0))) ** 2 + np.cos(np.deg2rad(40.0)) ** 2
     assert values["star.joint.heading.sigma_arcsec"] == pytest.approx(4.0)
     assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(16.0 + installation))
@@ -212,7 +214,7 @@ def write_innovations(path):
         rng = np.random.default_rng(5)
         for number in range(240):
             stamp_ns = START_NS + number * SECOND_NS
-            # Overconfident by two in the second half.
+            # In the second half the errors are twice the stated sigma.
             residual = rng.normal(size=3) * np.array([1.0, 2.0, 3.0]) * (1.0 if number < 120 else 2.0)
             nis = float(np.sum((residual / [1.0, 2.0, 3.0]) ** 2))
             sigma = np.array([1.0, 2.0, 3.0]) * ARCSEC

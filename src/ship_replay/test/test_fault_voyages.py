@@ -58,7 +58,7 @@ MOUNTING_SHIFT = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, e
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Forty seconds of the demonstration, its INS at a quarter of its rate."""
+    """Forty seconds of the demonstration with the INS at a quarter of its rate."""
     folder, text = tmp_path_factory.mktemp("bags"), (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
     assert "  rate_hz: 100.0\n" in text
     (folder / "demo.yaml").write_text(text.replace("  rate_hz: 100.0\n", "  rate_hz: 25.0\n"), encoding="utf-8")
@@ -137,7 +137,7 @@ FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=
 def fault_free_replay(
     outputs=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan
 ):
-    """Return a minute without faults."""
+    """Return the fault-free replay of a minute."""
     lights_ns = (np.array(lights_s) * NS_PER_S).astype(np.int64)
     sigmas_arcsec = encoder_sigma_arcsec, ins_sigma_arcsec
     return FaultFreeReplay(outputs or outputs_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
@@ -156,7 +156,7 @@ def test_time_limit_for_detection():
 
 
 def test_a_fault_counts_from_the_first_message_that_it_changed():
-    """Earlier indications do not count, and the time to detection begins there."""
+    """Earlier indications do not count, and the time to detection begins at this message."""
     before = outputs_of(not_valid=[12.0], indications=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
     assert outcome(before).detected
     assert not outcome(before, first_s=13.0).detected
@@ -165,7 +165,7 @@ def test_a_fault_counts_from_the_first_message_that_it_changed():
 
 
 def test_effects_of_an_earlier_fault_do_not_count():
-    """No output is VALID then: the fault counts as detected immediately."""
+    """Outputs that are not VALID since before the fault give a time of an alert, but no detection."""
     left = [round(8.0 + 0.1 * n, 1) for n in range(60)]
     found = outcome(outputs_of(not_valid=left))
     assert (found.detected, round(found.alert_s, 2)) == (False, 0.08)
@@ -257,7 +257,7 @@ def test_a_fault_is_detected_by_status_or_by_name_in_time():
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, False, 0.48)
     found = outcome(outputs_of(indications=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, True, 0.08)
-    # Another source's name alone is no alert of the faulty one, and after the time nothing is.
+    # A rejection of another source alone is no alert of the faulty source; after the time limit nothing is an alert.
     assert not outcome(outputs_of(indications=[("star.bow", 10.1, "gate")])).detected
     assert not outcome(outputs_of(not_valid=[23.1], indications=[("ins", 23.1, "gate")])).detected
 
@@ -288,7 +288,7 @@ def test_repeated_own_rejections_precede_later_exclusions():
     exclusions = [("star.bow", 10.5, EXCLUSION), ("star.port", 10.5, EXCLUSION)]
     assert named_sources(*ins, *exclusions) == {"ins"}
     assert named_sources(*exclusions, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
-    # Once is no pattern; and a star in the gate is refused by comparison, which may be the others' fault.
+    # A single rejection is no pattern. The gate compares a star sensor with other sources, which may be faulty.
     assert named_sources(ins[0], *exclusions) == {"star.bow", "star.port"}
     assert named_sources(*STARS_REJECTED, *ins) == {"ins"}
     assert named_sources(
@@ -385,7 +385,7 @@ def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
 
 
 def test_own_faults_among_rejections():
-    """A star rejected by the gate, or without a known position, may be correct; a rejected fix is not."""
+    """Stars rejected by the gate, or for lack of a position fix, may be correct; a rejected fix is not."""
     stars = {"gate": 3, "attitude_conflict": 1, "gap": 1, "no_fix": 1}
     assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, stars) == []
     assert report_indications(HealthHistory(), 1, "theodolite/beacons", 9, stars) == []
@@ -600,7 +600,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, 
     """kill -9 of parent and workers after the first results; the second run computes only missing results."""
     out = tmp_path / "faults"
     (out / "bags").mkdir(parents=True)
-    (out / "bags" / "demo_120s_1.mcap").write_bytes(bag.read_bytes())  # as the tool would name its own
+    (out / "bags" / "demo_120s_1.mcap").write_bytes(bag.read_bytes())  # named as by the tool
     command = [
         sys.executable, str(ROOT / "tools" / "faults.py"), "--bags", "demo", "--bag-seeds", "1", "--voyages", "3",
         "--mode", SINGLE, "--processes", "1", "--out", str(out),

@@ -39,7 +39,7 @@ def innovations(sigma_arcsec):
     return SourceInnovations(accepted)
 
 
-# A tenth of the run before the first star.
+# Sigmas of a run whose first tenth is before the first star, arcsec.
 STARTING = np.where(np.arange(COUNT) < 20, 3600.0, 2.0)
 
 

@@ -33,7 +33,7 @@ from ship_testing.ship_logs import GYR1, MWX1, SEAP
 from ship_testing.short_scenario import SHORT
 from theodolite_calib.axis_fit import fit_axes_command
 
-# Mutations of each kind of file; FUZZ_COUNT=500 tries harder.
+# Number of mutations for each command; FUZZ_COUNT=500 tries more.
 COUNT = int(os.environ.get("FUZZ_COUNT", "12"))
 
 TEXTS = (

@@ -15,7 +15,7 @@ from ship_testing.usage_errors import usage_error
 
 SHORT = scenario(600.0)
 SHORT = replace(SHORT, ins=replace(SHORT.ins, rate_hz=2.5))
-"""An INS whose samples are near enough for the suite as it is configured by default."""
+"""An INS with samples close enough for interpolation with the default configuration."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_the_file_is_one_that_the_suite_loads(bag, tmp_path, capsys):
     assert config.ins.tilt_sigma_arcsec == written["tilt_sigma_arcsec"] > 0.0
     values = [line for line in text.splitlines() if line.startswith("      ") and "model" not in line]
     assert all(", 1 sigma [" in line for line in values)
-    # Terms that are not determined are in the file too.
+    # Warnings about parameters that are not determined are in the file too.
     assert "# gauss_markov, tilt: 0.17 h are " in text
     assert "warning: gauss_markov, tilt: 0.17 h are " in printed
     assert "warning: gravity.deflection is none: the deflection of the vertical is part of the error" in printed

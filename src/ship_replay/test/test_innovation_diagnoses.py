@@ -58,7 +58,7 @@ def test_an_understated_sigma_is_reported_within_a_minute_for_that_sensor() -> N
 
 @pytest.mark.slow
 def test_a_sensor_off_by_a_degree_is_biased_although_unused() -> None:
-    """This is too large for a mounting shift: it is not adopted as a new mounting."""
+    """An offset of one degree is too large for a mounting shift, and is not adopted as a new mounting."""
     stamps_ns: list[int] = []
 
     def turn_sensor(topic: str, message: Any) -> None:

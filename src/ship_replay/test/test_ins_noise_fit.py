@@ -19,9 +19,9 @@ from ship_replay.ins_noise.processes import GaussMarkovModel
 from ship_replay.ins_noise.star_record import star_record
 from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, scenario, simulated_noise_session
 
-pytestmark = pytest.mark.slow  # what its tests share takes long
+pytestmark = pytest.mark.slow  # the fixtures take long
 
-# Of a normal distribution, two-sided.
+# Two-sided 99.9 % bound of a normal distribution, sigmas.
 SIGMAS_99_9 = 3.29
 TILT, TILT_S, HEADING, HEADING_S, WHITE = 10.0, 1800.0, 72.0, 10800.0, 3.0
 PROCESS = GaussMarkovProcess(TILT, TILT_S, HEADING, HEADING_S, WHITE)

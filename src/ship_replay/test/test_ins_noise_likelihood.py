@@ -32,7 +32,10 @@ WALK = 30.0
 
 @pytest.fixture(scope="module")
 def session() -> NoiseSession:
-    """Two minutes with other states of every kind: constant, random walk, Gauss-Markov. Stars are between samples."""
+    """Return two minutes with nuisance states that are constant, a random walk or Gauss-Markov.
+
+    The stamps of the stars lie between those of the INS samples.
+    """
     voyage = scenario(120.0, star=CORRELATED)
     found = simulated_noise_session(replace(voyage, carrier=ROLLING, ins=replace(voyage.ins, rate_hz=1.0)), 1)
     block = found.model.blocks["star.fore.installation"]
@@ -86,7 +89,7 @@ def test_every_kind_of_nuisance_is_there(session: NoiseSession) -> None:
     kinds = {name.rpartition(".")[2] for name in star_record(session).names}
     assert kinds == {"installation", "common", "time_offset"}
     assert len(session.comparisons) == 24
-    # Half-way between two samples their noise is less by the square root of two.
+    # Half-way between two samples the white noise is less by the square root of two.
     np.testing.assert_allclose(star_record(session).white_gain, 0.5, rtol=1e-3)
 
 
@@ -102,7 +105,7 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
         return np.diag(variances * np.exp(-lag_s / np.array([tilt_s, heading_s, tilt_s])))
 
     expected = joint_density(session, of_ins, white)
-    # Sets side by side do not touch one another.
+    # Parameter sets that are evaluated together do not affect each other.
     found = log_likelihoods(record, model.steps(np.vstack([values, 1.3 * values]), record.times_s))
     np.testing.assert_allclose(found[0], expected, rtol=0.0, atol=1e-6)
     assert abs(found[1] - expected) > 0.1
@@ -126,7 +129,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     sensors, here = Sensors(), mean_location(session.comparisons)
     assert here is not None
     assert here.latitude == pytest.approx(np.deg2rad(40.0), abs=1e-4)
-    # 8 m/s, unknown at the first of twelve epochs: a velocity needs two fixes.
+    # The speed is 8 m/s, but unknown at the first of twelve epochs, because a velocity needs two fixes.
     assert np.hypot(*here.velocity_m_per_s) == pytest.approx(8.0 * 11.0 / 12.0, abs=0.1)
     config = SchulerConfig(
         velocity_sigma_m_per_s=sensors.velocity,

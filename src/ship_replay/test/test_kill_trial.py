@@ -10,7 +10,7 @@ SEEDS = (1, 2, 3)
 @pytest.fixture(autouse=True)
 def this_machine_only(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # The trial sets these; noted here, they are taken back after the test.
+    # The trial sets these variables; monkeypatch restores them after the test.
     for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
@@ -28,7 +28,7 @@ def test_a_killed_recorder_loses_one_flush_period_at_most(tmp_path, seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_killed_node_has_its_inputs_in_the_black_box(tmp_path, seed):
     trial = kill_node(tmp_path, seed)
-    # It is flushed every 0.1 s; as much again is allowed to a loaded machine.
+    # The black box is flushed every 0.1 s; a loaded machine may take twice as long.
     assert trial.is_within_flush_period(0.2), trial
     # The outputs are there too: more than the inputs alone.
     assert trial.recovered_count > 1.5 * trial.kept_count

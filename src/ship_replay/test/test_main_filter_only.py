@@ -1,6 +1,5 @@
-"""The subfilters do not change the main filter: on a voyage without faults it is equal with and without them.
-
-So integrity does not increase the RMS error. Inconsistent estimates only increase the covariance.
+"""The subfilters do not change the main filter: on a voyage without faults its estimates are equal without subfilters.
+So integrity does not increase the RMS error. Inconsistent subfilters only increase the covariance.
 """
 
 from dataclasses import replace
@@ -32,7 +31,7 @@ def test_the_ships_attitude_is_that_of_the_main_filter_alone() -> None:
     every_ns = set(run.ins.time_ns[::20].tolist())
     runs = [list(attitude_outcomes(core, run, every_ns)) for core in cores]
     with_subfilters, alone = ([one for outcome in outcomes for one in outcome.estimates] for outcomes in runs)
-    # Without subfilters there is no gate; with them it rejects nothing.
+    # Without subfilters there is no gate; with subfilters the gate rejects nothing.
     accepted, all_accepted = ([one.accepted for outcome in outcomes for one in outcome.decisions] for outcomes in runs)
     assert accepted == all_accepted
     assert len(with_subfilters) == len(alone) > 100

@@ -77,7 +77,7 @@ def record_of(stamp_ns, log_time_ns):
 
 
 def test_messages_without_a_usable_stamp_keep_their_place():
-    """Log times half a second after the stamps; one stamp is zero, one of another year."""
+    """Log times are half a second or more after the stamps; one stamp is zero, one is 12 days ahead."""
     rng = np.random.default_rng(1)
     stamps = START_NS + np.arange(300) * 10**8
     logged = np.maximum.accumulate(stamps + 5 * 10**8 + np.where(rng.random(300) < 0.1, 2 * SECOND_NS, 0))
@@ -103,7 +103,7 @@ def test_arrival_by_stamps_does_not_verify(bags, option, tmp_path, capsys):
 
 @pytest.mark.parametrize("late", [0, 10, 3000])
 def test_times_noted_together_are_those_noted_one_by_one(late):
-    """``late``: number of places by which times are out of order, also more than are sorted."""
+    """Times are out of order by up to ``late`` places, also by more than :class:`Gaps` sorts."""
     rng = np.random.default_rng(late)
     times_ns = np.cumsum(rng.integers(0, 20_000_000, 5000))
     times_ns = times_ns[np.argsort(np.arange(5000) + rng.uniform(0, late, 5000), kind="stable")]

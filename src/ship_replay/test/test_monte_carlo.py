@@ -1,4 +1,4 @@
-"""Trials pass the same data to a core as an adapter reads from the messages of the same run."""
+"""Trials pass to a core the data that an adapter reads from the messages of the same run."""
 
 import dataclasses
 from pathlib import Path
@@ -54,7 +54,7 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
         np.testing.assert_array_equal(read.is_identified, held.is_identified)
         for name in vars(held.positions):
             np.testing.assert_array_equal(getattr(read.positions, name), getattr(held.positions, name))
-        # The year of the run's start against that of the exposure.
+        # One sigma is for the year of the run's start, the other for the year of the exposure.
         np.testing.assert_allclose(read.position_sigma, held.position_sigma, rtol=1e-4)
 
 

@@ -1,4 +1,4 @@
-"""Pixels counted from 1, by the rotations of cameras: detection rate and false alarms."""
+"""Pixels counted from 1 are detected by the rotations of cameras: detection rate and false alarms."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ ONE_PIXEL = PIXEL * np.array([0.0, 1.0, 1.0])
 
 
 def camera(rng, ins_d, rotation_ds, installation_arcsec, counts_from_one):
-    """Return a camera whose installation and mean are drawn by their sigmas."""
+    """Return a camera with an installation error and a measurement error drawn by their sigmas."""
     root_d = rotation_ds * (np.array(installation_arcsec) * ARCSEC)
     covariance_d = root_d @ root_d.T + ARCSEC**2 * np.eye(3)
     turn_d = ins_d + root_d @ rng.standard_normal(3) + ARCSEC * rng.standard_normal(3)
@@ -44,7 +44,7 @@ def separation(of_fore, of_starboard):
 
 @pytest.mark.parametrize(("of_fore", "of_starboard"), [(True, False), (False, True), (True, True)])
 def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
-    """The difference of chi² between two counts d apart is normal: mean d², standard deviation 2 d."""
+    """The difference of chi² between two hypotheses d apart is normal: mean d², standard deviation 2 d."""
     found = [find_counted_from_one(seed, of_fore, of_starboard) for seed in range(500)]
     true = tuple(np.flatnonzero([of_fore, of_starboard]))
     offsets = [
@@ -52,17 +52,17 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
         for other_fore, other_starboard in ((0, 0), (1, 0), (0, 1), (1, 1))
         if (other_fore, other_starboard) != (of_fore, of_starboard)
     ]
-    # At least so often no other count is likely, less 1 % by the demand on the fit.
+    # Least probability that no other hypothesis is likely, minus 1 % for hypotheses that do not fit the data.
     share = 1.0 - sum(norm.sf((d**2 - 12.0) / (2.0 * d)) for d in offsets) - 0.01
     assert found.count(true) >= binom.ppf(0.001, len(found), share)
-    # What is named is so, but for chance.
+    # Only by chance is another camera named.
     wrong = [cameras for cameras in found if not set(cameras) <= set(true)]
     assert len(wrong) <= binom.ppf(0.999, len(found), 9e-4)
 
 
 @pytest.mark.parametrize("installation_arcsec", [(20.0, 1.0, 1.0), (20.0, 5.0, 5.0), (60.0, 60.0, 60.0)])
 def test_pixels_counted_from_zero_are_hardly_ever_named(installation_arcsec):
-    """The probability is at most 3 in 10 000: 2000 draws of each of three alternatives, binomial bound of 99.9 %."""
+    """Each of three alternatives has a probability of at most 3e-4; the bound is binomial, 99.9 % for 2000 draws."""
     found = [find_counted_from_one(seed, False, False, installation_arcsec) for seed in range(2000)]
     assert len(found) - found.count(()) <= binom.ppf(0.999, len(found), 9e-4)
 
@@ -77,7 +77,7 @@ def test_an_installation_that_is_off_is_no_count_from_one():
 
 
 def test_a_time_offset_of_the_ins_is_no_turn():
-    """300 voyages of a third of a swell: the squared errors of the corrected rotation in their 99.9 % band."""
+    """300 voyages of 3 s in a swell: the mean normalised squared error of the corrected rotation is in its band."""
     squares, times_s = [], np.linspace(0.0, 3.0, 30)
     rates_d = np.deg2rad(2.3) * np.sin(0.57 * times_s[:, None]) * np.array([1.0, 0.1, 0.3])
     for seed in range(300):

@@ -82,7 +82,7 @@ class TinyAdapter:
 
 
 def true_heading(stamp_ns):
-    """A heading that turns through North, 4° about it in 11 s: 5.9″ off at 10 Hz if interpolated straight."""
+    """Return a heading with a swing of 4° about North in 11 s: linear interpolation at 10 Hz would err by 5.9″."""
     return np.deg2rad(4.0) * np.sin(2 * np.pi * (stamp_ns - START_NS) * 1e-9 / 11.0) % (2 * np.pi)
 
 
@@ -167,10 +167,10 @@ def test_errors_are_filled_in_from_the_truth(tmp_path):
     replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     filled = [message for _, message in outputs(tmp_path / "out.mcap", "ship/error_arcsec")]
     assert len(filled) == 50
-    # They lie between two stamps of the truth; a cubic of 0.1 s errs by 4e-4 arcsec here.
+    # The stamps of the errors lie between two stamps of the truth; a cubic over 0.1 s errs by 4e-4 arcsec here.
     np.testing.assert_allclose([message.error_heading for message in filled[:-1]], 2.0, atol=1e-3)
     np.testing.assert_allclose([message.error_pitch for message in filled[:-1]], 0.0, atol=1e-6)
-    # The last is stamped later than the truth reaches.
+    # The last message has a stamp after the end of the truth.
     assert np.isnan(filled[-1].error_heading)
 
 
@@ -311,7 +311,7 @@ class TestCommand:
         ]
         assert {path.name for path in (tmp_path / "report").iterdir()} == {"out.html", "out.json"}
         numbers = json.loads((tmp_path / "report" / "out.json").read_text())
-        # The INS alone, which only the bag that was replayed holds, is compared, too.
+        # The INS alone, whose messages only the replayed bag contains, is compared, too.
         assert {"fused.heading.rms_arcsec", "ins.heading.rms_arcsec"} <= set(numbers)
         text = (tmp_path / "report" / "out.html").read_text()
         assert "<td>fused</td>" in text

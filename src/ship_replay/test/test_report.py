@@ -41,7 +41,7 @@ def test_every_section_in_its_order_and_nothing_of_the_network(recording_path):
     assert all(target.startswith("#") for target in re.findall(r'(?:src|href)="([^"]*)"', text))
     ids = re.findall(r'\bid="([^"]*)"', text)
     assert len(ids) == len(set(ids))
-    # What drawings refer to is there, under the name that it has in the page.
+    # The ids to which drawings refer exist in the page.
     assert set(re.findall(r'(?:xlink:href="#|url\(#)([^")]+)', text)) <= set(ids)
 
 
@@ -56,11 +56,14 @@ def test_numbers_are_those_of_evaluate(recording_path):
     shown = re.findall(r'<td class="r">([^<]*)</td>', row)[:4]
     assert shown == [number(fused[f"heading.{name}"]) for name in
                      ("rms_arcsec", "bias_arcsec", "sigma_arcsec", "rms_over_sigma")]
-    assert shown[0] == "1"  # 1″ was put in
+    assert shown[0] == "1"  # the heading error of the bag is 1″
 
 
 def test_states_follow_the_limits(recording_path):
-    """95 % heading 7.8″ over 5″, pitch 3.9″ over 3″, roll 5.9″ over 3″: CAUTION; UNSAFE without data."""
+    """The 95 % errors of heading 7.8″, pitch 3.9″ and roll 5.9″ are over the limits 5″, 3″ and 3″: CAUTION.
+
+    Without data the state is UNSAFE.
+    """
     recording = read_recording(recording_path)
     seconds = recording.seconds("heading")
     assert seconds[Safety.SAFE] == 0
@@ -74,7 +77,7 @@ def test_states_follow_the_limits(recording_path):
 def test_no_state_without_output(recording_path):
     seconds = {second for second, _ in read_recording(recording_path).safety_states["heading"]}
     start_s = START_NS // SECOND_NS
-    # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
+    # The limit of age is 1 s: from 22 s on the last value is old, until the next value at 25 s.
     assert not seconds & {start_s + 22, start_s + 23, start_s + 24}
     assert {start_s + 18, start_s + 27} <= seconds
 
@@ -197,7 +200,7 @@ def test_durations(seconds, text):
 
 
 def events(*entries):
-    """Return events of one kind: seconds and texts, whose first word is the subject."""
+    """Return events from seconds, kinds and texts; the first word of a text is the subject."""
     return [Event(START_NS + second * SECOND_NS, kind, text.split()[0], text) for second, kind, text in entries]
 
 
@@ -297,7 +300,7 @@ def test_a_source_has_one_colour_in_all_figures(recording_path):
 
 
 def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
-    """The commit of the suite that wrote the bag, from the bag, and that of the suite that made the report."""
+    """The report states the commit of the suite that wrote the bag, and the commit that made the report."""
     with BagWriter(tmp_path / "out.mcap") as writer:
         writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
         copy_bag(write_bag(tmp_path / "night.mcap", 5), writer)

@@ -68,7 +68,7 @@ def alert(state, second, text="no data from star.fore"):
 
 
 def test_recorded_alerts_replace_computed_ones(recording_path, tmp_path):
-    """They have the texts and times of the alert node, and acknowledgements, which cannot be computed."""
+    """Recorded alerts have the texts and times of the alert node, and acknowledgements, which cannot be computed."""
     path = tmp_path / "out.mcap"
     history = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
     with BagWriter(path) as writer, read_bag(recording_path) as bag:
@@ -96,7 +96,7 @@ def test_recorded_alerts_replace_computed_ones(recording_path, tmp_path):
 
 
 def test_outputs_of_one_node_alone(tmp_path):
-    """A bag with solutions of star sensors only has no angle to show, but errors."""
+    """A bag that contains only solutions of star sensors has errors, but no angle to show."""
     with BagWriter(tmp_path / "out.mcap") as bag:
         bag.add_attachment("suite.yaml", "star_attitude:\n  ros__parameters: {}\n")
         for tick in range(50):

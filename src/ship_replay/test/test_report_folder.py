@@ -24,7 +24,8 @@ def test_a_row_for_each_session_with_the_difference_to_the_one_before(tmp_path, 
     folder = tmp_path / "voyage"
     folder.mkdir()
     write_bag(folder / "a.mcap")
-    # The same hours: by name the later one. No data for 5 s of 40 s; the first of them is within the maximum age.
+    # The hours are the same: this bag is later by name. It has no data for 5 s of 40 s, of which 1 s is within the
+    # maximum age.
     write_bag(folder / "b 1.mcap", gap_s=(20, 25), rejected=range(30, 37))
     (folder / "bad.mcap").write_text("no bag")
     with BagWriter(folder / "inputs.mcap") as writer:

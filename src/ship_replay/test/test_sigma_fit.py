@@ -18,7 +18,7 @@ NS = 1_000_000_000
 
 
 def ar1(seed: int, time_s: float, count: int = FIVE_MINUTES) -> np.ndarray:
-    """Return three channels of unit variance whose autocorrelation falls to 1/e in a time, in steady state."""
+    """Return three channels of unit variance, in steady state; the autocorrelation falls to 1/e in ``time_s``."""
     rng = np.random.default_rng(seed)
     kept = math.exp(-1.0 / (time_s * RATE_HZ))
     driven = rng.standard_normal((count, 3)) * math.sqrt(1.0 - kept**2)
@@ -50,7 +50,7 @@ def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> So
 
 @pytest.mark.parametrize("time_s", [0.5, 3.0, 10.0])
 def test_number_of_independent_samples_agrees_with_theory(time_s: float) -> None:
-    """Σ over the squared autocorrelation of AR(1): τ = (1 + a²)/(1 - a²)."""
+    """The sum of the squared autocorrelation of AR(1) is τ = (1 + a²)/(1 - a²)."""
     kept = math.exp(-1.0 / (time_s * RATE_HZ))
     expected = FIVE_MINUTES * (1.0 - kept**2) / (1.0 + kept**2)
     found = [independent_count(ar1(seed, time_s)) for seed in range(200)]
@@ -68,7 +68,7 @@ def test_independent_ones_of_white_noise_of_nothing_and_of_a_bias() -> None:
 @pytest.mark.statistics
 @pytest.mark.parametrize("time_s", [0.1, 3.0, 10.0, 30.0])
 def test_a_correct_sigma_is_accepted(time_s: float) -> None:
-    """One of 1000 consistent runs is outside a band of 99.9 %; more than 6 in one of ten thousand such tests."""
+    """One of 1000 consistent runs is outside a 99.9 % band; in one of ten thousand such tests more than 6 are."""
     fits = [nees_fit(errors(ar1(seed, time_s))) for seed in range(1000)]
     rejected = [fit for fit in fits if "optimistic" in fit.words or "pessimistic" in fit.words]
     assert len(rejected) <= binom.ppf(0.9999, 1000, 0.001)
@@ -77,7 +77,7 @@ def test_a_correct_sigma_is_accepted(time_s: float) -> None:
 
 
 def test_a_band_without_correlation_would_reject_it() -> None:
-    """The reason for the effective number: three of four consistent runs fail without it."""
+    """Without the effective number of samples, three of four consistent runs would fail."""
     low, high = chi2.ppf([0.0005, 0.9995], 3 * FIVE_MINUTES) / (3 * FIVE_MINUTES)
     means = np.array([nees_fit(errors(ar1(seed, 10.0))).mean / 3.0 for seed in range(100)])
     assert np.mean((means < low) | (means > high)) > 0.7
@@ -85,7 +85,7 @@ def test_a_band_without_correlation_would_reject_it() -> None:
 
 @pytest.mark.parametrize(("ratio", "word"), [(1.6, "optimistic"), (0.6, "pessimistic")])
 def test_a_false_sigma_is_named(ratio: float, word: str) -> None:
-    """100 independent ones: the band of the ratio is 1 ± 0.13; its own deviation 0.04, so that no run misses 1.6."""
+    """The band of the ratio for 100 independent samples is 1 ± 0.13, its sigma 0.04: no run misses 1.6."""
     fits = [nees_fit(errors(ar1(seed, 3.0), ratio)) for seed in range(200)]
     assert all(word in fit.words for fit in fits)
     assert np.median([fit.ratio for fit in fits]) == pytest.approx(ratio, rel=0.02)
@@ -116,12 +116,12 @@ def test_an_hour_of_consistent_innovations_is_as_stated() -> None:
     # More than two of sixty minutes outside: 3 of 100 000 runs.
     assert all(fit.words == f"σ as stated ({fit.ratio:.2f})" for fit in fits)
     assert all(sum(fit.minutes.values()) == 60 for fit in fits)
-    # Of 6000 minutes about 6 are outside, more than 16 in one of ten thousand such tests.
+    # Of 6000 minutes about 6 are outside, more than 17 in one of ten thousand such tests.
     assert 0 < sum(60 - fit.minutes["as stated"] for fit in fits) <= binom.ppf(0.9999, 6000, 0.001)
 
 
 def test_three_percent_are_as_stated() -> None:
-    """Over an hour the band of all together would be 1 ± 0.01; no sigma is stated so exactly."""
+    """Over an hour the band of all innovations together would be 1 ± 0.01; no sigma is stated so exactly."""
     fit = nis_fit("star.bow", innovations(1, [1.03] * 60))
     assert fit.ratio == pytest.approx(1.03, abs=0.01)
     assert fit.words == f"σ as stated ({fit.ratio:.2f})"

@@ -110,7 +110,7 @@ def test_each_pointing_is_smoothed_with_the_smoothed_attitude(theodolite_bag, tm
     # Before the first lights the sigma of the encoders' zero points was 30".
     assert again[20][1].mode == again[20][1].ENCODER
     assert np.all(variances(again[20][1])[:2] < 0.1 * variances(valid[20][1])[:2])
-    # The ship's attitudes equal those without the theodolite, and both are evaluated.
+    # The attitudes of the ship are smoothed as without a theodolite, and both outputs are evaluated.
     assert len(messages(smoothed, "ship/attitude_smoothed")) == 241
     numbers = tmp_path / "numbers.json"
     assert evaluate([str(smoothed), "--json", str(numbers)]) == 0

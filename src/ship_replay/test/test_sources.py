@@ -53,7 +53,7 @@ def error_message(stamp_ns):
 
 
 def write_run(path, errors_arcsec, modes):
-    """Pointings 1 s apart towards North at an elevation, with errors of azimuth, elevation and rotation."""
+    """Write pointings 1 s apart towards North at 60° elevation, with errors of azimuth, elevation and rotation."""
     elevation = np.deg2rad(60.0)
     covariance_n = rotation_vector_covariance(np.diag((SIGMA_ARCSEC * ARCSEC) ** 2), 0.0, elevation)
     with BagWriter(path) as bag:
@@ -153,7 +153,7 @@ def test_errors_are_filled_in_at_stamps_and_between_them():
     cosines = np.array([np.cos(np.arcsin(truth[1, 0])) for truth in truths])
     expected = np.stack([10.0 * cosines, [-4.0, -4.0], [7.0, 7.0]], axis=-1)
     np.testing.assert_allclose(values[0], expected[0], atol=1e-3)
-    # Interpolation, and the deformation between the stamps: a random walk of 0.26" to the middle of 0.1 s.
+    # The tolerance is for interpolation, and for the deformation between stamps: a random walk of 0.26" in 0.05 s.
     np.testing.assert_allclose(values[1], expected[1], atol=2.0)
     assert np.isnan(values[2]).all()
 
@@ -171,9 +171,9 @@ def test_encoder_and_ins_alone_are_held_against_the_truth_too(tmp_path):
     values = evaluate_scenario(dataclasses.replace(exact, ins=quiet), tmp_path / "exact.mcap")
     assert values["ins_encoder.samples"] == 201
     for channel in POINTING.channels:
-        # Axis errors are known; what is left is the INS between its samples.
+        # Axis errors are known; only the interpolation between INS samples remains.
         assert values[f"ins_encoder.{channel}.rms_arcsec"] < 0.3
-    # The heading's error is an angle on the sky by the cosine of the elevation, here 10° to 20°.
+    # On the sky the heading error is multiplied by the cosine of the elevation, here 10° to 20°.
     turned = dataclasses.replace(quiet, heading_sigma_arcsec=72.0, heading_time_s=1e6)
     values = evaluate_scenario(dataclasses.replace(exact, ins=turned), tmp_path / "turned.mcap")
     heading, across = values["ins.heading.rms_arcsec"], values["ins_encoder.azimuth_cos_elevation.rms_arcsec"]

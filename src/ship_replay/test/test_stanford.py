@@ -45,10 +45,10 @@ def write_run(path, epochs, levels, start_ns=START_NS):
     """Write attitudes a tenth of a second apart, and levels by the number of the epoch before which they are published.
 
     Args:
-        path: of the bag.
+        path: path of the bag.
         epochs: errors of heading, pitch and roll (arcsec) and the status of each.
         levels: number of an epoch → message made by :func:`integrity` without its stamp.
-        start_ns: stamp of the first.
+        start_ns: stamp of the first epoch.
     """
     with BagWriter(path) as bag:
         for number, (errors, status) in enumerate(epochs):

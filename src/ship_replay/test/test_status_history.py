@@ -63,7 +63,7 @@ def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
 
 
 def test_invalid_ticks_are_placed_by_their_time() -> None:
-    """INVALID is stamped by the clock, after attitudes with later stamps as well as before earlier ones."""
+    """INVALID is stamped by the clock: the message can follow an attitude with a later stamp."""
     history = history_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
     assert [span.status for span in history.spans] == ["VALID", "INVALID", "VALID"]
     assert [span.count for span in history.spans] == [2, 1, 1]
@@ -94,7 +94,7 @@ def slow_bag(path, period_s=1.0, count=60):
 
 
 def test_an_ins_at_one_hertz_is_an_error_with_advice(tmp_path, capsys):
-    """Formerly accepted, and then 714 of 715 attitudes were INVALID."""
+    """Without this error, 714 of 715 attitudes of such a bag would be INVALID."""
     config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
     config.write_text(SUITE)
     assert check_config([str(config), str(bag)]) == 2
@@ -153,7 +153,7 @@ def test_a_replay_names_a_missing_input(tmp_path, capsys):
 
 
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
-    """Formerly the replay named an optional sensor without data, or no reason, although a level was above its limit."""
+    """The reason is the exceeded alert limit, also if an optional sensor has no data."""
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
     write_beginning(DEMO, bag, 6)
     with read_bag(DEMO) as demo:

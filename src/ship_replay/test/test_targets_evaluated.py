@@ -96,7 +96,7 @@ def test_errors_are_those_by_hand(bag: Path) -> None:
 
 def test_what_is_skipped_is_left_out_with_its_target(bag: Path) -> None:
     values = evaluate(bag, skip_s=1.5).quantities()
-    # No direction of the buoy was published since: it is listed without statistics.
+    # No valid direction of the buoy was published after 1.5 s: the buoy is listed without statistics.
     assert (values["target.buoy.samples"], values["target.buoy.not_claimed"]) == (0, 2)
     assert "target.buoy.direction.rms_arcsec" not in values
     assert (values["target.kite.samples"], values["target.kite.not_claimed"]) == (1, 1)

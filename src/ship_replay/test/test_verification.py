@@ -80,7 +80,7 @@ def test_the_first_changed_field_is_named_with_both_values(parts, tmp_path, caps
 
 
 def with_changed_innovations(outputs, change):
-    """The outputs, the first ten innovations changed."""
+    """Return the outputs with the first ten innovations changed."""
     changed = list(outputs)
     for number in [i for i, r in enumerate(outputs) if r.topic == "ship/innovation"][:10]:
         message = outputs[number].decode()

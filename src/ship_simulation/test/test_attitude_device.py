@@ -79,7 +79,10 @@ def test_ins_rates_are_those_at_the_time_of_validity():
 
 
 def test_correlated_rate_errors_have_the_configured_sigma_and_correlation_time():
-    """Last samples of many runs: one draw each. Samples 1 s apart with a time constant of 10 s: exp(-0.1)."""
+    """Each run gives an independent draw.
+
+    Samples 1 s apart, with a time constant of 10 s, have a correlation of exp(-0.1).
+    """
     biased = with_ins(
         paper(duration_s=1.0), rate_hz=1.0, rate_bias_sigma_arcsec_per_s=5.0, rate_bias_time_s=10.0
     )
@@ -91,7 +94,7 @@ def test_correlated_rate_errors_have_the_configured_sigma_and_correlation_time()
 
 
 def test_gyroscopes_at_rest_measure_the_earth_rate():
-    """At 30° north with the bow to the East, half the Earth rate is about Up, the rest about North, which is port."""
+    """At 30° north with the bow to the East, half the Earth rate is about Up, and 0.87 of it about North (port)."""
     still = paper(duration_s=1.0)
     carrier = dataclasses.replace(still.carrier, heading=AngleMotion(90.0), pitch=AngleMotion(), roll=AngleMotion())
     still = dataclasses.replace(still, carrier=carrier, position=Position(latitude_deg=30.0))

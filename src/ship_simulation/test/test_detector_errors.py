@@ -23,7 +23,7 @@ def draw_errors(seed: int, field_px: float = 0.0, pixel_px: float = 0.0) -> Dete
 def test_the_field_errors_covariance_is_the_stated_one():
     """Variances at three positions, u and v, over 600 seeds, and the correlation of each pair.
 
-    Expected: exp(-d²/(2 · 1.5²)), d in half sides, less the mean over the detector, by sums over a grid.
+    The expected covariance is exp(-d²/(2 · 1.5²)), d in half sides, less the mean over the detector (sums over a grid).
     """
     side = (np.arange(40) + 0.5) / 20.0 - 1.0
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -67,7 +67,7 @@ def test_each_pixel_has_its_own_error():
 
 @pytest.mark.parametrize("kind", ["field_spatial_sigma_px", "pixel_spatial_sigma_px"])
 def test_centroids_of_a_run_contain_constant_detector_errors(kind: str):
-    """Centroids without noise, minus the true points, are the errors of one detector, for any stretches."""
+    """Centroids without noise, minus the true points, are the errors of one detector at all times."""
     camera = {kind: 0.3, "centroid_sigma_px": 1e-6}
     run = simulate(with_sensor(paper_stars(), camera=camera), seed=5)
     sightings, detector = run.stars["fore"], run.scenario.star_sensors["fore"].camera

@@ -121,7 +121,7 @@ def check_a_kind(bag, start_ns, kind, topic):
     changed_ns = Injection(bag, {"f": fault}, 1).effect("f").times_ns
     since_s = [(time_ns - start_ns) / NS_PER_S for time_ns in changed_ns]
     assert bool(since_s) == ((kind, topic) not in UNCHANGED)
-    # By stamps; messages arrive at most 0.5 s after them.
+    # Faults apply by stamps; messages arrive at most 0.5 s after their stamps.
     assert all(START_S <= seconds < END_S + 0.5 for seconds in since_s)
 
 
@@ -137,7 +137,10 @@ def test_covariance_faults_apply_to_all_types_with_covariances(topic):
 
 
 def test_a_fault_may_change_nothing(bag):
-    """The first frozen message is unchanged, a delay of zero changes nothing, and there is no message after the end."""
+    """Faults after the end of the bag, of a share of zero or without a size change nothing.
+
+    The first frozen message is unchanged as well.
+    """
     fix = {"topic": "gnss/fix", "end_s": END_S}
     frozen = Injection(bag, {"f": Fault(kind="freeze", start_s=START_S, **fix)}, 1).effect("f").times_ns
     dropped = Injection(bag, {"f": Fault(kind="drop", start_s=START_S, **fix)}, 1).effect("f").times_ns

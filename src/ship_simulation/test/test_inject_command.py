@@ -134,7 +134,8 @@ def test_a_mounting_shift_of_the_telescope_moves_all_lights_equally(bag, tmp_pat
     for before, after in only(bag, tmp_path, LIGHTS, "knock", "up_arcsec: -20"):
         for one, other in zip(before.beacons, after.beacons, strict=True):
             x_m, z_m = one.x - 2.0e-4, one.z + 3.0e-4
-            # Rotation to the right by a: tan(angle - a); the height in the image is proportional to the cosine.
+            # A rotation to the right by a changes the image angle to angle + a; the height in the image is proportional
+            # to the cosine.
             angle = math.atan2(x_m, 0.1) + 20.0 * ARCSEC
             np.testing.assert_allclose(other.x - 2.0e-4, 0.1 * math.tan(angle), atol=1e-12)
             assert other.z + 3.0e-4 == pytest.approx(z_m, rel=2e-5)
