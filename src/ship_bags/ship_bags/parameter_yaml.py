@@ -148,7 +148,7 @@ def read_nested_parameters(source: Path | str) -> ParameterFile:
     name, text = _text(source)
     root = compose(name, text)
     if not isinstance(root, yaml.MappingNode):
-        raise BadInput("expected 'name: value' entries, the file holds none", file=name, line=1)
+        raise BadInput("expected 'name: value' entries, but the file contains none", file=name, line=1)
     return merge_sections(name, [Section("", dict(_parameters(name, root, "")))])
 
 

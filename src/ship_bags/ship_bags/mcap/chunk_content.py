@@ -66,7 +66,7 @@ def _decompressed_content(chunk: Chunk) -> bytes:
         # Truncated compressed bytes end without an error, which only a checksum or the length can reveal.
         raise DamagedChunk(f"it decompresses to {len(content)} bytes instead of {chunk.uncompressed_size}")
     if _record_count(content) > MAX_CHUNK_RECORDS:
-        raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
+        raise DamagedChunk(f"the chunk has more than {MAX_CHUNK_RECORDS} records")
     return content
 
 

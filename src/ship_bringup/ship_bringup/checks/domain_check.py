@@ -64,7 +64,7 @@ def check_domain(state: NetworkState, own: Collection[str], companions: Collecti
         yield CheckLine(_CHECK, Result.FAIL, found, "end that suite first: two nodes must not have the same name")
     by_hand = sorted(set(companions) & set(state.nodes))
     if by_hand:
-        advice = "end it before the suite is started, which starts its own: both would use the same ports and devices"
+        advice = "end it before the suite is started: the suite starts its own, which use the same ports and devices"
         yield CheckLine(_CHECK, Result.WARN, f"{', '.join(by_hand)} is running already", advice)
     others = {node for names in state.already_published.values() for node in names} - set(own)
     for topic in sorted(topic for topic, names in state.already_published.items() if others & set(names)):
