@@ -155,7 +155,7 @@ def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[
             calls.set_parameters({"gate.probability": 0.1}, now_ns)
         except ParameterError:
             return
-        raise AssertionError("taken")
+        raise AssertionError("a parameter out of its range was accepted")
 
     return [
         (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),

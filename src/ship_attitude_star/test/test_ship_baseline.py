@@ -152,14 +152,24 @@ def test_a_wrong_solution_is_rejected_and_changes_nothing(change: Any, text: str
     np.testing.assert_array_equal(with_it[-1].covariance_n, without[-1].covariance_n)
 
 
-def test_a_wrong_transverse_ambiguity_is_rejected() -> None:
-    # 0.3 m across at 8 m are 2 degrees. The length shrinks by 50 mm, which the length check detects.
+@pytest.mark.parametrize(
+    ("wrong_d", "text"),
+    [
+        # The length changes by 50 mm.
+        (np.array([0.0, 0.0, 0.3]), "baseline length"),
+        (0.3 * np.cross(BASELINE_D, [0.0, 1.0, 0.0]) / np.linalg.norm(np.cross(BASELINE_D, [0.0, 1.0, 0.0])), "NIS"),
+    ],
+)
+def test_a_wrong_transverse_ambiguity_is_rejected(wrong_d: np.ndarray, text: str) -> None:
+    # 0.3 m across at 8 m are 2 degrees.
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
-        wrong_d = np.array([0.0, 0.0, 0.3]) if second >= 10 else np.zeros(3)
-        return true_nd @ (BASELINE_D + wrong_d)
+        return true_nd @ (BASELINE_D + (wrong_d if second >= 10 else 0.0))
 
     estimates, decisions = run_core(ShipAttitudeCore(make_config()), np.zeros(3), solutions, seconds=30)
-    assert not any(d.accepted for d in decisions if d.measurement.time_ns > START_NS + 9.5e9)
+    wrong = [d for d in decisions if d.measurement.time_ns > START_NS + 9.5e9]
+    assert len(wrong) > 15
+    assert not any(d.accepted for d in wrong)
+    assert text in wrong[0].text
     heading = angles_from_rotation(true_attitude(30.0))[0]
     assert abs(wrap_pi(angles_from_rotation(estimates[-1].rotation_nd)[0] - heading)) < 60.0 * ARCSEC
 

@@ -67,7 +67,7 @@ def last_valid(run: Run) -> Any:
     return next(m for m in reversed(run.messages("ship/attitude")) if m.status == Status.VALID)
 
 
-def attitude_stamps(run: Run) -> set[int]:
+def attitude_statuses(run: Run) -> set[int]:
     """Return the statuses of all attitudes without INVALID, the status before the first INS sample."""
     return {message.status for message in run.messages("ship/attitude")} - {Status.INVALID}
 
@@ -142,7 +142,7 @@ def test_a_false_star_is_named_with_its_angle() -> None:
 def test_without_a_fix_no_star_is_used_and_the_ins_continues() -> None:
     run = run_new_adapter(without_topics(voyage(), FIX))
     assert run.reasons(FORE) == {"no_fix": run.health(FORE).received}
-    assert attitude_stamps(run) == {Status.DEGRADED}
+    assert attitude_statuses(run) == {Status.DEGRADED}
     assert "check that gnss/fix is published" in run.innovations(Reason.NO_FIX)[0].reason_text
 
 
@@ -204,7 +204,7 @@ def test_clouds_are_no_fault() -> None:
     run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic in (FORE, STARBOARD), clouds))
     assert run.reasons(FORE) == {}
     assert run.health(FORE).accepted == run.health(FORE).received
-    assert attitude_stamps(run) == {Status.DEGRADED}
+    assert attitude_statuses(run) == {Status.DEGRADED}
 
 
 def test_one_sensor_alone_is_enough_to_be_valid() -> None:

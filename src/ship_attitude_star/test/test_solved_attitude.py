@@ -192,8 +192,8 @@ def campaign(known: Knowledge, input_: str, shared: str = "by_input", has_noise_
 ONE_ERROR_FOR_ALL = {
     "observations": ("observations",),
     "solution": ("solution",),
-    "a stranger's attitude": ("horizon_attitude", "sky"),
-    "a stranger's with one covariance": ("horizon_attitude", "sky", False),
+    "attitude of another program": ("horizon_attitude", "sky"),
+    "the same with one covariance": ("horizon_attitude", "sky", False),
 }
 
 

@@ -129,7 +129,7 @@ def _of_pixels(rng: np.random.Generator, path: np.ndarray) -> np.ndarray:
     return rng.standard_normal((which.max() + 1, 2))[which.ravel()]
 
 
-def test_a_rotation_about_the_boresight_counts_as_movement():
+def test_a_rotation_of_the_stars_about_their_mean_counts_as_movement():
     """Twelve stars rotate about their mean position, with the same root mean square movement as a shift."""
     places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
     arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))

@@ -58,7 +58,7 @@ def test_a_truncated_bag_is_counted_up_to_the_cut(tmp_path, capsys):
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     text = output_of([tmp_path / "cut.mcap"], capsys)
     assert "problem: cut.mcap: no footer, it ends or is damaged at byte" in text
-    assert "whole:" not in text
+    assert "complete:" not in text
     count = int(row(text, "ins/imu")[2])
     assert 1000 < count < 12_001
     assert f"{bag_content(tmp_path / 'cut.mcap').message_count} messages could be read" in text

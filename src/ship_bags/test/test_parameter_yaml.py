@@ -183,7 +183,7 @@ def test_invalid_parameter_files(text, complaint):
     assert "\n" not in str(caught.value)
 
 
-def test_contradicting_sections(tmp_path):
+def test_a_pipe_or_device_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(BadInput, match="cannot be read: it is a pipe, a device or a socket: expected a file"):

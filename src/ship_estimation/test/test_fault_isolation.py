@@ -149,7 +149,7 @@ def test_single_fault_is_preferred_over_pairs(shift):
     assert [_voyage(seed, 4, {1: shift}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
 
 
-def test_without_pairs_fault_free_sources_are_not_excluded():
+def test_with_pairs_fault_free_sources_are_not_excluded():
     assert [_voyage(seed, 4, epochs=1000, pairs=True) for seed in range(2)] == [None] * 2
 
 

@@ -216,7 +216,7 @@ def test_corrected_attitudes_equal_numpy() -> None:
     np.testing.assert_allclose(found[1], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
-def numpy_composed_attitude(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
+def call_composed_attitude(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
     """Call ``composed_attitude`` with seven states and a base at rest."""
     base, rate = np.eye(3), np.zeros(3)
     compiled_rotations.composed_attitude(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
@@ -228,9 +228,9 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),
         lambda: log_rotation(np.eye(2)),
-        lambda: numpy_composed_attitude(np.array([0, 3]), np.zeros((3, 3, 3)), np.array([6])),
-        lambda: numpy_composed_attitude(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
-        lambda: numpy_composed_attitude(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
+        lambda: call_composed_attitude(np.array([0, 3]), np.zeros((3, 3, 3)), np.array([6])),
+        lambda: call_composed_attitude(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
+        lambda: call_composed_attitude(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
         lambda: compiled_rotations.turn_between(np.eye(3), np.eye(2)),
         lambda: compiled_rotations.propagate_by_rates(
             np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0

@@ -138,7 +138,7 @@ def test_live_parameter_reaches_the_adapter(live_relay):
         ("sensors.fore.elevation_deg", 50.0, "cannot be changed while the node runs: set it at the start"),
         ("gate.probabilty", 0.75, "parameter 'gate.probabilty' is unknown"),
         ("use_sim_time", 3, "expected 'Type.BOOL' got 'Type.INTEGER'"),
-        pytest.param("use_sim_time", True, "cannot be changed while the node runs", id="mend_17_use_sim_time"),
+        pytest.param("use_sim_time", True, "cannot be changed while the node runs", id="use_sim_time_changed"),
     ],
 )
 def test_bad_live_parameter_is_refused_with_a_reason(live_relay, name, value, reason):

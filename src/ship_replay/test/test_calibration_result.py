@@ -30,7 +30,7 @@ def find_combinations(covariance: np.ndarray, prior: np.ndarray = PRIOR, layout:
     return combinations(prior, covariance[None], layout, INS)
 
 
-def test_innovation_diagnosis() -> None:
+def test_observability_by_the_ratio_of_sigmas() -> None:
     assert [observability(ratio) for ratio in (0.0, 0.5, 0.51, 0.89, 0.9, 1.1)] == [
         "yes", "yes", "partly", "partly", "no", "no",
     ]  # fmt: skip

@@ -39,10 +39,6 @@ def innovations(sigma_arcsec):
     return SourceInnovations(accepted)
 
 
-# Sigmas of a run whose first tenth is before the first star, arcsec.
-STARTING = np.where(np.arange(COUNT) < 20, 3600.0, 2.0)
-
-
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.8])
 def test_the_first_sigma_sets_no_scale(share):
     sigma = np.where(np.arange(COUNT) < share * COUNT, 3600.0, 2.0)

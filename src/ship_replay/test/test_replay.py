@@ -338,7 +338,7 @@ class TestCommand:
         printed = capsys.readouterr()
         assert printed.out == ""
         (line,) = printed.err.splitlines()
-        assert line.startswith(f"replay: {bag}: the bag contains no readable message (in.mcap: the chunk at byte")
+        assert line.startswith(f"replay: {bag}: the bag holds no messages that can be read (in.mcap: the chunk at byte")
         assert not list(tmp_path.glob("out.mcap*"))
 
     def test_wrong_usage_is_one_line_and_two(self, capsys):

@@ -37,20 +37,20 @@ STATED = {
 }
 
 
-def random_array(size: float | None) -> FloatArray | None:
+def stated_error(size: float | None) -> FloatArray | None:
     return None if size is None else size * STATED_N
 
 
 def predictor_of(filter_: TracedFilter, size: float | None) -> AxisStatePredictor:
     return AxisStatePredictor(
-        filter_, lambda times_ns: None if size is None else np.repeat(random_array(size)[None], len(times_ns), 0)
+        filter_, lambda times_ns: None if size is None else np.repeat(stated_error(size)[None], len(times_ns), 0)
     )
 
 
 def correlated_state(filter_: TracedFilter, size: float | None):
     """Return a state as after sightings: correlated, with a mean other than zero."""
     rng, n = np.random.default_rng(4), filter_.model.size
-    state = filter_.propagate(filter_.initial_state(), START_NS, random_array(size))
+    state = filter_.propagate(filter_.initial_state(), START_NS, stated_error(size))
     sigma = np.sqrt(state.covariance.diagonal())
     mix = np.eye(n) + 0.2 * rng.standard_normal((n, n))
     parts = np.zeros_like(state.covariance_by_source)
@@ -67,13 +67,13 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     state = correlated_state(filter_, before)
     between = predictor_of(filter_, between_sizes)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.prediction_input)
-    then = filter_.propagate(state, TIMES_NS[-1], random_array(after))
+    then = filter_.propagate(state, TIMES_NS[-1], stated_error(after))
     later = Anchor(TIMES_NS[-1], GaussianEstimate(then.mean, then.covariance), then.prediction_input)
     found, cross = between.estimates_at(anchor, TIMES_NS, later)
     scale = np.sqrt(then.covariance.diagonal())
     scale = np.where(scale > 0.0, scale, 1.0)
     for place, time_ns in enumerate(TIMES_NS):
-        there = filter_.propagate(state, time_ns, random_array(between_sizes))
+        there = filter_.propagate(state, time_ns, stated_error(between_sizes))
         of_states = there.covariance[np.ix_(between.state_indices, between.state_indices)]
         sigma = np.sqrt(np.where(of_states.diagonal() > 0.0, of_states.diagonal(), 1.0))
         np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
@@ -97,7 +97,7 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
 def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
     filter_ = TracedFilter(config(**ERRORS))
     initial = filter_.initial_state()
-    first = filter_.propagate(initial, TIMES_NS[-1], random_array(1.0))
+    first = filter_.propagate(initial, TIMES_NS[-1], stated_error(1.0))
     anchor = Anchor(None, GaussianEstimate(initial.mean, initial.covariance), initial.prediction_input)
     later = Anchor(TIMES_NS[-1], GaussianEstimate(first.mean, first.covariance), first.prediction_input)
     between = predictor_of(filter_, 1.0)
@@ -122,7 +122,7 @@ def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.prediction_input)
     between, until_ns = predictor_of(filter_, 1.0), TIMES_NS[2]
     found, cross = between.estimates_at(anchor, [until_ns], anchor)
-    there = filter_.propagate(state, until_ns, random_array(1.0))
+    there = filter_.propagate(state, until_ns, stated_error(1.0))
     np.testing.assert_allclose(
         found.covariance[0], there.covariance[np.ix_(between.state_indices, between.state_indices)], rtol=1e-9
     )

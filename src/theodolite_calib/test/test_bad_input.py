@@ -120,7 +120,7 @@ def has_reason(run: Run, reason: Reason) -> list[tuple[str, str]]:
     return [(message.source, message.reason_text) for message in run.innovations(reason)]
 
 
-def assert_within_covariance(run: Run) -> bool:
+def is_within_covariance(run: Run) -> bool:
     """True if all errors of VALID and COASTING pointings are below six standard deviations."""
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return max(error_in_sigmas(message) for message in claimed) < 6.0
@@ -244,7 +244,7 @@ def test_beacons_without_exposure_length_are_points():
         new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1))
     )
     assert longer.reasons(BEACONS) == {}
-    assert assert_within_covariance(longer)
+    assert is_within_covariance(longer)
 
 
 def test_exchanged_names_are_corrected_and_reported() -> None:
@@ -272,7 +272,7 @@ def test_wrong_beacon_is_rejected_by_angle() -> None:
     assert "angle between alpha and bravo: residual" in message.reason_text
     assert run.reasons(BEACONS) == {"light_conflict": 1}
     assert run.state() == run_adapter(new_adapter(), without(session(), index)).state()
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_common_offset_of_beacons_is_a_telescope_fault() -> None:
@@ -302,7 +302,7 @@ def test_float_baseline_is_rejected_and_the_other_beacon_used() -> None:
     assert run.reasons(BEACONS)["not_fixed"] == 11
     assert {m.mode for m in run.pointings[20:]} == {Mode.ONE_LIGHT}
     assert {m.light_count for m in run.pointings[20:]} == {1}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
@@ -313,7 +313,7 @@ def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
     assert run.reasons(ALPHA) == {"not_fixed": 1}
     # No exposure waits for another baseline, and no baselines are interpolated across this one.
     assert run.reasons(BEACONS).keys() <= {"not_fixed"}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_float_is_used_if_allowed() -> None:
@@ -373,7 +373,7 @@ def test_duplicate_beacon_name_is_rejected() -> None:
 
     run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), twice))
     assert run.reasons(BEACONS) == {"conflict": 2}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_baseline_of_another_drone_is_rejected() -> None:
@@ -391,7 +391,7 @@ def test_exchanged_baselines_are_a_conflict() -> None:
     run = run_adapter(new_adapter(), crossed)
     assert all(m.accepted for m in run.innovations(Reason.LIGHT_CONFLICT))
     assert run.reasons(BEACONS) == {"light_conflict": 11}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
@@ -410,7 +410,7 @@ def test_baseline_later_than_the_lag_is_rejected() -> None:
     ((source, text),) = has_reason(run, Reason.LATE)
     assert source == "baseline.alpha"
     assert "more than lag_s = 0.5" in text
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_baselines_one_second_old_are_a_conflict() -> None:
@@ -424,7 +424,7 @@ def test_baselines_one_second_old_are_a_conflict() -> None:
     assert {m.source for m in run.innovations(Reason.EXCLUDED)} == {"light.alpha"}
     assert len(run.innovations(Reason.EXCLUDED)) >= 5
     assert (run.pointings[-1].status, run.pointings[-1].light_count) == (Status.VALID, 1)
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def frozen_encoders(from_s: float, until_s: float) -> tuple[Arrival, ...]:
@@ -446,7 +446,7 @@ def test_stuck_encoder_is_detected_by_beacons() -> None:
     wrong = [m for m in run.pointings if seconds(m) > 2.0 and m.status != Status.INVALID]
     assert {m.status for m in wrong} == {Status.DEGRADED}
     assert run.pointings[-1].status == Status.INVALID
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def seconds_of(arrival: Arrival) -> float:
@@ -458,7 +458,7 @@ def test_an_encoder_comes_back_after_twenty_changing_readings() -> None:
     rejected = run.reasons(ENCODER)["stuck"]
     assert 20 < rejected < 60
     assert run.pointings[-1].status == Status.VALID
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_encoder_in_degrees_is_rejected() -> None:
@@ -515,7 +515,7 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
     # messages. Only medians are compared: the separations of the subfilters vary with each sighting.
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, fault_free_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_drone_without_covariance_is_used_if_accepted() -> None:
@@ -550,4 +550,4 @@ def test_covariance_grows_without_beacons() -> None:
     # At the change of mode, the error changes by no more than two readings may differ.
     first = modes.index(Mode.ENCODER, 40)
     assert abs(error_in_sigmas(run.pointings[first]) - error_in_sigmas(run.pointings[first - 1])) < 1.5
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)

@@ -167,7 +167,7 @@ def encoder_from(from_s: float, until_s: float = 1e9) -> Callable[[Arrival], boo
     return lambda a: a.topic == ENCODER and from_s <= (a.stamp_ns - START_NS) * 1e-9 < until_s
 
 
-def assert_within_covariance(run: Run) -> bool:
+def is_within_covariance(run: Run) -> bool:
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return max(error_in_sigmas(message) for message in claimed) < 6.0
 
@@ -191,7 +191,7 @@ def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: fl
     assert seconds(degraded[-1]) < 4.5
     assert error_in_sigmas(after[0]) < 3.0
     assert {m.status for m in after[len(degraded) :]} == {Status.VALID}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
     assert run.reasons(BEACONS).keys() <= {"gap"}
 
 
@@ -212,7 +212,7 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
     frozen = change_where(session(10.0), encoder_from(2.0, 5.0), freeze)
     adapter = new_adapter(integrity__return_after_s=1.0)
     run = run_adapter(adapter, replace_message(frozen, index_at(frozen, ENCODER, 4.0), replace_reading(20.0)))
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
     (wrong,) = [m for m in run.pointings if seconds(m) == 4.0]
     assert wrong.status == Status.DEGRADED
     assert run.pointings[-1].status == Status.VALID

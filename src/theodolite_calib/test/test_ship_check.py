@@ -74,7 +74,7 @@ def negate_w(message: Any) -> None:
     message.orientation.w = -message.orientation.w
 
 
-def assert_within_covariance(run: Run) -> bool:
+def is_within_covariance(run: Run) -> bool:
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return bool(claimed) and max(error_in_sigmas(m) for m in claimed) < 6.0
 
@@ -121,7 +121,7 @@ def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
     assert seconds(degraded[-1]) < 4.5
     assert max(error_in_sigmas(m) for m in degraded) < 4.0
     assert {m.status for m in after[len(degraded) :]} == {Status.VALID}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
     assert run.reasons(BEACONS).keys() <= {"gap"}
 
 
@@ -156,7 +156,7 @@ def test_simultaneous_encoder_slip_and_ins_jump() -> None:
     arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(0.0, 0.3, 0.2))
     run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slip))
     assert (run.reasons(INS), run.reasons(ENCODER)) == ({"gate": 5}, {"gate": 5})
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID
 
 
@@ -185,7 +185,7 @@ def test_invalid_rates_change_no_pointing(factor: float) -> None:
     run = run_adapter(adapter(), change_where(session_with_ins_only(), of_topic(INS), scale_rates(factor)))
     assert run.reasons(INS) == {}
     assert run.results() == true.results()
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
@@ -195,7 +195,7 @@ def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
     detected_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
     assert 5.0 < detected_s < 7.0
     assert {m.status for m in run.pointings if seconds(m) > detected_s + 0.1} == {Status.INVALID}
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
 
 
 def test_stuck_ins_is_detected_by_its_own_rates() -> None:
@@ -210,5 +210,5 @@ def test_stuck_ins_is_detected_by_its_own_rates() -> None:
     rejected_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
     assert rejected_s
     assert max(rejected_s) < 5.0
-    assert assert_within_covariance(run)
+    assert is_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID

@@ -226,7 +226,7 @@ def test_pointing_without_beacons_stars_and_calibration_is_degraded(sky_model) -
     assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
-def state_after_shift(session: MountSession) -> MountSession:
+def session_after_shift(session: MountSession) -> MountSession:
     """Return the session after a shift of 100″, which stars cannot attribute to the camera or the encoders."""
     errors = replace(session.errors, parallelism=session.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
     return MountSession(session.settings, errors, session.sky_model, session.rng)
@@ -239,7 +239,7 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(sky_model) -> 
     state, _ = mount.step(mount.filter.initial_state(), session.sighting(encoder, 6))
     for number in range(1, 4):
         time_ns = TIME_NS + number * SECOND_NS // 10
-        state, decision = mount.step(state, state_after_shift(session).sighting(encoder, 6, time_ns))
+        state, decision = mount.step(state, session_after_shift(session).sighting(encoder, 6, time_ns))
         assert not decision.accepted
         assert decision.reason in (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED)
         assert state.consecutive_rejections == number

@@ -169,7 +169,7 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
         assert np.mean(found.valid) < 0.2
 
 
-def test_focal_length_from_stars_matches_the_beacons() -> None:
+def test_stars_alone_calibrate_the_focal_length() -> None:
     """The focal length is wrong by three sigma; stars alone calibrate it to 0.01 %."""
     ratio = 3e-3
     found = run_session(0, TELESCOPE, ratio)
