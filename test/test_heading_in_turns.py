@@ -1,4 +1,4 @@
-"""Heading error in turns of 0, 10 and 20°/s, the INS's clock estimated (IMO MSC.116(73), ISO 22090: turntable classes).
+"""Heading error in turns of 0, 10 and 20°/s with an estimated INS clock (turntables of IMO MSC.116(73), ISO 22090).
 
 At 20°/s an unmodelled offset of 1 ms is 72″ of heading. ``pytest -s`` prints the table of docs/explanation/filter.md.
 """
