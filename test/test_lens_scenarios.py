@@ -1,4 +1,4 @@
-"""[W18] as voyages: the lens point N' is 60 mm off, surveyed or not; sightings are evaluated singly and together.
+"""[W18] as voyages: N' of the lens, 60 mm from the intersection of the axes and surveyed or not.
 
 The expected numbers are those of models.md §5. The constant error of an unsurveyed N' is 60 mm sqrt(2/3) over 2 km,
 across the line of sight.

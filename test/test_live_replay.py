@@ -38,8 +38,7 @@ INVALID = 3
 
 
 def ship_attitude(message) -> tuple[np.ndarray, float]:
-    """Return orientation x, y, z, w and the age of the last star measurement used, s, which identifies the measurement.
-    """
+    """Return orientation x, y, z, w, and the age of the last star measurement used, s; the age identifies it."""
     return np.array([getattr(message.orientation, axis) for axis in "xyzw"]), message.star_age_s
 
 
