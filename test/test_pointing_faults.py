@@ -155,8 +155,7 @@ def test_encoders_that_step_without_lights_are_degraded_to_the_end(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("shift_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
 def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, shift_arcsec):
-    """Before: the encoders or the ship's attitude were excluded. All three faults have similar effects on the lights.
-    """
+    """Before: encoders or ship's attitude were excluded; all three faults have similar effects on the lights."""
     found = run_core(shift_telescope(fault_free_session(seed), *shift_arcsec), integrity__return_after_s=20.0)
     assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0

@@ -74,8 +74,7 @@ def final_error_squared(run: SimulatedRun, estimate: AttitudeEstimate) -> float:
 
 
 def test_a_fix_in_time_rewinds_nothing() -> None:
-    """Fixes and weather readings arrive at their stamps: only the first readings cause exposures to be compared again.
-    """
+    """Fixes and weather readings arrive at their stamps: only the first ones cause exposures to be compared again."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     run = simulate(replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=10.0)), seed=1)
     core, steps = core_for(run.scenario), 0

@@ -89,8 +89,7 @@ def bytes_of(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
 
 
 def ship_bytes(path: Path) -> list[tuple[str, int, bytes]]:
-    """Return the ship's attitudes since the first INS sample; before this sample only ticks publish INVALID attitudes.
-    """
+    """Return the ship's attitudes since the first INS sample; before, only ticks publish INVALID attitudes."""
     return [entry for entry in bytes_of(path, SHIP) if entry[1] > small_voyage.START_NS]
 
 
