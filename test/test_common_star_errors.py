@@ -38,7 +38,7 @@ def test_equally_rotated_stars_do_not_exclude_the_ins(turn_n: FloatArray, from_s
     assert found.worst_level_ratio() < 1.0
     assert found.excluded_sources() == {"star.fore", "star.starboard"}
     assert found.statuses(from_s + 4.0) == {Status.DEGRADED}
-    # The estimate no longer follows the rotation: without stars, the error is only a part of it.
+    # The estimate no longer follows the rotation: without stars, the error is only a part of this rotation.
     assert found.largest_error(from_s + 4.0, from_s + 10.0) < 0.7 * np.linalg.norm(turn_n)
 
 

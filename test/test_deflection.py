@@ -69,9 +69,8 @@ def without_clouds(scenario: Scenario) -> Scenario:
 
 @pytest.mark.statistics
 def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> None:
-    # Issue: the RMS of the additional tilt error with the table is at most 3 arcseconds. The error is additional to
-    # that of the same seed without deflection.
-    # The additional error is the difference of both errors: the unknown part of the table.
+    # Issue: with the table, the RMS of the additional tilt error is at most 3 arcseconds, compared with the same seed
+    # without deflection. The additional error is the difference of both errors: the unknown part of the table.
     more = []
     for seed in range(SEEDS):
         errors = []

@@ -113,7 +113,7 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
     ("azimuth_arcsec", "elevation_arcsec"),
     [
         (30.0, 0.0),  # 6.9
-        (100.0, 0.0),  # 21.3, then DEGRADED at 21 to the end
+        (100.0, 0.0),  # 21.3, then DEGRADED at 21.3 to the end
         (0.0, 30.0),  # 11.9
         (0.0, 100.0),  # 35.0
     ],

@@ -59,8 +59,8 @@ def test_no_valid_error_exceeds_its_covariance_or_level(scale, named, sensor_ids
     assert found.worst_sigmas < 5.0
     assert found.worst_over_level < 1.0
     if scale < 1e-3 or sensor_ids == ONE:
-        # Errors within three sigmas, or of one camera only, do not prevent VALID attitudes. The first of them needs two
-        # consistent exposures, which are a second apart.
+        # Errors within three sigmas, or of one camera only, do not prevent VALID attitudes. The first VALID attitude
+        # needs two consistent exposures, which are a second apart.
         assert found.last_invalid_s < 1.1
     elif scale == SCALES[-1]:
         assert found.valid_count == 0

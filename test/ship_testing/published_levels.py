@@ -41,7 +41,7 @@ class ProtectionLevelRun(AdapterRun):
     def exceedances(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return (stamp, published, own levels) of outputs with an own level above 1.05 times the published level.
 
-        Outputs with NaN in only one of the two are returned too.
+        Outputs are also returned if only the published or only the own levels contain NaN.
         """
         return [
             (stamp_of(message), published, own)

@@ -91,6 +91,6 @@ REJECTED_STARS = [
         Reason.UNITS,
         "degrees?",
     ),
-    # Achernar, declination -57°: at 32° north its elevation is never above 1°, and here it is negative.
+    # Achernar, declination -57°: at 32° north this star hardly rises, and here it is below the horizon.
     ("below the horizon", set_star_fields(3, catalogue_id=7588), Reason.BELOW_HORIZON, "HIP 7588: elevation -"),
 ]

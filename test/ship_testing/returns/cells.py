@@ -233,7 +233,7 @@ _OWN_TOPICS = {
 
 
 def _own_topics(voyage: str, data: VoyageData) -> list[str]:
-    """Return the topics of a voyage that have single faults: all without an entry in ``_OWN_TOPICS``."""
+    """Return the topics of a voyage that have single faults; all topics if the voyage is not in ``_OWN_TOPICS``."""
     return [topic for topic in sorted(data.topics) if topic.startswith(_OWN_TOPICS.get(voyage, ""))]
 
 
