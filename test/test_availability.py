@@ -28,11 +28,11 @@ from ship_testing.pan_peers import (
 )
 from tools import availability, mooring
 
-pytestmark = pytest.mark.slow  # what its tests share takes long
+pytestmark = pytest.mark.slow  # the computations that the tests share take long
 
 SCENES = 24
 FALSE_ALARM = 1e-6
-"""Probability of a false alarm in the comparison of the small part of the table with the whole, each cell."""
+"""Probability of a false alarm in each cell, when the small part of the table is compared with the whole table."""
 
 
 @functools.cache
@@ -89,11 +89,11 @@ def test_two_stars_with_swapped_names_are_never_valid_alone_and_are_detected_by_
         assert trials.joint_solution(changed, both, with_ins=True).status is SolutionStatus.INVALID
 
 
-# -- the peers are right where they hold ------------------------------------------------------------------------
+# -- the peers are right without errors -------------------------------------------------------------------------
 
 
 def without_errors(scene: trials.Scene) -> tuple[list[SensorView], list[FloatArray]]:
-    """Return observations without errors, by ERFA's sky, and their attitudes."""
+    """Return observations without errors, by ERFA's sky, and the true attitudes of the sensors."""
     seen, truths = [], []
     for view in trials.views(scene, trials.some_stars(scene, (8, 8))):
         rotation_ns = scene.rotation_nd @ view.rotation_ds
@@ -130,7 +130,7 @@ def test_all_star_vectors_in_scipys_solution_of_wahbas_problem_give_what_star_at
         peer, _ = Rotation.align_vectors(reference_n, measured_d)
         ours = trials.joint_solution(scene, rows, with_ins=False)
         assert ours.star_count == 16
-        # The weights of star_attitude differ a little over the field, its peer's do not.
+        # The weights of star_attitude differ a little over the field; the weights of the peer are equal.
         assert error_arcsec(ours.rotation_nb, peer.as_matrix()) < 0.1
 
 
@@ -150,7 +150,7 @@ def test_two_stars_suffice_for_a_boresight_by_geometry_and_one_does_not() -> Non
 
 @pytest.mark.parametrize("patch_deg", trials.PATCHES_DEG)
 def test_a_star_is_hidden_with_the_probability_of_the_cover(patch_deg: float) -> None:
-    """Each star separately: the first of the first sensor over many skies."""
+    """The star is the first star of sensor ``fore``, under many drawn skies."""
     scene, rng, count = scenes()[0], np.random.default_rng(7), 2000
     hidden = 0
     for _ in range(count):
@@ -169,7 +169,7 @@ def test_clouds_in_patches_hide_the_stars_of_a_field_together() -> None:
             for _ in range(500)
         ]
         spread[patch_deg] = np.var(left)
-    # Eight independent stars: 8 · ½ · ½ = 2. All together: 16.
+    # The variance is 8 · ½ · ½ = 2 for eight independent stars, and 16 if all are hidden together.
     assert 1.5 < spread[0.0] < 2.6
     assert 8.0 < spread[10.0] < 16.0
 
@@ -205,29 +205,29 @@ def test_the_small_part_of_the_table_is_what_the_command_computes() -> None:
     documented, found = cells(table_of("small part")), cells(availability.small_table(small_part()))
     assert documented.keys() == found.keys()
     differences = [abs(np.array(documented[key]) - found[key]) for key in documented if documented[key] != found[key]]
-    # On another processor the last bits differ, and with them a star at the edge of a gate: one exposure in one case.
+    # On another processor the last bits differ. A star at the edge of a gate may change one exposure in one case.
     one_exposure = 100.0 / availability.SMALL_PART
     assert len(differences) <= 1, "run python tools/availability.py"
     assert np.max(differences, initial=0.0) <= one_exposure + 1e-9, "run python tools/availability.py"
 
 
 def test_the_whole_table_agrees_with_the_small_part() -> None:
-    """Each cell of the small part is likely with the share of the whole table."""
+    """Each cell of the small part is likely, given the share in the whole table."""
     whole = cells(table_of("stars")) | cells(table_of("clouds"))
     assert len(whole) == (len(trials.COUNTS) + 2 * (len(trials.COVERS) - 1)) * len(trials.METHODS)
     n = availability.SMALL_PART
     for key, shares in whole.items():
         values = small_part()[key]
         for share, found in zip(shares, (trials.availability(values), trials.solved_share(values)), strict=True):
-            # A share of 0 or 100 % of a thousand may be one of 0.1 % or 99.9 %.
+            # A share of 0 or 100 % among a thousand exposures may stand for a true share of 0.1 % or 99.9 %.
             low, high = binom.interval(1.0 - FALSE_ALARM, n, np.clip(share / 100.0, 1e-3, 1.0 - 1e-3))
             assert low <= round(found * n) <= high, (key, share, found)
 
 
 def test_the_pages_valid_attitudes_are_consistent() -> None:
-    """One in a thousand beyond the covariance, and mean NEES in its 99.9 % band, each case separately."""
+    """In each case, about one in a thousand is beyond the covariance, and the mean NEES is in its 99.9 % band."""
     _, _, *rows = [[one.strip() for one in row.strip("|").split("|")] for row in table_of("consistency").splitlines()]
-    assert len(rows) == 2 * len(trials.COUNTS) - 1  # one star in each is not VALID without the INS
+    assert len(rows) == 2 * len(trials.COUNTS) - 1  # without the INS, one star in each sensor is not VALID
     for _, _, valid, beyond, nees in rows:
         low, high = mean_nees_band(int(valid), 3)
         assert low < float(nees) < high

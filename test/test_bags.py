@@ -98,7 +98,7 @@ def test_the_bags_can_be_made_again(tmp_path):
         subprocess.run(command, check=True, capture_output=True)
     for path in BAGS:
         assert sha256(tmp_path / "first" / path.name) == sha256(tmp_path / "second" / path.name), path.name
-        # Sines of numpy differ in the last bit from one kind of processor to another, and with them the bytes.
+        # Sines of numpy differ in the last bit from one kind of processor to another, so the bytes of a bag differ too.
         assert largest_difference(tmp_path / "first" / path.name, path) < 1e-12, path.name
 
 
@@ -117,7 +117,10 @@ def largest_difference(first: Path, second: Path) -> float:
 
 
 def difference(left, right) -> float:
-    """Return the largest difference of two messages' numbers, relative to 1 below and to themselves above."""
+    """Return the largest difference of two messages' numbers: absolute for numbers below 1, relative above.
+
+    The difference is infinite if anything else differs.
+    """
     if hasattr(left, "__dataclass_fields__"):
         return max((difference(getattr(left, n), getattr(right, n)) for n in left.__dataclass_fields__), default=0.0)
     if isinstance(left, list | tuple) and len(left) == len(right):

@@ -164,8 +164,8 @@ def test_a_wheel_that_is_not_available_is_one_line_and_no_tar(source_checkout: P
 def test_setup_installs_only_from_the_wheels(unpacked_bundle: Path) -> None:
     """The configuration of pip has no effect: an index without a server is never requested.
 
-    The build after it needs colcon and fails, which ends the installations in progress; but both wheels are in the
-    group for which the build waits.
+    The build after the installation needs colcon and fails, which ends the installations in progress. Both wheels are
+    in the group for which the build waits.
     """
     answer = setup(unpacked_bundle)
     assert f"the wheels of wheels/{own_target()} are complete: no network is used" in answer.stdout
@@ -237,7 +237,10 @@ def test_wheels_for_another_python_are_refused(unpacked_bundle: Path) -> None:
 
 @pytest.mark.parametrize(("given", "chosen"), [({}, "python3.12"), ({"PYTHON": "python3.10"}, "python3.10")])
 def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, str], chosen: str) -> None:
-    """Among several; PYTHON has priority over it. These print their names and fit."""
+    """Several Pythons are in the path; PYTHON has priority over all.
+
+    These Pythons print their names and pass checks.
+    """
     (tmp_path / "wheels" / target("3.12", "x86_64")).mkdir(parents=True)
     (tmp_path / "tools").mkdir()
     shutil.copy(ROOT / "tools" / "setup", tmp_path / "tools")

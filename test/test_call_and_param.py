@@ -1,4 +1,4 @@
-"""``call`` and ``param`` with a real node and the alerts: accepted, rejected, and unknown names."""
+"""``call`` and ``param`` with a real node and the alert node: accepted and rejected requests, and unknown names."""
 
 import re
 import subprocess

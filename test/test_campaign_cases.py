@@ -38,8 +38,8 @@ def test_the_configuration_of_the_suite_follows_a_cases_changes() -> None:
 
 
 def test_half_an_hour_of_clouds_leaves_the_ins_drift() -> None:
-    # Tilt of 10" with 30 min: sqrt(1 - exp(-2 1800/1800)) 10" = 9.30" of new error; 1" is the last sample's noise, and
-    # of the 1.3" of before exp(-1) is left.
+    # The tilt of the INS has 10" and a correlation time of 30 min: sqrt(1 - exp(-2 1800/1800)) 10" = 9.30" of new
+    # error. The noise of the last sample is 1", and exp(-1) of the former 1.3" is left.
     scenario = case_in_short("outage")
     expected_arcsec = np.sqrt(9.30**2 + 1.0 + (1.3 * np.exp(-1.0)) ** 2)
     assert final_error(scenario, seed=0).sigma[1] == pytest.approx(expected_arcsec * ARCSEC, rel=0.01)

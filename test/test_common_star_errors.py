@@ -38,13 +38,13 @@ def test_equally_rotated_stars_do_not_exclude_the_ins(turn_n: FloatArray, from_s
     assert found.worst_level_ratio() < 1.0
     assert found.excluded_sources() == {"star.fore", "star.starboard"}
     assert found.statuses(from_s + 4.0) == {Status.DEGRADED}
-    # What the estimate had followed is taken back: the INS alone wanders by a part of it.
+    # The estimate no longer follows the rotation: without stars, the error is only a part of this rotation.
     assert found.largest_error(from_s + 4.0, from_s + 10.0) < 0.7 * np.linalg.norm(turn_n)
 
 
 @pytest.mark.slow
 def test_no_common_error_of_any_size_axis_and_time_is_valid_beyond_five_sigmas_or_its_level() -> None:
-    """[Of 45 cases 30 beyond 5 sigma, by up to 13.0; 19 beyond the level, by up to 1.79; in 26 the INS excluded]"""
+    """[Of 45 cases, 30 were beyond 5 sigma (up to 13.0), 19 were beyond the level (up to 1.79), 26 excluded the INS]"""
 
     def check(turn_n: FloatArray, from_s: float, seed: int) -> None:
         found = run_with_common_error(turn_n, from_s, seed)
@@ -60,7 +60,10 @@ def test_no_common_error_of_any_size_axis_and_time_is_valid_beyond_five_sigmas_o
 
 @pytest.mark.slow
 def test_after_a_common_error_has_ended_the_attitude_is_valid_within_two_minutes() -> None:
-    """An error of 30 s, with the node's outputs. The first estimator alone returns stars only from 40″ of tilt."""
+    """The error lasts 30 s.
+
+    The node's outputs are tested, as its first estimator reinstates stars only from 40″ of tilt.
+    """
 
     def check(turn_n: FloatArray) -> None:
         run = run_adapter(new_adapter(), turn_star_messages(small_voyage(120.0), turn_n, 20.0, 50.0))

@@ -1,6 +1,6 @@
-"""Covariance of the fused attitude compared with an independent bound; Monte Carlo detects one that is too small.
+"""Covariance of the fused attitude compared with an independent bound; Monte Carlo detects a too small covariance.
 
-The Monte Carlo itself: ``test_campaign_cases.py`` and ``make campaign``.
+The Monte Carlo itself is in ``test_campaign_cases.py`` and ``make campaign``.
 """
 
 from dataclasses import replace
@@ -142,7 +142,7 @@ def test_sigma_is_the_bound(name: str, expected_arcsec: list[float]) -> None:
 
 @pytest.mark.statistics
 def test_a_too_small_covariance_is_detected() -> None:
-    """The test can fail: installation errors five times the configured sigma."""
+    """The Monte Carlo test can fail: here the true installation errors have five times the configured sigma."""
     short = scenario("paper", 60.0)
     worse = {
         id_: replace(sensor, installation_sigma_up_arcsec=5.0, installation_sigma_right_arcsec=5.0)
@@ -161,7 +161,7 @@ def test_a_too_small_covariance_is_detected() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "turn"])
 def test_any_order_of_arrival_ends_in_the_same_state(name: str) -> None:
-    """Every message within the lag; the requirement is 1e-9 rad, the log gives the same bits."""
+    """Every message arrives within the lag. The requirement is 1e-9 rad; the states are even equal bit by bit."""
     short = scenario(name, 8.0, ins_rate_hz=25.0)
     run = simulate(short, seed=5)
     configuration = build(ShipAttitudeConfig, suite_configuration(short))

@@ -1,4 +1,4 @@
-"""Deflection of the vertical: an INS follows gravity, stars refer to the ellipsoid; under clouds, alongside, with both.
+"""Deflection of the vertical, under clouds and alongside: an INS follows gravity, stars refer to the ellipsoid.
 
 The scenario is ``deflection.yaml``, without waves and with fewer samples, which does not change what is tested. The
 bands are of 99.9 %, from chi-square, for the number of seeds.
@@ -63,14 +63,14 @@ def error_n(run: SimulatedRun, estimate: AttitudeEstimate) -> np.ndarray:
 
 
 def without_clouds(scenario: Scenario) -> Scenario:
-    """Return the same without clouds."""
+    """Return the scenario without clouds."""
     return replace(scenario, star_sensors={id_: replace(one, outages={}) for id_, one in scenario.star_sensors.items()})
 
 
 @pytest.mark.statistics
 def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> None:
-    # Issue: the tilt's RMS with the table at most 3 arcseconds more, in squares, than the same seed without deflection.
-    # The additional error is the difference of both errors: the unknown part of the table.
+    # Issue: with the table, the RMS of the additional tilt error is at most 3 arcseconds, compared with the same seed
+    # without deflection. The additional error is the difference of both errors: the unknown part of the table.
     more = []
     for seed in range(SEEDS):
         errors = []
@@ -86,7 +86,7 @@ def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> 
 
 @pytest.mark.statistics
 def test_the_attitude_is_consistent_without_the_table() -> None:
-    # Drawn by the filter's model: 20 arcseconds over 30 km. With the table: test_campaign_cases.py.
+    # The deflection is drawn by the filter's model: 20 arcseconds over 30 km. test_campaign_cases.py tests the table.
     gravity = Gravity(sigma_arcsec=20.0, told="unknown", told_unknown_sigma_arcsec=20.0)
     nees = []
     for seed in range(SEEDS):
@@ -100,7 +100,7 @@ def test_the_attitude_is_consistent_without_the_table() -> None:
 
 @pytest.mark.slow
 def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
-    # Issue: at most 1.5 arcseconds in an hour where the INS's tilt is 1 arcsecond.
+    # Issue: the sigma of the deflection is at most 1.5 arcseconds after an hour if the INS's tilt sigma is 1 arcsecond.
     squares = []
     for seed in range(SEEDS):
         scenario = without_clouds(voyage(Gravity(sigma_arcsec=7.7, told="unknown"), duration_s=3600.0))
@@ -132,7 +132,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
         true_nd = exp_rotation(-turn_n) @ run.truth.rotation_nd[-1]
         error = log_rotation(true_nd @ gravity.rotation_nd.T)
         nees.append(float(normalized_error_squared(error, gravity.covariance_n)))
-        # The deflection itself, except the arcsecond that is not in the table.
+        # The attitudes differ by the deflection, except the arcsecond that is not in the table.
         between_n = log_rotation(geodetic.rotation_nd @ gravity.rotation_nd.T)
         np.testing.assert_allclose(between_n[[0, 2]], turn_n[[0, 2]], atol=4.0 * ARCSEC)
         np.testing.assert_allclose(gravity.covariance_by_source_n.sum(axis=0), gravity.covariance_n, rtol=1e-9)
@@ -146,13 +146,13 @@ def test_a_topic_gives_the_same_as_the_table() -> None:
     table, topic = (
         last_estimate(core_of(one), simulate(one, 400)) for one in (scenario, by_topic)
     )
-    # The topic comes each ten seconds, on which the deflection changes by 0.3 arcseconds at most.
+    # The topic has a message every ten seconds; in this time the deflection changes by 0.3 arcseconds at most.
     np.testing.assert_allclose(topic.covariance_n, table.covariance_n, rtol=1e-3)
     assert np.linalg.norm(log_rotation(topic.rotation_nd @ table.rotation_nd.T)) < 0.3 * ARCSEC
 
 
 def test_another_attitude_system_follows_gravity_too() -> None:
-    # A reference that were compared against the ellipsoid would contradict the stars by 51 arcseconds.
+    # A reference compared with the ellipsoid would contradict the stars by 51 arcseconds.
     gravity = Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0)
     scenario = without_clouds(voyage(gravity, duration_s=600.0))
     reference = Reference(
@@ -182,7 +182,8 @@ def test_an_ins_alone_is_geodetic_where_the_deflection_is_given() -> None:
 
 
 def test_a_table_with_a_gap_under_the_ship_is_named_and_the_covariance_grows() -> None:
-    # The rows between 28 and 46 km are missing; after an hour the ship is in the middle, under clouds since 20 minutes.
+    # The rows from 28 to 46 km are missing. After an hour the ship is in this gap, and has been under clouds for 40
+    # minutes.
     scenario = voyage(duration_s=3600.0)
     config = suite_configuration(scenario)
     gravity = config["gravity"]

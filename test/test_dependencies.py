@@ -23,7 +23,7 @@ def test_the_page_is_current() -> None:
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_every_import_of_a_package_is_declared(package: str) -> None:
-    """Libraries by their rosdep key, if any, and in setup.py; packages of ROS and of the suite by name."""
+    """Libraries are declared by their rosdep key, if any, and in setup.py; packages of ROS and of the suite by name."""
     keys, distributions = declared_keys(package, "depend", "exec_depend"), required_distributions(package)
     wanted = imported_names(SRC / package / package) - {package}
     assert {LIBRARIES[name].key for name in wanted if name in LIBRARIES} - {""} - keys == set(), "package.xml"

@@ -26,7 +26,7 @@ def test_the_reference_pages_are_current() -> None:
 
 
 def anchors(path: Path) -> set[str]:
-    """Return the names of a page's headings in links, as GitHub makes them."""
+    """Return the anchors of a page's headings, as GitHub makes them."""
     headings = HEADING.findall(re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -43,7 +43,7 @@ def test_every_link_of_a_page_leads_somewhere(path: Path) -> None:
 
 
 def test_no_page_of_the_docs_is_too_long() -> None:
-    """More than 2500 words are not read. Each bar of a table counts as a word, as in ``wc -w``."""
+    """A page has at most 2500 words. Each bar of a table counts as a word, as in ``wc -w``."""
     words = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").split()) for path in PUBLISHED}
     assert {page: count for page, count in words.items() if page.startswith("docs/") and count > MOST_WORDS} == {}
 

@@ -1,9 +1,9 @@
 """Every command that the documentation prints.
 
-A block of the language ``bash`` is run, with those above it on the page, in a folder like the checkout, with the first
-seconds of each bag. Blocks marked ``live`` need nodes: those of a page's terminals are run together. Of blocks marked
-``shown``, which need hours or the user's files, all named files must exist. The lines of a block ``text printed``
-must be printed by the page's commands with the whole bags.
+The unmarked ``bash`` blocks of a page are run one after another, in a folder like the checkout, with the first seconds
+of each bag. Blocks marked ``live`` need nodes: the blocks for the terminals of a page are run together. Blocks marked
+``shown`` need hours or the user's files and are not run, but all files that they name must exist. The page's commands
+with the whole bags must print the lines of a block ``text printed``.
 """
 
 import re
@@ -49,7 +49,7 @@ def name(page: Path) -> str:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """Return a folder that looks like this one, with short bags."""
+    """Return a folder that looks like the checkout, with short bags."""
     folder = linked_checkout(tmp_path, "bags")
     (folder / "bags").mkdir()
     for path in (ROOT / "bags").glob("*.mcap"):
@@ -58,7 +58,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def linked_checkout(tmp_path: Path, *left_out: str) -> Path:
-    """Return a folder with links to the files of this one, except results and `left_out`."""
+    """Return a folder with links to the files of the checkout, except results and `left_out`."""
     folder = tmp_path / "checkout"
     folder.mkdir()
     for path in ROOT.iterdir():
@@ -130,7 +130,7 @@ def wait_until_it_listens(process: LiveProcess) -> None:
     ids=name,
 )
 def test_the_three_terminals_of_a_page(page: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run node, recorder, and the bag instead of the instruments, as printed; then the commands on their files."""
+    """Run node and recorder, and play the bag, as printed; then run the page's commands on the recorded files."""
     monkeypatch.chdir(checkout)
     script = "set -eu\n" + "\n".join(re.findall(PREPARATION, "".join(blocks(page, "")), re.MULTILINE | re.DOTALL))
     script = script.replace("duration_s: 30.0", f"duration_s: {VOYAGE_S}.0")

@@ -1,4 +1,4 @@
-"""Advised positions for the drones in a replayed bag: their times, within limits, without effect on other outputs."""
+"""Advised positions for the drones in a replayed bag: their times, their limits, and no effect on other outputs."""
 
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,7 @@ def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, A
 def entries(
     voyage: tuple[Path, dict[str, Any]], name: str, escort: dict[str, Any], *, one_by_one: bool = False, **others: Any
 ) -> list[tuple[str, bytes, int, Any]]:
-    """Return the outputs of a replay with parameters: topic, bytes, log time, and their decoder."""
+    """Return the outputs of a replay with parameters: topic, bytes, log time, and decoded message."""
     folder, suite = voyage
     (node,) = (name for name in suite if name.endswith("optical_axis"))
     parameters = suite[node]["ros__parameters"] | others | {"escort": escort}
@@ -95,7 +95,8 @@ def test_published_once_in_a_period_with_places_within_the_limits(advised, voyag
                 pointing.telescope_azimuth, pointing.telescope_elevation, pointing.telescope_rotation
             )[:, 0]
         )
-        # The lever of some metres from the ship's antenna is not included here.
+        # The lever of some metres between the ship's antenna and the theodolite is not applied here, but allowed as
+        # slack.
         slack_m = float(np.linalg.norm(list(lever_m.values())))
         range_m = np.linalg.norm(places, axis=1)
         assert np.all(range_m >= LIMITS["range_min_m"] - slack_m)

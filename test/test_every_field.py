@@ -32,7 +32,7 @@ FROZEN = (EncoderSample, ShipSample, BaselineSample, AttitudeSample, Calibration
 
 
 def bad_values(value: Any) -> list[Any]:
-    """Return eight values for a field with this one: NaN, infinite, zero, negative, huge, tiny, of another unit."""
+    """Return eight bad values for a field that contains ``value``, such as NaN, zero, huge values, or another unit."""
     if isinstance(value, str):
         return TEXTS
     if isinstance(value, list):
@@ -50,7 +50,8 @@ def bad_values(value: Any) -> list[Any]:
 def start(one_light: bool) -> tuple[Adapter, dict[int, Any]]:
     """Return the node three seconds after the start, optionally with one of the lights hidden.
 
-    And, by their id, the objects that all copies of the node share, as nothing changes them: samples, states, factory.
+    The second result contains the objects that all copies of the node share, by their id: samples, states and factory.
+    Nothing changes these objects.
     """
     run = AdapterRun(voyage(NODE).new_adapter())
     hand_over(run, [a for a in arrivals(one_light) if since_start_s(a) < BEFORE_S])
@@ -78,7 +79,7 @@ def since_start_s(arrival: Arrival) -> float:
 def set_field(message: Any, path: Path, value: Any) -> None:
     *parents, name = path
     holder = functools.reduce(value_at, parents, message)
-    # Beyond what a field of single precision or of eight bits can hold, nothing can come over the wire.
+    # A value that a field of single precision or of eight bits cannot hold can never be received.
     with contextlib.suppress(AssertionError):
         setattr(holder, str(name), value)
 

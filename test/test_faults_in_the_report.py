@@ -22,9 +22,9 @@ from ship_testing.monitored_voyages import DETECTABLE_S, END_S, FAULTS, detectio
 from ship_testing.report_bags import section
 from ship_watch.suite_state import Event
 
-# The report looks twice a second, and an alert is raised at the look after the one that found its reason.
+# The report evaluates the outputs twice a second; an alert is raised one evaluation after its reason was detected.
 ALERTS_LATER_S = 1.0
-# What is written of each fault.
+# Source → text of the event at its fault.
 TEXTS = {
     "star.starboard": r"star\.starboard OUT, excluded, reads 4\d″ high",
     "ins": r"ins OUT, 5 rejected in a row",
@@ -33,8 +33,9 @@ TEXTS = {
     "lights": r"lights IN, names exchanged",
     "encoder": r"encoder OUT, no data",
 }
-# Times of return of each source after its fault; the INS is used again with its new bias, and a displaced sensor stays
-# out after the displacement has ended. The return of a source is reported after enough uses.
+# Source → earliest and latest time of its reported return, s since the first message. The INS, which is used again with
+# its new bias, and a displaced sensor, which stays out after the displacement has ended, are not listed. The return of
+# a source is reported after enough uses.
 BACK_S = {"star.fore": (44.0, 46.0), "baselines": (14.0, 17.0), "encoder": (36.0, 37.0)}
 
 

@@ -24,7 +24,7 @@ OF_FORM: dict[str, dict[str, Any]] = {
     "nan": {},
     "clock_step": {"step_s": -0.3},
 }
-"""Kinds that every topic can suffer, with their sizes."""
+"""Kinds of fault that apply to every topic, with their sizes."""
 
 TURNED = {
     "reference/gyro/imu": {"bias": {"up_arcsec": 200.0, "north_arcsec": 100.0}, "axes": {"axes": "ned_frd"}},
@@ -55,7 +55,7 @@ def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, size
     run = known.run()
     assert worst_error_in_sigmas(known, run) < SIGMAS
     claimed = [message for message in run.messages("ship/attitude") if message.status != Status.INVALID]
-    # A source with conflicting messages remains degraded for ten more seconds.
+    # After conflicting messages of the star tracker, the output remains DEGRADED for ten more seconds.
     assert claimed[-1].status == (Status.DEGRADED if kind == "conflict" and "reference" not in topic else Status.VALID)
 
 

@@ -20,7 +20,7 @@ FRAMES = {"deck": "base_link", "horizon": "enu"}
 
 
 def frames_of(message):
-    """Return the frames named in a message: its own, and those of its transforms and their children."""
+    """Yield the frames named in a message: the frame of its header, and both frames of each of its transforms."""
     yield message.header.frame_id if hasattr(message, "header") else ""
     for transform in getattr(message, "transforms", ()):
         yield transform.header.frame_id
@@ -52,7 +52,7 @@ def test_transforms_are_left_to_another_node(publish_tf, topics):
 
 
 def part_and_suite(tmp_path, publish_tf=True):
-    """Return the first seconds of the theodolite's bag, and its suite with a ship's attitude and other frame names."""
+    """Return the first seconds of the theodolite's bag, and its suite with ``ship_attitude`` and other frame names."""
     part, suite = (
         write_beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0),
         tmp_path / "suite.yaml",

@@ -1,4 +1,4 @@
-"""Random values in any field of any input of all nodes: no exception, and after a reset a node is as new.
+"""Random values in any field of any input of all nodes: no exception, and after a reset the outputs of a new node.
 
 ``make campaign`` sends 100 000 messages. The fuzz tests of the packages check rejections and their reasons.
 """
@@ -27,7 +27,7 @@ def test_no_message_raises_or_has_an_effect_after_a_reset(node: str) -> None:
     per_arrival = min(12, -(-MESSAGES // len(everything.arrivals)))
     while tried < MESSAGES:
         adapter.clock_jumped_back(start_ns)
-        # Good messages go on between, so that the garbage meets a node at work.
+        # Valid messages continue in between, so that the bad messages arrive at a node in operation.
         for arrival in everything.arrivals:
             published = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
             for bad in garbage(arrival, per_arrival, rng):
@@ -44,7 +44,7 @@ def test_no_message_raises_or_has_an_effect_after_a_reset(node: str) -> None:
 
 
 def garbage(arrival: Arrival, count: int, rng: np.random.Generator) -> list[Any]:
-    """Return copies with random values in some fields, some milliseconds earlier each, or with another stamp second."""
+    """Return copies with random values in some fields; the stamp of copy n is n milliseconds earlier, or random."""
     pickled, fields, copies = pickle.dumps(arrival.message), paths(arrival.message), []
     for number in range(count):
         bad = pickle.loads(pickled)

@@ -14,7 +14,7 @@ VECTOR = re.compile(
     r"_([a-z])\b"
 )
 SECONDS_AND_METRES = {"s", "m"}
-"""Letters of frames, which stand for units too: ``error_m`` is a length."""
+"""Letters that name a frame and also a unit: ``error_m`` is a length."""
 TERMS = [
     term for heading, body in glossary.sections() if heading.startswith("Terms") for term in glossary.terms_of(body)
 ]

@@ -1,6 +1,7 @@
-"""Heading error in turns of 0, 10 and 20°/s, the INS's clock estimated (IMO MSC.116(73), ISO 22090: turntable classes).
+"""Heading error in turns of 0, 10 and 20°/s, the turntable classes of IMO MSC.116(73) and ISO 22090.
 
-At 20°/s an unmodelled offset of 1 ms is 72″ of heading. ``pytest -s`` prints the table of docs/explanation/filter.md.
+The clock of the INS is estimated: at 20°/s an unmodelled offset of 1 ms is 72″ of heading. ``pytest -s`` prints the
+table of docs/explanation/filter.md.
 """
 
 from dataclasses import replace

@@ -50,7 +50,7 @@ def test_every_help_begins_with_the_whole_command_and_ends_with_an_example(name,
     assert head == "example:"
     assert example.startswith(f"  {command} ")
     assert "exit code" in shown
-    # Files of the repository that it names are there, and its options are known.
+    # Files of the repository that the example names exist, and the options of the example are in the help.
     words = shlex.split(example)
     assert all((ROOT / word).exists() for word in words if word.startswith(("bags/", "examples/")))
     assert all(word in shown for word in words if word.startswith("--"))
@@ -114,7 +114,7 @@ def test_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys):
 
 
 def test_bounds_on_the_pages_are_those_of_the_code():
-    """Read back from the pages, digit for digit."""
+    """The bounds are read back from the pages and compared exactly."""
     row = re.compile(r"^\| `([^`]+)` \|[^|]*\|[^|]*\| ([^|]*) \|", re.MULTILINE)
     pages = (ROOT / "docs" / "reference" / "parameters").glob("*.md")
     rows = {

@@ -1,4 +1,4 @@
-"""An INS with a step under ship_attitude: DEGRADED from the step until stars agree, and errors near its sigma.
+"""``ship_attitude`` with a step of the INS: DEGRADED from the step until stars confirm the INS, errors fit the sigma.
 
 Former results of the same runs are in brackets: the largest error in sigmas while VALID after the step.
 """
@@ -13,7 +13,7 @@ from ship_testing import ship_faults
 from ship_testing.ship_faults import AttitudeError, turn_ins
 
 STEP_S, END_S = 18.0, 21.0
-"""Both star sensors expose at the time of the step: an exposure is compared with the INS's attitude before it."""
+"""Both star sensors expose at the time of the step: this exposure is compared with the INS attitude before the step."""
 
 
 def voyage(rate_hz: float, **ins: float) -> SimulatedRun:
@@ -52,7 +52,7 @@ def test_a_step_of_fourteen_sigma_is_degraded_from_the_first_attitude_on(rate_hz
 
 @pytest.mark.parametrize(("rate_hz", "arcsec"), [(50.0, 8.0), (100.0, 7.0), (200.0, 6.0)])
 def test_a_smaller_step_increases_the_covariance_from_its_time_on(rate_hz, arcsec):
-    """Some attitudes are VALID before the means show it; stars compared since the step are compared again."""
+    """Some attitudes are VALID before the innovation means show the step; stars since the step are compared again."""
     for axis in range(3):
         found = run_with_step(voyage(rate_hz), tuple(arcsec * np.eye(3)[axis]))
         degraded_s = next(claim.time_s for claim in found if claim.status is Status.DEGRADED)

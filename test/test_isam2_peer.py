@@ -1,4 +1,4 @@
-"""The ship's filter and GTSAM's iSAM2 on the same runs: errors not larger, and NEES of both.
+"""The ship's filter and GTSAM's iSAM2 on the same runs: the filter's errors are not larger, and both are consistent.
 
 Python 3.10 has no wheel of GTSAM: there these tests are skipped. ``make campaign`` runs more seeds.
 """
@@ -16,9 +16,9 @@ pytest.importorskip("gtsam", reason="GTSAM is not installed: pip install gtsam",
 
 SEEDS = 20
 SAME_DATA = 0.05
-"""RMS difference of the two estimates that is allowed, sigmas: they interpolate the INS differently."""
+"""Allowed RMS difference of the two estimates, sigmas: the filter and iSAM2 interpolate the INS differently."""
 NO_LARGER = 1.02
-"""The errors of estimates that differ by so little differ by their parts of chance; 0.3 % over 20 seeds."""
+"""Allowed ratio of the filter's RMS error to that of iSAM2: by chance the two differ by 0.3 % over 20 seeds."""
 
 
 @pytest.fixture(name="runs", scope="module")

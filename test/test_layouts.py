@@ -47,7 +47,7 @@ def messages_of(bag_name: str, folder: Path) -> MessagesByTopic:
 
 
 def sample_evenly(messages: list[Any]) -> list[Any]:
-    """Return some of the messages, from first to last."""
+    """Return at most ``MESSAGES_A_TOPIC`` evenly spaced messages, and the last three."""
     return messages[:: -(-len(messages) // MESSAGES_A_TOPIC)] + messages[-3:]
 
 

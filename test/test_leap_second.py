@@ -27,7 +27,7 @@ SIGMAS = 5.0
 
 @functools.cache
 def voyage_and_run(node: str) -> tuple[Voyage, AdapterRun]:
-    """Return the voyage with its stamps, and the run of a node."""
+    """Return the voyage with the stamps of the stepping clock, and the run of a node."""
     table = earth_orientation_table()
     kept = table.leap_seconds.starts_ns < MIDNIGHT_NS
     leaps = replace(
@@ -37,7 +37,7 @@ def voyage_and_run(node: str) -> tuple[Voyage, AdapterRun]:
     )
     start_utc = "2016-12-31T23:59:52Z"
     with pytest.MonkeyPatch.context() as patch:
-        # The Earth's rotation has no leap seconds.
+        # The voyage is simulated on a continuous time scale, so the simulated sky must not have this leap second.
         patch.setattr(simulated_sky, "earth_orientation_table", lambda: replace(table, leap_seconds=leaps))
         given = scenario(node, start_utc=start_utc, duration_s=DURATION_S)
         # At Greenwich it is night.
@@ -89,7 +89,7 @@ def test_outputs_are_right_and_valid_throughout(node: str, topic: str) -> None:
 
 
 def test_stars_of_the_repeated_second_are_not_used() -> None:
-    """Five of them, and those before the step whose stamps are ambiguous."""
+    """Five exposures are rejected: those of the repeated second, and those before the step with ambiguous stamps."""
     _, run = voyage_and_run("star_attitude")
     solutions = [(ns, m) for ns, name, m in run.published if name == "star/starboard/solution"]
     since_s = np.array([(ns - MIDNIGHT_NS) / SECOND_NS for ns, _ in solutions])

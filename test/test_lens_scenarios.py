@@ -1,7 +1,7 @@
-"""[W18] as voyages: N' of the telescope's lens, 60 mm off, surveyed or not; each sighting separately and all together.
+"""[W18] as voyages: N' of the lens, 60 mm from the intersection of the axes and surveyed or not.
 
-Expected numbers: models.md §5. The constant of an unsurveyed N' is 60 mm sqrt(2/3) over 2 km, across the line of
-sight.
+The expected numbers are those of models.md §5. The constant error of an unsurveyed N' is 60 mm sqrt(2/3) over 2 km,
+across the line of sight.
 """
 
 from dataclasses import replace
@@ -52,7 +52,7 @@ def final_errors(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 @pytest.mark.parametrize("name", NAMES)
 def test_no_more_sightings_are_rejected_than_by_chance(name):
     assert {run.sightings + run.rejected_count for run in voyages(name)} == {60}
-    # A gate of 99.99 % refuses one of 720 sightings in one run of fourteen, three once in twenty thousand.
+    # By chance, a gate of 99.99 % rejects one of 720 sightings in one test run of fourteen, and three in one of 20 000.
     assert sum(run.rejected_count for run in voyages(name)) < 3
 
 
@@ -76,7 +76,7 @@ def test_an_unsurveyed_lens_is_a_constant_error_beyond_the_sigma():
 
 
 def test_a_declared_unsurveyed_lens_gives_a_consistent_pointing():
-    """3.5 cm per axis: 60 mm in any direction."""
+    """The lens position is declared with a sigma of 3.5 cm per axis, which is 60 mm as a norm."""
     scenario = scenario_of("lens_unsurveyed")
     declared = with_theodolite(scenario, telescope__lens__sigma_m=0.0346)
     errors, covariances = [], []
@@ -89,14 +89,18 @@ def test_a_declared_unsurveyed_lens_gives_a_consistent_pointing():
         errors.append(angle_between(true_nm[:, 0], estimates[-1].rotation_nm[:, 0]))
         axis_n, covariance = true_nm[:, 0], estimates[-1].covariance_n
         covariances.append(np.trace(covariance) - axis_n @ covariance @ axis_n)
-    # The constant is one sigma in each direction by the choice of 3.5 cm: errors near their claim, not five times it.
+    # By the choice of 3.5 cm, the constant error is one sigma in each direction: the errors fit the covariance.
     ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(covariances))
     assert 0.8 < ratio < 1.2
 
 
 @pytest.mark.parametrize(("name", "expected_arcsec"), [("lens_surveyed", 3.47), ("lens_unsurveyed", 5.65)])
 def test_each_sighting_alone_has_the_bound_of_one_epoch(name, expected_arcsec):
-    """Maximum likelihood; sqrt(5.05² + 2.57²) with unsurveyed N', 2.57″ being the bound of 2.7 cm as a norm."""
+    """Each sighting is solved by maximum likelihood.
+
+    With unsurveyed N' the expected error is sqrt(5.05² + 2.57²) arcseconds; 2.57″ is the bound for baseline errors of
+    2.7 cm as a norm.
+    """
     scenario = scenario_of(name)
     sizes = np.concatenate([sighting_errors_arcsec(scenario, seed) for seed in range(SEEDS)])
     assert sizes.size == 60 * SEEDS

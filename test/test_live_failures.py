@@ -1,4 +1,4 @@
-"""A live run whose node does not start, or ends prematurely, reports it with the end of its log."""
+"""A live run whose node does not start, or ends prematurely, reports this failure with the end of the node's log."""
 
 import signal
 from pathlib import Path
@@ -19,7 +19,7 @@ def stay_on_this_machine(monkeypatch):
 
 
 def test_live_tests_run_on_a_separate_worker(request):
-    """Nodes of tests in a group unknown to xdist would share the machine, and sometimes fail."""
+    """If xdist did not know the group of the live tests, their nodes would run at the same time, and sometimes fail."""
     if not hasattr(request.config, "workerinput"):
         pytest.skip("all tests run one after another here: no xdist")
     assert request.node.nodeid.rpartition("@")[2] == "live"

@@ -38,7 +38,7 @@ INVALID = 3
 
 
 def ship_attitude(message) -> tuple[np.ndarray, float]:
-    """Return orientation x, y, z, w and the age of the last star measurement used, s, which identifies it."""
+    """Return orientation x, y, z, w, and the age of the last star measurement used, s; the age identifies it."""
     return np.array([getattr(message.orientation, axis) for axis in "xyzw"]), message.star_age_s
 
 
@@ -53,11 +53,11 @@ class Node:
     """A node with its inputs from a bag and its outputs.
 
     Attributes:
-        adapter: its adapter.
-        package: of its executable.
-        file: parameter with the path of its saved file.
-        topic: output for each sample of an input.
-        sample: that input.
+        adapter: adapter of the node.
+        package: package of the node's executable.
+        file: parameter with the path of the file that the node saves.
+        topic: output topic with a message for each message on ``sample``.
+        sample: input topic.
         read: orientation of a message on ``topic``, and a number that identifies the last measurement used.
         rate: seconds of the bag per second.
     """
@@ -72,7 +72,7 @@ class Node:
 
 
 NODES = (
-    # INS samples come at 200 Hz then, encoder readings likewise.
+    # At these rates, INS samples and encoder readings arrive at 200 Hz.
     Node(ShipAttitudeAdapter, "ship_attitude_star", "alignment_file", "ship/attitude", "ins/imu", ship_attitude, 2.0),
     Node(
         OpticalAxisAdapter,
@@ -94,7 +94,7 @@ class Outcome:
         attitudes: stamp → (orientation x, y, z, w; number of the last measurement used).
         saved: the alignment or calibration saved at the end.
         counts: relative topic → messages in the recorded bag; empty offline.
-        invalid_count: INVALID outputs after the first that is not.
+        invalid_count: INVALID outputs after the first output that is not INVALID.
         cut: messages that the node discarded because it was behind.
     """
 
@@ -159,7 +159,7 @@ def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tu
 
 
 def run_live_once(node: Node, path: Path, folder: Path, rate: float) -> tuple[Outcome, Path]:
-    """Run the same at one rate."""
+    """Run the bag once through the node's process, at one rate."""
     from std_srvs.srv import Trigger
 
     saved_path = folder / "saved.yaml"
@@ -198,7 +198,7 @@ def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
 
 
 def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
-    """Return attitudes that are not INVALID by stamp, which increase; INVALID ones are not in that order."""
+    """Return stamp → attitude for the outputs that are not INVALID; assert that these stamps increase."""
     claimed = [message for message in messages if message.status != INVALID]
     stamps = [ns_from_stamp(message.header.stamp) for message in claimed]
     assert all(later > earlier for earlier, later in pairwise(stamps))
@@ -206,13 +206,13 @@ def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
 
 
 def count_invalid(messages) -> int:
-    """Return the number of INVALID messages after the first that is not."""
+    """Return the number of INVALID messages after the first message that is not INVALID."""
     claims = [message.status != INVALID for message in messages]
     return claims[claims.index(True) :].count(False) if True in claims else len(claims)
 
 
 def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return angles (rad) between orientations (n, 4), to first order, which is accurate for small ones."""
+    """Return angles (rad) between orientations (n, 4), to first order, which is accurate for small angles."""
     return 2.0 * np.minimum(np.linalg.norm(first - second, axis=1), np.linalg.norm(first + second, axis=1))
 
 
@@ -249,10 +249,10 @@ def test_attitudes_differ_only_by_the_inputs_received_before(runs):
     stamps = sorted(offline.attitudes)
     orientation, last_in = (np.array([offline.attitudes[s][part] for s in stamps]) for part in (0, 1))
     live_orientation, live_last_in = (np.array([live.attitudes[s][part] for s in stamps]) for part in (0, 1))
-    # The same measurement was the last one in, or none yet in both.
+    # True where both runs have used the same measurement last, or none yet.
     same = np.isclose(last_in, live_last_in, rtol=1e-9, atol=0.0, equal_nan=True)
-    # Of twenty INS samples there are two at which a star measurement may come before or after, lights at one of ten
-    # readings.
+    # A star measurement may arrive before or after two of twenty INS samples, an image of lights before or after one of
+    # ten encoder readings.
     assert np.mean(same) > 0.8
     assert angles_between(orientation[same], live_orientation[same]).max() < SAME_RAD
 
@@ -262,7 +262,7 @@ def test_the_final_states_are_the_same(runs):
     expected, found = flat_numbers(offline.saved), flat_numbers(live.saved)
     assert expected.keys() == found.keys()
     assert any("covariance" in name for name in expected)
-    # Angles are saved in degrees, so the same bound in their unit is the tighter one.
+    # Angles are saved in degrees, so the same bound is tighter for angles.
     differences = {name: abs(found[name] - value) for name, value in expected.items()}
     assert {name: value for name, value in differences.items() if value > SAME_RAD} == {}
 
@@ -271,7 +271,7 @@ def test_the_live_run_meets_the_bounds(runs):
     path, _, _, _, recorded_path = runs
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
     with read_bag(path) as played, read_bag(recorded_path) as recorded:
-        # On a busy machine the first message reaches the recorder late: the same stamps are to be left out.
+        # On a busy machine the first message reaches the recorder late: less time is skipped, to skip the same stamps.
         late_s = ((recorded.start_ns or 0) - (played.start_ns or 0)) / NS_PER_S
     checked = check_bounds(evaluate(recorded_path, path, bounds.skip_s - late_s).quantities(), bounds, path.name)
     assert [bound.line for bound in checked if not bound.is_met] == []

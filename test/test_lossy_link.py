@@ -1,7 +1,7 @@
 """The suite over a link that loses one packet in ten, and is interrupted: nodes at one end, INS at the other.
 
-All messages cross the link twice: the INS's samples to the nodes, attitudes back. Times are those at which one recorder
-at the near end has received both; the attitude of a sample has its stamp.
+The INS's samples cross the link to the nodes, and the attitudes cross it back. One recorder at the near end records the
+time of receipt of both. An attitude has the stamp of its sample.
 """
 
 import itertools
@@ -30,14 +30,15 @@ pytestmark = [
 DEMO = Path(__file__).parents[1] / "bags" / "demo.mcap"
 LOSS, BEFORE_S, CUT_S, AFTER_S = 0.1, 10.0, 10.0, 28.0
 TAIL_S = 1.0
-"""Time before an end within which a message may still be on its way; this is no loss."""
+"""Time before the end of a time span, s: a message of this time may still be on its way, which is no loss."""
 LEAST_RATE_HZ = 92.0
-"""At which the player sends its 100 Hz on a busy machine."""
+"""Least rate at which the player sends the samples of 100 Hz on a busy machine."""
 BACK_S = 18.0
 """Time after the interruption at which all must be as before it, s.
 
 Measured: 3 to 5 s with eight programs on two cores, and over 10 s with fourteen: the node first processes the samples
-of the interruption."""
+of the interruption.
+"""
 MOST_START_S = 60.0
 
 
@@ -53,9 +54,9 @@ class LinkRun(NamedTuple):
     restored_ns: int
 
     def latencies_s(self, begin_ns, end_ns):
-        """Return the times from the receipt of each sample to that of its attitude, s; infinite if that is missing.
+        """Return the time from the receipt of each sample to the receipt of its attitude, s; infinite without attitude.
 
-        Of the samples received from the beginning, until :data:`TAIL_S` before the end.
+        The samples are those received from ``begin_ns`` until :data:`TAIL_S` before ``end_ns``.
         """
         latest_ns = end_ns - round(TAIL_S * NS_PER_S)
         stamps = [stamp for stamp, sent_ns in self.sample_times.items() if begin_ns <= sent_ns < latest_ns]
@@ -75,7 +76,7 @@ def crossing(tmp_path_factory):
     with LossyLink(LOSS, folder) as link:
         started = link.start(FAR, "suite", nodes)
         recorder = link.start(NEAR, "record", record)
-        # The nodes and the recorder.
+        # The two subscribers are the node and the recorder.
         player = link.start(NEAR, "play", [*play, "--wait-for-subscribers", "ins/imu=2"])
         wait_for_attitude(recorded, player)
         time.sleep(BEFORE_S)
@@ -98,7 +99,7 @@ def crossing(tmp_path_factory):
 
 
 def write_bag_of_now(path, suite, length_s):
-    """Write the beginning of the demonstration with current stamps and its suite file; return the INS's stamps."""
+    """Write the beginning of the demo bag with current stamps, and its suite file; return the INS's stamps."""
     stamps = set()
     with read_bag(DEMO) as bag, BagWriter(path) as out:
         suite.write_bytes(bag.attachments[SUITE_ATTACHMENT])
@@ -107,7 +108,7 @@ def write_bag_of_now(path, suite, length_s):
         end_ns = bag.start_ns + length_s * NS_PER_S
         for record in itertools.takewhile(lambda record: record.log_time_ns < end_ns, bag.records(inputs)):
             data = bytearray(record.data)
-            # Every one of these messages begins with its header's stamp, after the four bytes that each message has.
+            # Each of these messages begins with the stamp of its header, after the four bytes of the CDR encapsulation.
             second, nanosecond = struct.unpack_from("<iI", data, 4)
             stamp_ns = second * NS_PER_S + nanosecond + later_ns
             struct.pack_into("<iI", data, 4, *divmod(stamp_ns, NS_PER_S))
@@ -118,7 +119,7 @@ def write_bag_of_now(path, suite, length_s):
 
 
 def times(path, topic):
-    """Return log times by stamp, ns; of attitudes those that are not INVALID."""
+    """Return stamp → log time, ns, of the messages on a topic; INVALID attitudes are left out."""
     found = {}
     with read_bag(path) as bag:
         for record in bag.records([name for name in bag.topics if name.strip("/") == topic]):
@@ -164,7 +165,7 @@ def test_no_sample_is_lost_even_in_an_interruption(crossing):
 
 
 def test_the_recorder_at_the_other_end_has_every_published_attitude(crossing):
-    # From the first message received on: discovery takes seconds here.
+    # Attitudes before the first received attitude are left out: discovery takes seconds here.
     met_ns = min(crossing.attitude_times)
     assert set(crossing.attitude_times) == {stamp for stamp in crossing.attitudes_published if stamp >= met_ns}
     assert met_ns < crossing.cut_ns

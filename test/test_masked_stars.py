@@ -22,7 +22,10 @@ VALID = 0
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return six seconds of unidentified and as many false stars, with a mast in the field of ``fore``; replayed."""
+    """Return the folder of a replayed voyage of six seconds, with a mast in the field of ``fore``.
+
+    The stars are unidentified, and each exposure has about six false stars.
+    """
     folder = tmp_path_factory.mktemp("run")
     voyage = yaml.safe_load(PAPER_STARS.read_text(encoding="utf-8"))
     voyage["duration_s"], voyage["ins"]["rate_hz"] = 6.0, 20.0

@@ -65,7 +65,7 @@ def vector(of: Any) -> np.ndarray:
 
 
 def square(error: np.ndarray, covariance: Any) -> float:
-    """Return the error squared over its covariance, across a direction or in space."""
+    """Return the normalised error squared of a direction, with a covariance of rank two, or of a position."""
     return float(error @ np.linalg.pinv(np.reshape(covariance, (3, 3)), rcond=1e-9, hermitian=True) @ error)
 
 
@@ -81,10 +81,10 @@ def test_directions_of_every_image_are_those_of_replay_and_truth(runs: tuple[Mes
     truths = by_stamp(live[TRUTH])
     published, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
     assert len(truths) > 90
-    # One at each end may have no pointing on both its sides.
+    # The images at both ends may lack a pointing before or after them.
     assert set(published) >= set(sorted(truths)[1:-3])
     off_rad = [np.linalg.norm(vector(published[ns].direction) - vector(replayed[ns].direction)) for ns in published]
-    # They may differ by lights and stars that came before or after.
+    # Live and replayed directions differ if lights or stars arrived earlier or later.
     assert np.mean(np.array(off_rad) < 1e-9) > 0.8
     for time_ns, message in published.items():
         truth = truths[time_ns]
@@ -103,7 +103,10 @@ def test_stars_and_lights_point_in_the_live_node(runs: tuple[Messages, Messages]
 
 @pytest.fixture(scope="module", name="stations")
 def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages, Path]:
-    """Return directions of three theodolites to a buoy for ten seconds, each at other times."""
+    """Return live outputs, replayed outputs and the black box, for directions of three theodolites to a buoy.
+
+    The directions last ten seconds; each theodolite has its own times.
+    """
     folder, rng = tmp_path_factory.mktemp("stations"), np.random.default_rng(5)
     epochs = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
     with BagWriter(folder / "in.mcap") as bag:
@@ -122,12 +125,13 @@ def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messa
 def test_places_are_published_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
     live, offline, _ = stations
     published, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
-    # Before the first direction of the first theodolite, and where one comes too late, another leads.
+    # Positions have the times of the first theodolite's directions. If such a direction is missing or late, the
+    # position has the time of another theodolite.
     assert sum((time_ns - START_NS) % PERIOD_NS == 0 for time_ns in published) >= 95
     same = sorted(published.keys() & replayed.keys())
     assert len(same) >= 95
     off_m = [np.linalg.norm(vector(published[ns].position) - vector(replayed[ns].position)) for ns in same]
-    # A direction that came earlier or later bends the curve between its neighbours.
+    # A direction that arrived earlier or later changes the interpolation between its neighbours.
     assert np.median(off_m) < 1e-6
     for time_ns in same:
         error_m = vector(published[time_ns].position) - ENU_FROM_HORIZON @ buoy_n((time_ns - START_NS) * 1e-9)

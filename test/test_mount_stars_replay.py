@@ -1,6 +1,7 @@
 """Stars in cameras on the theodolite, in a bag: replay compared with the true pointing, with and without lights or fix.
 
-The bag is simulated (theodolite_night.yaml). Its camera is there twice: one with identities of its stars, one without.
+The bag is simulated (theodolite_night.yaml). Its camera is simulated twice: once with identities of the stars, once
+without.
 """
 
 import dataclasses
@@ -107,7 +108,8 @@ def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) ->
     assert {message.light_count for message in pointings} == {0}
     off, nees = errors(pointings[50:], truth_nm)
     assert len(off) > 0
-    # Encoders and ship of 1″ each are in every single pointing: 2.0″ on the sky, and what the stars leave.
+    # Each pointing has the errors of encoders and ship, 1″ each: 2.0″ on the sky, plus the remaining error of the
+    # stars.
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 3.0
     # Chi-square with three degrees: beyond 30.7 is one in a million.
     assert np.max(nees) < 30.7
@@ -162,11 +164,11 @@ def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag
     ]
     assert {(message.mode, message.status) for message in pointings} == {(Mode.STARS, Status.DEGRADED)}
     off, nees = errors(pointings, truth_nm)
-    assert len(off) == len(pointings) >= 20  # every other exposure has names
-    # Ten stars of 1.34″ and what they share: 0.8″ on the sky, without encoders and ship.
+    assert len(off) == len(pointings) >= 20  # every other exposure has identified stars
+    # The noise of ten stars, 1.34″ each, and their shared errors are 0.8″ on the sky, without encoders and ship.
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 1.2
     assert np.max(nees) < 30.7
-    low, high = 1.5, 5.0  # of 3: the shared errors are one draw
+    low, high = 1.5, 5.0  # expected: 3; but the shared errors are drawn only once
     assert low < np.mean(nees) < high
     one_by_one = replay_bag(folder, bag, one_by_one=True)
     assert [(topic, data) for topic, _, data in replayed] == [(topic, data) for topic, _, data in one_by_one]

@@ -24,7 +24,7 @@ SCENARIO = {
     "star_sensors": {},
 }
 
-# Command, arguments that name an input which is not there, option, name of the file that it writes.
+# Case → command, arguments that name a missing input, option of the output, name of the output file.
 FILES = {
     "simulate": (simulate_command.main, ["absent"], "--out", "out.mcap"),
     "replay": (replay_command.main, ["absent"], "--out", "out.mcap"),
@@ -98,7 +98,7 @@ def test_an_existing_output_is_refused_before_the_input_is_read(
     line = refusal(capsys, main, [*arguments, option, name])
     assert line.endswith(f": {name}: {TAKEN[take]}\n")
     if take is not file:
-        # Not with --force either.
+        # With --force the error is the same.
         assert refusal(capsys, main, [*arguments, option, name, "--force"]) == line
     assert state(tmp_path) == before
 

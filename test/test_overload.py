@@ -1,7 +1,7 @@
 """The nodes of a suite on a core that is far too slow: overload has a status, and it ends.
 
-A bag is played at twenty times its speed, and sixteen busy loops share one core with the nodes, so that on any machine
-they have a small part of the time needed. After that the same nodes process the bag at twice its speed.
+A bag is played at twenty times its speed, and sixteen busy loops share one core with the nodes. On any machine the
+nodes then have a small part of the time that they need. After that the same nodes process the bag at twice its speed.
 """
 
 import contextlib
@@ -50,7 +50,7 @@ class NodeObserver:
         behind: text of each rejection with the reason BEHIND, by the name of the source.
         excluded: sources that were excluded at any time.
         overload: node → level and text of its status "overload".
-        rejections: source → count and text of its last rejections.
+        rejections: source → number of rejections with a text, and the last text.
         worst_sigmas: largest error of a VALID attitude over its sigma.
     """
 

@@ -55,7 +55,7 @@ def test_no_file_of_a_package_links_outside_it(package: str) -> None:
 
 
 def build(package: Path, cython: str | None = None) -> "subprocess.CompletedProcess[str]":
-    """Build a wheel of a package, with the environment's setuptools and another Cython or none."""
+    """Build a wheel of a package; the code ``cython``, if given, takes the place of the installed Cython."""
     environment = {name: value for name, value in os.environ.items() if name != "SHIP_SUITE_IS_COMPILED"}
     if cython is not None:
         (package.parent / "hidden" / "Cython").mkdir(parents=True)
@@ -116,7 +116,7 @@ def test_c_of_other_sources_is_not_taken(checkout: Path) -> None:
 
 
 def test_pytest_of_ubuntu_takes_the_settings_without_any_plugin(pytestconfig: pytest.Config) -> None:
-    """Version 7.4: ``colcon test`` runs it in a package's folder, with the settings of the repository."""
+    """``colcon test`` runs pytest 7.4 in a package's folder, with the settings of the repository."""
     assert pytestconfig.getini("minversion").startswith("7.4")
     assert {line.partition(":")[0] for line in pytestconfig.getini("markers")} >= {"live", "slow", "xdist_group"}
     assert "xdist_group" in (ROOT / "pyproject.toml").read_text(encoding="utf-8")

@@ -21,7 +21,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import DetectedBeacon, Exposure, Mode
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
-pytestmark = pytest.mark.slow  # what its tests share takes long
+pytestmark = pytest.mark.slow  # the computations that the tests share take long
 
 ROOT = Path(__file__).parents[1]
 
@@ -32,7 +32,7 @@ TIMES_S = {"with lights": 119.0, "half a minute after": 150.0, "at the end": END
 
 @pytest.fixture(scope="module")
 def sessions() -> list[PointingErrors]:
-    """Return the sweep, shortened, at low rates; all devices have the same sample times."""
+    """Return the errors of the sweep for each seed, shortened and at low rates; images coincide with other samples."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_sweep.yaml")
     scenario = with_theodolite(
         scenario,
@@ -53,7 +53,7 @@ def sessions() -> list[PointingErrors]:
 
 def test_sightings_are_used_and_pointings_given(sessions):
     assert {session.sightings + session.rejected_count for session in sessions} == {120}
-    # A gate of 99.99 % refuses one in five runs of 16 sessions, three once in a thousand.
+    # By chance, a gate of 99.99 % rejects a sighting in one of five runs of 16 sessions, three in one of a thousand.
     assert sum(session.rejected_count for session in sessions) < 3
     assert {len(session.time_s) for session in sessions} == {1201}
 
@@ -78,7 +78,8 @@ def test_the_error_grows_as_the_deformation_drifts(sessions):
     session = sessions[0]
     rows = {label: np.argmin(np.abs(session.time_s - at_s)) for label, at_s in TIMES_S.items()}
     sigmas_arcsec = {label: session.sigma_on_sky[row] / ARCSEC for label, row in rows.items()}
-    # With lights the floor of 3" to 5"; of the deformation 28.3" (20" in each of two axes) sqrt(1 - exp(-2 t / 600 s)).
+    # With lights, sigma is 3" to 5". Without lights, the deformation adds 28.3" sqrt(1 - exp(-2 t / 600 s)); 28.3" are
+    # 20" in each of two axes.
     assert 2.0 < sigmas_arcsec["with lights"] < 6.0
     for label in ("half a minute after", "at the end"):
         since_leave_s = TIMES_S[label] - LEAVE_S
@@ -87,7 +88,7 @@ def test_the_error_grows_as_the_deformation_drifts(sessions):
 
 
 def streak_scenario(exposure_s: float, **changes: Any) -> Scenario:
-    """Return a minute of the sweep with an exposure time, in a sea that turns the image about the line of sight."""
+    """Return 25 s of the sweep with an exposure time, in a sea that turns the image about the line of sight."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_sweep.yaml")
     scenario = with_theodolite(scenario, encoder__rate_hz=20.0, telescope__exposure_s=exposure_s, **changes)
     swell = dataclasses.replace(scenario.carrier.roll.waves["swell"], amplitude_deg=8.0)
@@ -101,7 +102,7 @@ def streak_scenario(exposure_s: float, **changes: Any) -> Scenario:
 
 
 def final_nees(scenario: Scenario, seed: int, configured: Scenario) -> tuple[float, int]:
-    """Return NEES of a session with another exposure time configured in the core, and the number of its rejections."""
+    """Return the NEES and the number of rejections of a session; the core gets the exposure time of ``configured``."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     estimates, _, rejected = feed_pointing(core, dataclasses.replace(run, scenario=configured))
@@ -128,7 +129,7 @@ def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s)
     scenario = sweep_over_beacons(exposure_s)
     run = simulate(scenario, seed=3)
     telescope, scene, images = scenario.theodolite.telescope, run.theodolite.truth.scene, run.theodolite.images
-    # The estimator takes no baseline for exact.
+    # The estimator does not accept a baseline with a sigma of 0.
     declared = with_beacons(scenario, rtk__sigma_m=0.001)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(declared)))
     feed_pointing(core, run)
@@ -139,7 +140,8 @@ def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s)
         seen = [DetectedBeacon(name, point_m, sigma_m) for name, point_m in images.sightings(number)]
         sighting = core.sighting(Exposure(time_ns, tuple(seen), exposure_s))
         off_m = np.array([light.point_m for light in seen]) - true_m[number]
-        # 1e-7 m are 0.2" here. What is left is the noise along the streaks, of a nanometre at rest.
+        # 1e-7 m are 0.2" here. The remaining error is the noise along the streaks, which is a nanometre for lights at
+        # rest.
         assert np.max(np.abs(off_m)) > 3e-7
         assert np.max(np.abs(sighting.image.point_m - true_m[number])) < 0.1 * np.max(np.abs(off_m))
         ends_s = middle_s[[number]][:, None] + np.array([-0.5, 0.5]) * exposure_s

@@ -1,4 +1,4 @@
-"""Faulty devices of the theodolite: never VALID with an error far beyond the covariance, and used again if they agree.
+"""Faulty devices of the theodolite: VALID errors fit the covariance, and devices are used again if consistent.
 
 Former results of the same sessions are in brackets: the largest error in sigmas while VALID.
 """
@@ -24,7 +24,7 @@ from ship_testing.pointing_faults import (
 )
 
 SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
-"""``make campaign`` takes more."""
+"""Seeds of the sessions; ``make campaign`` sets more by ``FAULT_SEEDS``."""
 
 
 @pytest.mark.slow
@@ -41,11 +41,11 @@ SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
     ],
 )
 def test_a_step_of_the_ship_attitude_is_detected_by_its_rates(seed, arcsec_n, until_s):
-    """At 20 Hz with white noise of 1" its rates show steps of 20" and more at the sample."""
+    """At 20 Hz and with white noise of 1", the ship's rates show a step of 20" or more at its sample."""
     found = run_core(turn_ship_attitude(fault_free_session(seed), arcsec_n, until_s))
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
-    # DEGRADED until lights agree: a step a time, the pointing goes on.
+    # The pointing continues, and is DEGRADED until the lights are consistent.
     assert 0.1 < found.duration_s(Status.DEGRADED) < 2.0
     assert found.status[-1] == Status.VALID
 
@@ -85,7 +85,10 @@ def test_one_wrong_fixed_baseline_is_excluded_and_the_other_light_is_used(seed, 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("moved_b", [(0.0, 0.3, 0.0), (-0.3, 0.0, 0.0)])
 def test_two_wrong_fixed_baselines_are_not_accepted_again(seed, moved_b):
-    """Before: VALID beyond 5 sigma for 33 s of 60, up to 10.3, when the covariance had grown enough to accept them."""
+    """Before: VALID beyond 5 sigma for 33 s of 60, up to 10.3.
+
+    The grown covariance made the filter accept the baselines.
+    """
     run = move_baseline(fault_free_session(seed, duration_s=100.0), "a", (0.0, 0.3, 0.0))
     found = run_core(move_baseline(run, "b", moved_b), integrity__return_after_s=10.0)
     assert found.worst(Status.VALID) < 4.0
@@ -110,13 +113,13 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
     ("azimuth_arcsec", "elevation_arcsec"),
     [
         (30.0, 0.0),  # 6.9
-        (100.0, 0.0),  # 21.3, then DEGRADED at as many to the end
+        (100.0, 0.0),  # 21.3, then DEGRADED at 21.3 to the end
         (0.0, 30.0),  # 11.9
         (0.0, 100.0),  # 35.0
     ],
 )
 def test_encoders_that_step_in_place_are_degraded_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
-    """A mount of 100 deg/s² moves 225" and stops again between two readings of 20 Hz: it may be no slip."""
+    """A mount with 100 deg/s² can move 225" and stop between two readings at 20 Hz: such a step need not be a slip."""
     run = offset_encoders(fault_free_session(seed), azimuth_arcsec, elevation_arcsec)
     found = run_core(run, integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 4.0
@@ -128,10 +131,13 @@ def test_encoders_that_step_in_place_are_degraded_until_lights_are_seen(seed, az
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
-    """424", before VALID at 106 sigma until the next lights: the zero points are open, and lights find them."""
+    """The step of 424" inflates the covariance of the encoders' zero points, and lights determine them.
+
+    Former result: VALID at 106 sigma until the next lights.
+    """
     found = run_core(offset_encoders(fault_free_session(seed), 300.0, -300.0))
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
-    # Until lights at two times, 0.2 s apart, are consistent.
+    # The pointing is DEGRADED until lights at two times, 0.2 s apart, are consistent.
     assert found.duration_s(Status.DEGRADED) < 0.7
     assert found.status[-1] == Status.VALID
     assert found.excluded_sources == set()
@@ -149,18 +155,18 @@ def test_encoders_that_step_without_lights_are_degraded_to_the_end(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("shift_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
 def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, shift_arcsec):
-    """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
+    """Before: encoders or ship's attitude were excluded; all three faults have similar effects on the lights."""
     found = run_core(shift_telescope(fault_free_session(seed), *shift_arcsec), integrity__return_after_s=20.0)
     assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
-    # Its new place on the axis is learnt meanwhile.
+    # Meanwhile the filter estimates the new direction of the telescope.
     assert 20.0 < found.duration_s(Status.DEGRADED) < 22.0
     assert found.status[-1] == Status.VALID
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
-    """A tenth of a second: the image turns with the roll of the ship, which neither encoders nor ship explain."""
+    """Stamps are late by 0.1 s: the ship's roll then rotates the image, and neither encoders nor ship explain this."""
     found = run_core(shift_beacon_stamps(fault_free_session(seed), 0.1))
     assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID) < 5.0
@@ -198,11 +204,12 @@ def test_a_drifting_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
 def test_levels_hold_with_lights_and_there_is_none_without(seed):
     leave_s = 70.0
     found = run_core(fault_free_session(seed, beacons_leave_s=leave_s))
-    # Before the first sightings nothing is known; three seconds after the last light nothing is checked any more.
+    # Before the first sightings there is no level; three seconds after the last light no source checks another.
     with_lights = (found.time_s > 5.0) & (found.time_s < leave_s)
     levels_arcsec = found.levels / ARCSEC
     assert np.all(np.abs(found.errors[with_lights]) < found.levels[with_lights])
-    # Without one light the other one and the encoders leave some 6": 5.2 sigma of that, and 2.9 of the estimate itself.
+    # Without one light, the sigma by the other light and the encoders is some 6". The level consists of 5.2 times this
+    # sigma and 2.9 times the sigma of the estimate itself.
     middle = np.median(levels_arcsec[with_lights], axis=0)
     assert np.all((middle > [30.0, 30.0, 150.0]) & (middle < [60.0, 60.0, 300.0]))
     assert np.all(np.isnan(found.levels[found.time_s > leave_s + 4.0]))
@@ -226,7 +233,7 @@ def test_no_valid_error_exceeds_its_level(arcsec_n, moved_a, moved_b):
 
 
 def test_a_small_wrong_fix_is_excluded_by_its_hypothesis():
-    """0.15 m are 15", too little for its continuity check; the angle to the other light shows it."""
+    """0.15 m are 15", too little for the baseline's continuity check; the angle between the lights shows the error."""
     found = run_core(move_baseline(fault_free_session(1), "a", (0.15, 0.0, 0.0)))
     assert found.excluded_sources == {"beacon.a"}
     assert found.worst(Status.VALID) < 5.0

@@ -1,4 +1,4 @@
-"""A second estimator of the pointing processes the same inputs in trouble, and replaces the first one if it is right.
+"""While the pointing is in trouble, a second estimator processes the same inputs; if consistent, it replaces the first.
 
 The bag is that of the return matrix: two lights all the time, at low rates.
 """
@@ -71,10 +71,10 @@ class ReplayResult:
     """Results of a replay.
 
     Attributes:
-        adapter: of the node.
+        adapter: adapter of the node.
         recovery_s: time after which the pointing was VALID, except for single rejected exposures.
         worst_over_level: largest error while VALID, over its protection level.
-        texts: of the diagnostics of recovery.
+        texts: texts of the diagnostics of recovery.
     """
 
     adapter: OpticalAxisAdapter
@@ -121,7 +121,7 @@ def read_result(path: Path, *faults: Fault, **changes: object) -> ReplayResult:
     times_s, statuses = (np.array(column) for column in zip(*sink.statuses, strict=True))
     times_s = (times_s - start_ns) / NS_PER_S
     begins = np.flatnonzero(np.diff(statuses != 0, prepend=0))
-    # A single exposure that is refused makes one output or a few DEGRADED.
+    # A single rejected exposure makes one or a few outputs DEGRADED.
     spans = [
         (times_s[first], end_s)
         for first, end_s in zip(begins, [*times_s[begins[1:]], np.inf], strict=True)

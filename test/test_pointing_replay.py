@@ -94,14 +94,14 @@ def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
     path, rejected = replay_scenario(scenario, tmp_path)
     assert rejected[topic][reason] > 5
     assert reason in reasons(path)
-    # Of 700 pointings with three correlated channels.
+    # The limit is for the largest error of 700 pointings with three correlated channels.
     assert worst_valid_sigmas(path) < 4.5
 
 
 @pytest.mark.parametrize("scenario", [with_fault(IMAGE, "hide"), with_fault(BASELINE, "delay", delay_s=1.0)])
 def test_a_hidden_light_and_late_baselines_cause_no_rejection(scenario, tmp_path):
     path, rejected = replay_scenario(scenario, tmp_path)
-    # Exposures wait for their baselines; the last ones never arrive.
+    # Exposures wait for their baselines; the last baselines never arrive.
     assert set(rejected.get(IMAGE, {})) <= {"gap", "revised"}
     assert worst_valid_sigmas(path) < 4.5
     assert evaluate(path).quantities()["pointing.invalid"] == 0

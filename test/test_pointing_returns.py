@@ -1,7 +1,4 @@
-"""After a fault of a theodolite's devices the pointing is VALID again, and no correct source is excluded.
-
-Former results of the same sessions are in brackets: the time from the fault's end to a permanently VALID pointing.
-"""
+"""After a fault of a theodolite's devices the pointing is VALID again, and no correct source is excluded."""
 
 import pytest
 
@@ -21,7 +18,10 @@ from ship_testing.pointing_faults import (
 LASTS_S, SESSION_S = 30.0, 200.0
 END_S = FAULT_S + LASTS_S
 RETURNS_S = 62.0
-"""Lights must agree with the rest for a minute (``integrity.return_after_s``)."""
+"""Time after a fault within which the pointing must be VALID, s.
+
+Lights must first be consistent for a minute (``integrity.return_after_s``).
+"""
 
 DEGREE_ARCSEC, TURN_ARCSEC = 3600.0, 360.0 * 3600.0
 

@@ -78,7 +78,7 @@ def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
         assert observer.spin_until(lambda: names <= set(observer.node.get_node_names()), 60.0), suite.log_text()
         there = {"/demo/ship/attitude": 1, "/demo/ship/alerts": 1, "/demo/reference/s330/imu": 1}
         assert observer.wait_for(there), suite.log_text()
-        # The last of all: the recorder takes what others publish when it has found it.
+        # The recorder is last: it subscribes to a topic when it has discovered the publisher.
         assert observer.spin_until(lambda: "/demo/ship/alerts" in network_rights(observer.node, ["record"])[1]), (
             suite.log_text()
         )
@@ -100,7 +100,7 @@ def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
 
 @pytest.mark.parametrize("name", ["call", "param", "preflight"])
 def test_a_short_tool_has_rights_for_its_network_entities(name, domain, monkeypatch):
-    """Its node, created as in the tool."""
+    """The node is created as in the tool."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     checked, _ = check_nodes(ROOT / "examples" / "two_sensors.yaml", NAMESPACE)
     all_rights = suite_rights([node.adapter for node in checked], NAMESPACE)

@@ -36,7 +36,7 @@ def content(package: Path, tools: str = "cython==3") -> str:
 
 
 def wheel(root: Path, package: Path, of: str) -> Path:
-    """Return a prebuilt wheel, named as by make_wheels, with a compiled module and a module."""
+    """Return a prebuilt wheel, named as by make_wheels, with a compiled module, a Python module and a library."""
     path = root / PREBUILT / f"{package.name}-0.1.0{local_version(of)}-cp311-cp311-linux_x86_64.whl"
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
@@ -105,7 +105,7 @@ def run(checkout: Path, path: str, *command: str) -> "subprocess.CompletedProces
 
 @pytest.fixture
 def path_without_compilers(tmp_path: Path) -> str:
-    """Return a PATH with all programs of the present one outside the virtual environment, except compilers."""
+    """Return a PATH with all programs of the present PATH, except compilers and programs of the virtual environment."""
     folder = tmp_path / "bin"
     folder.mkdir()
     own = str(ROOT / ".venv" / "bin")

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason=f"the ship's records a
 
 
 def import_ship(tmp_path: Path, time: str) -> Path:
-    """Return Seapath `seap` as INS, resampled, and `s330` as reference."""
+    """Return a bag with Seapath `seap` as INS, resampled to 20 Hz, and Seapath `s330` as reference."""
     bag = tmp_path / f"{time}.mcap"
     arguments = ["--ins", str(LOGS / "NBP1406_seap-2014-08-01")]
     arguments += ["--reference", f"s330={LOGS / 'NBP1406_s330-2014-08-01'}", "--resample", "20"]

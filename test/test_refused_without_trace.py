@@ -1,7 +1,7 @@
 """Rejected malformed messages have no effect: all outputs are bit-equal to those without them.
 
-For each input topic of each node, and for each way in which a message can be unusable independent of others, such a
-message follows every good one. Only health, innovations and diagnostics report them.
+For each input topic of each node and each defect in :data:`UNUSABLE`, a defective message follows every valid message.
+Only health, innovations and diagnostics report the defective messages.
 """
 
 from collections.abc import Callable
@@ -41,11 +41,11 @@ FIRST_NUMBER = {
     "ship_msgs/msg/TargetImage": "x",
     "ship_msgs/msg/TargetDirection": "direction.x",
 }
-"""Message type → number that every message of it must have."""
+"""Message type → number that every message of this type must have."""
 
 
 def with_stamp(time_ns: Callable[[Arrival], int]) -> Change:
-    """Return the same message with another stamp."""
+    """Return a change that gives a message another stamp."""
 
     def change(arrival: Arrival) -> Arrival:
         def change_message(message: Any) -> None:
@@ -80,7 +80,7 @@ def bad_quaternion(arrival: Arrival) -> Arrival:
 
 
 def negative_variance(arrival: Arrival) -> Arrival:
-    """Set a negative variance in the first field of the message's accuracy, of any shape."""
+    """Set a negative variance in the first field of :data:`VARIANCES` that the message has."""
 
     def change_message(message: Any) -> None:
         name = next(name for name in VARIANCES if hasattr(message, name))
@@ -164,7 +164,7 @@ def test_outputs_are_bit_equal_to_those_without_the_rejected_messages(node: str,
     ],
 )
 def test_current_values_with_old_stamps_have_no_effect(node: str, topic: str) -> None:
-    """Stamps are 0.3 s old: if ship or mount has moved, the neighbouring samples show it, and it is rejected."""
+    """Stamps are 0.3 s old: if ship or mount has moved, the message contradicts its neighbours and is rejected."""
     arrivals = voyage(node).arrivals
     back = with_stamp(lambda arrival: arrival.stamp_ns - 3 * SECOND_NS // 10 - 1)
     moved = [a for a in arrivals if a.topic == topic and a.stamp_ns > arrivals[0].stamp_ns + 2 * SECOND_NS]
@@ -174,7 +174,7 @@ def test_current_values_with_old_stamps_have_no_effect(node: str, topic: str) ->
 
 
 def flood_cases() -> list[tuple[str, str]]:
-    """Return the measurements for which a filter rewinds."""
+    """Return (node, topic) of the measurements for which a filter rewinds."""
     return [
         ("ship_attitude", "reference/gyro/imu"),
         ("ship_attitude", "star/aft/inertial_attitude"),
@@ -198,10 +198,11 @@ def test_messages_at_a_too_high_rate_have_no_effect(node: str, topic: str) -> No
 
 @pytest.mark.parametrize("count", [1, 4, 8])
 def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: int) -> None:
-    """The exception: a missing fixed solution is information. No exposure waits for one, or is interpolated across it.
+    """A baseline without fixed solution is an exception: its position is not used, but it has an effect.
 
-    The numbers of such baselines are not used. If those around them are too far apart to be interpolated, the final
-    state is that without them; otherwise lights between them are missing.
+    No exposure waits for a fixed baseline in its place, and no position is interpolated across it. If the fixed
+    baselines around are too far apart for interpolation anyway, the final state is that without the unfixed baselines.
+    Otherwise lights between the fixed baselines are missing.
     """
     everything, topic = voyage("optical_axis"), "beacon/a/baseline"
     chosen = [a for a in everything.arrivals if a.topic == topic][30 : 30 + count]

@@ -44,7 +44,7 @@ def test_every_kind_of_fault_has_cells(cells: list[Cell]) -> None:
 def test_faults_made_in_memory_are_those_of_an_injected_bag(
     kind: str, cells: list[Cell], voyages: dict[str, VoyageData]
 ) -> None:
-    """The other side is ``inject``, which reads bags. The random numbers depend on the fault's name, the same here."""
+    """``inject`` reads bags. Its random numbers depend on the name of the fault, which is the same here."""
     cell = next(cell for cell in cells if cell.voyage == "sky" and cell.row == kind and "star/" in cell.name)
     data, fault = voyages["sky"], cell.faults[0]
     injection = Injection(data.path, {"f0": fault}, cell.number)
@@ -73,7 +73,7 @@ def test_a_short_fault_of_each_voyage_returns(voyage: str, cells: list[Cell], vo
     ],
 )
 def test_a_cell_that_once_failed_returns(name: str, cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
-    """Memory of a fault; INS turned in its own frame (twice); drift; encoders frozen; one sensor alone; encoders."""
+    """Causes: memory of a fault, INS turned in its frame (twice), drift, frozen encoders, single sensor, encoders."""
     (cell,) = [cell for cell in cells if cell.name.startswith(name)]
     assert_returned([cell], voyages)
 

@@ -16,7 +16,7 @@ MODULES = [
     for module in pkgutil.iter_modules(package.__path__, package.__name__ + ".")
     if not module.name.rpartition(".")[2].startswith("compiled_")
 ]
-"""Modules with examples; those of the compiled steps are in the modules that call them."""
+"""Modules with examples; the examples of compiled modules are in the modules that call the compiled modules."""
 
 
 @pytest.mark.parametrize("name", MODULES)

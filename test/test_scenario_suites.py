@@ -32,7 +32,8 @@ ADAPTERS = {adapter.node_name: adapter for adapter in (ShipAttitudeAdapter, Star
 def fixture_scenario(request, tmp_path):
     text = request.param.read_text(encoding="utf-8")
     if request.param.stem == "recorded":
-        # Its recording is not in the repository: any other file, which is not opened here.
+        # The recording of this scenario is not in the repository. An empty file takes its place, and is not opened
+        # here.
         (tmp_path / "recording.mcap").touch()
         values = yaml.safe_load(text)
         values["carrier"]["recording"]["bag"] = "recording.mcap"
@@ -85,7 +86,7 @@ def flatten_names(values, prefix=""):
 
 
 def devices(scenario, config, values):
-    """Yield (device of the scenario, its parameters of the node, the node's dataclass), its groups likewise."""
+    """Yield (device of the scenario, its parameters in the suite file, the node's dataclass), also of nested groups."""
     yield from grouped_parameters(scenario.ins, values["ins"], type(config.ins))
     for key, written in values.get("star_sensors", {}).items():
         yield from grouped_parameters(scenario.star_sensors[key], written, type(config.star_sensors[key]))
@@ -110,7 +111,7 @@ def grouped_parameters(device, values, kind):
 
 
 def shared_names(device, kind):
-    """Return the names that are a plain value of both."""
+    """Return the names of the plain values that both the device and the dataclass have."""
     values = {field.name for field in dataclasses.fields(device)} & {field.name for field in dataclasses.fields(kind)}
     return {name for name in values if not isinstance(getattr(device, name), dict)} - {
         name for name in values if dataclasses.is_dataclass(getattr(device, name))

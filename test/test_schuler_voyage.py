@@ -1,4 +1,4 @@
-"""An undamped INS: two hours of stars, two of cloud; and across a change of the vertical.
+"""An undamped INS with two hours of stars and two hours of cloud, and across a change of the vertical.
 
 The scenario is ``schuler.yaml``, without waves and with fewer samples, which does not change what is tested. The bands
 are of 99.9 %, from chi-square, for the number of seeds. The simulated INS is integrated by scipy's matrix exponential.
@@ -35,7 +35,7 @@ TILT = [0, 2]
 
 
 def voyage(name: str = "schuler.yaml", schuler: SchulerConfig | None = None, **changes: Any) -> Scenario:
-    """Return a scenario with fewer samples, its INS of this kind, and other changes."""
+    """Return a scenario with fewer samples, the Schuler model of the INS, and other changes."""
     whole = load_scenario(SCENARIOS / name)
     sensors = {id_: replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in whole.star_sensors.items()}
     ins = replace(whole.ins, model="schuler", schuler=schuler or SchulerConfig(), rate_hz=0.1, time_offset_sigma_s=0.0)
@@ -46,7 +46,7 @@ def voyage(name: str = "schuler.yaml", schuler: SchulerConfig | None = None, **c
 
 def core_of(scenario: Scenario, **ins: Any) -> ShipAttitudeCore:
     configuration = suite_configuration(scenario)
-    # Samples come each ten seconds, those of the stars with them.
+    # Samples of the INS and of the stars arrive together every ten seconds.
     thin = {"silence_s": 20.0}
     return ShipAttitudeCore(
         build(
@@ -79,8 +79,8 @@ def rms_arcsec(errors: Any) -> float:
 
 @pytest.mark.statistics
 def test_two_hours_of_cloud_cost_a_third_of_what_they_cost_without_the_model() -> None:
-    # Issue: at most a third of the best Gauss-Markov's tilt, of which three are tried; 2.5 against 11.0 arcseconds by
-    # an independent bound with sensors of its own.
+    # Issue: the tilt error is at most a third of the error with the best of three Gauss-Markov models. An independent
+    # bound for other sensors gives 2.5 and 11.0 arcseconds.
     of_model, others = [], {900.0: [], 1800.0: [], 5000.0: []}
     for seed in range(SEEDS):
         scenario = voyage()
@@ -113,8 +113,8 @@ def test_an_ins_that_position_aiding_damps_gains_little() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("damping_time_s", [0.0, 1800.0])
 def test_a_change_of_the_vertical_drives_the_model_with_the_table(damping_time_s: float) -> None:
-    # Issue: 60 arcseconds within 50 km, under clouds: with the table the tilt is off by at most 3 arcseconds more, in
-    # squares, than the same seed without any deflection; free and damped.
+    # Issue: the vertical changes by 60 arcseconds within 50 km, under clouds. With the table, the additional RMS tilt
+    # error is at most 3 arcseconds, compared with the same seed without any deflection; for a free and a damped INS.
     more, nees = [], []
     for seed in range(SEEDS):
         scenario = voyage("deflection.yaml", SchulerConfig(damping_time_s=damping_time_s))
@@ -143,7 +143,8 @@ def test_an_unmodelled_change_of_the_vertical_is_consistent(known_by: str) -> No
 
 @pytest.mark.slow
 def test_the_wall_of_a_trench_is_within_what_a_ship_without_a_map_claims() -> None:
-    # 60 arcseconds within 50 km: without a deflection in the model the tilt was off by 35 sigma, unsaid.
+    # The deflection changes by 60 arcseconds within 50 km. Without a deflection in the model, the tilt error was 35 of
+    # the published sigmas.
     gravity = replace(load_scenario(SCENARIOS / "deflection.yaml").gravity, told="none")
     scenario = voyage("deflection.yaml", gravity=gravity)
     core = core_of(scenario)
@@ -174,8 +175,8 @@ class _WithLateFixes:
 
 
 def test_before_the_first_position_fix_no_star_is_used() -> None:
-    # At another latitude the model is wrong, and the filter would adapt to it: with that of the equator the heading was
-    # off by three sigmas. The first fix is here after half of the voyage.
+    # With a wrong latitude the model of the INS is wrong, and the filter would adapt to it: with the latitude of the
+    # equator, the heading was off by three sigmas. In the second run the first fix arrives after half of the voyage.
     scenario = voyage(duration_s=600.0)
     whole = simulate(scenario, 1)
     late = _WithLateFixes(whole, whole.start_ns + 300 * 1_000_000_000)

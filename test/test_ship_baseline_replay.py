@@ -55,7 +55,8 @@ def test_fixed_solutions_are_used_and_the_others_reported(tmp_path: Path, capsys
     assert {(one.source, tuple(one.components)) for one in innovations if one.accepted} == {
         ("baseline", ("baseline up", "baseline right"))
     }
-    # 61 solutions in 30 s at 2 Hz; 10 of them FLOAT, 4 without one; the last waits for an INS sample after it.
+    # Of 61 messages in 30 s at 2 Hz, 10 are FLOAT and 4 have no solution; the last message waits for a later INS
+    # sample.
     reasons = Counter(int(one.reason) for one in innovations)
     assert reasons == {Reason.NONE: 46, Reason.NOT_FIXED: 14}
     assert sources == {"ins", "baseline"}

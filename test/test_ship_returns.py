@@ -21,7 +21,10 @@ from ship_testing.ship_faults import (
 
 FROM_S, RATE_HZ = 15.0, 20.0
 RETURNS_S = 75.0
-"""An excluded source must agree for a minute (``integrity.return_after_s``)."""
+"""Time after a fault within which the attitude must be VALID, s.
+
+An excluded source must first be consistent for a minute (``integrity.return_after_s``).
+"""
 
 
 def assert_returned(found: AttitudeErrors, end_s: float) -> None:
@@ -58,7 +61,7 @@ def test_the_cables_of_two_star_sensors_exchanged_for_a_while():
 
 @pytest.mark.slow
 def test_an_ins_whose_heading_flips_by_about_half_a_turn_and_back():
-    """Before, in 3 of 6 return times, DEGRADED, 648 000" off with that sigma, or VALID with NEES 54."""
+    """Before, for 3 of 6 durations: DEGRADED with an error of 648 000" and a sigma as large, or VALID with NEES 54."""
     run = voyage(FROM_S + 12.0, RATE_HZ)
 
     def check(degrees: float, lasts_s: float) -> None:
@@ -104,7 +107,8 @@ def test_more_noise_than_stated_is_named_with_its_kind_and_size():
     run = voyage(40.0, RATE_HZ)
     jitter = run_core(delay_ins_stamps(run, 0.012, FROM_S), from_s=39.0).core.excess_noise
     coarse = run_core(round_ins(run, 4, FROM_S), from_s=39.0).core.excess_noise
-    # Uniform from 0 to 12 ms; a step of 1e-4 in each component turns by 2e-4 rad, uniform to both sides.
+    # The jitter is uniform from 0 to 12 ms. A step of 1e-4 in a component of a quaternion rotates by 2e-4 rad; the
+    # rounding error is uniform over one step.
     assert 12.0 / 12.0**0.5 * 0.8 < float(jitter.split("jitter by ")[1].split(" ms")[0]) < 12.0 / 12.0**0.5 * 1.25
     assert 41.3 / 12.0**0.5 * 0.8 < float(coarse.split("noise is ")[1].split("″")[0]) < 41.3 / 12.0**0.5 * 1.3
     assert "stated 1.0″" in jitter

@@ -81,7 +81,7 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "epochs_s"),
     [
-        # Before the first star, after it, between stars, after them, at the end.
+        # Times before and after the first star, in the gap of the stars, after the gap, and at the end.
         ("demo.yaml", [0.0, 3.0, 30.0, 47.0, 59.8]),
         ("deflection.yaml", [3.0, 30.0, 47.0, 59.8]),
         ("schuler.yaml", [3.0, 30.0, 47.0, 59.8]),
@@ -164,8 +164,9 @@ def slow_error(seed: int) -> tuple[float, float, float]:
 
 @pytest.mark.statistics
 def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
-    # A step of 200 arcseconds in heading, shown by the INS's rates: the error begins at that time. The covariance is
-    # increased five sigma of the clock earlier; the sample before the jump still determines the time before it.
+    # The heading jumps by 200 arcseconds, which the INS's rates show: the error begins at the jump. The covariance is
+    # increased from five sigmas of the INS's clock before the jump on. The sample before the jump still determines the
+    # attitudes before it.
     found = []
     for seed in range(SEEDS // 2):
         ins = with_step(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))
@@ -179,12 +180,13 @@ def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
 
 
 def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
-    # A minute of arc, with an effect for a second. The subfilters, and the smoother, restart after the exclusion.
+    # The fault of one arcminute has an effect for a second. The subfilters and the smoother restart after the
+    # exclusion.
     ins = with_step(stream(30.0, 50.0), 0, slow_error(0))
     pair, true_nd = smooth_faulty_voyage(ins, 60.0, 0)
     assert any("star.aft" not in one.sources for one in pair.filtered[35:])
     assert [one.status for one in pair.smoothed] == [one.status for one in pair.filtered]
-    # Chi-square of three degrees of freedom exceeds it once in ten thousand.
+    # Chi-square of three degrees of freedom exceeds 21.1 once in ten thousand.
     assert max(nees(pair.smoothed, true_nd)) < 21.1
 
 
@@ -210,7 +212,7 @@ def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_ch
         at_last, variances = whole[stamp_ns], np.diagonal(message.covariance.reshape(3, 3))
         assert message.status == at_once[stamp_ns].status
         assert np.all(variances <= np.diagonal(at_once[stamp_ns].covariance.reshape(3, 3)) * (1.0 + 1e-6))
-        # It has two more seconds of stars, and all later data.
+        # Smoothing with all inputs also uses the data after the lag.
         assert np.all(np.diagonal(at_last.covariance.reshape(3, 3)) <= variances * (1.0 + 1e-6))
     again = run_adapter(new_adapter(smoothing_lag_s=lag_s), arrivals)
     assert again.results() == run.results()

@@ -32,13 +32,13 @@ from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOu
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.smoothing.core import SmoothingAxisCore
 
-pytestmark = pytest.mark.slow  # what its tests share takes long
+pytestmark = pytest.mark.slow  # the computations that the tests share take long
 
 SEEDS = 16
 
 
 class EstimatePair(NamedTuple):
-    """Pointing of each reading, filtered and smoothed, the true main axes, shape (N, 3, 3), and faulty sources."""
+    """Pointing of each reading, filtered and smoothed, the true main axes, shape (N, 3, 3), and excluded sources."""
 
     filtered: list[PointingEstimate]
     smoothed: list[PointingEstimate]
@@ -92,7 +92,7 @@ FIRST_S, GAP_S, LEAVE_S, END_S = 30.0, (50.0, 65.0), 90.0, 110.0
 
 
 def session() -> Scenario:
-    """Return the sweep at low rates: no lights at first, a gap of them, none at the end."""
+    """Return the sweep at low rates: no lights at first, a gap of the lights, no lights at the end."""
     scenario = with_theodolite(
         load_scenario(SCENARIOS / "theodolite_sweep.yaml"),
         encoder__rate_hz=5.0,
@@ -142,7 +142,7 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
         at_once, smoothed = covariances(session.filtered), covariances(session.smoothed)
         scale = np.trace(at_once, axis1=1, axis2=2)
         assert np.all(np.linalg.eigvalsh(at_once - smoothed)[:, 0] > -1e-9 * scale)
-    # By encoders alone, in the thirty seconds before the first lights.
+    # In the thirty seconds before the first lights, the pointings are by encoders alone.
     before = slice(sessions[0].place(0.0), sessions[0].place(FIRST_S))
     assert {one.mode for one in sessions[0].filtered[before]} == {Mode.ENCODER}
     errors = {
@@ -217,15 +217,16 @@ def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
     run = replace(run, theodolite=replace(run.theodolite, baselines=baselines))
     result = smoothed_pointings(core, run_core(core, run), run)
     assert result.excluded == {BEACON_PREFIX + "a"}
-    # Chi-square of three degrees of freedom exceeds it once in ten thousand.
+    # Chi-square of three degrees of freedom exceeds 21.1 once in ten thousand.
     assert np.max(nees(result.smoothed, result.true_nm)) < 21.1
-    # The other drone's lights continue to improve the axes, but not those before: the estimate is another one.
+    # The other drone's lights continue to improve the pointings, but not those before the exclusion: after the
+    # exclusion the estimate is another one.
     assert is_unchanged(result, 40.0, 40.5)
     assert not is_unchanged(result, 45.0, 80.0)
 
 
 def test_excluded_encoders_change_no_smoothed_pointing() -> None:
-    # A mount can make a step of half a degree: the lights find it.
+    # A mount can make a step of half a degree, so only the lights detect the slip.
     scenario = session()
     run, core = simulate(scenario, 0), axis_core(scenario)
     readings = run.theodolite.encoder
@@ -235,7 +236,7 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     result = smoothed_pointings(core, run_core(core, run), run)
     assert result.excluded == {ENCODER}
     assert np.max(nees(result.smoothed, result.true_nm)) < 21.1
-    # From the last lights before on; and each later sighting is independent.
+    # Pointings are unchanged from the last lights before the slip on, and later, where each sighting is independent.
     assert not is_unchanged(result, 45.0, 49.0)
     assert is_unchanged(result, 50.0, FAULT_S)
     assert is_unchanged(result, 70.0, 88.0)
@@ -252,7 +253,7 @@ def is_unchanged(estimates: EstimatePair, start_s: float, end_s: float) -> bool:
 
 
 def voyage() -> Scenario:
-    """Return stars for the ship with a gap of clouds, lights that start late and have a gap."""
+    """Return a ship with stars that clouds hide for a time, and with lights that start late and have a gap."""
     whole, clouds = load_scenario(SCENARIOS / "demo.yaml"), {"clouds": Outage(30.0, 48.0)}
     sensors = {id_: replace(one, rate_hz=2.0, outages=clouds) for id_, one in whole.star_sensors.items()}
     hidden = {"at first": Outage(0.0, 15.0), "gap": Outage(36.0, 60.0)}
@@ -293,7 +294,8 @@ def test_smoothing_with_the_smoothed_ship_attitude_is_consistent() -> None:
     found = []
     for seed in range(SEEDS // 2):
         result = run_voyage(seed)
-        # Before the first lights, with all, without stars, without stars and lights, without lights, at the end.
+        # Two times before the first lights; then with all, without stars, without stars and lights, without lights, at
+        # the end.
         places = [result.place(second) for second in (2.0, 14.0, 28.0, 34.0, 42.0, 55.0, 74.0)]
         found.append(nees([result.smoothed[place] for place in places], result.true_nm[places]))
     low, high = mean_nees_band(SEEDS // 2, 3)
@@ -317,7 +319,7 @@ def test_later_stars_improve_earlier_pointings() -> None:
             time_ns = TIME_NS + number * 250_000_000
             ship = session.ship()
             core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.correlated_covariance_n))
-            # Each five seconds another field; from the second on with stars.
+            # The field changes every five seconds; there are stars from the second field on.
             if number % 20 == 0:
                 field = random_field(rng)
             if number >= 20 and number % 4 == 2:

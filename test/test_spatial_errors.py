@@ -1,7 +1,8 @@
 """Position-dependent errors of a star on the detector: their model in the suite compared with a simulated detector.
 
-The simulated detector has waves and a number for each pixel; the suite models the first as a polynomial, and the
-second by their duration. Many seeds of the filter: ``spatial_errors`` among the cases of the campaign.
+The simulated detector has waves over the field and a constant error of each pixel. The suite models the waves as a
+polynomial, and the pixel errors by their duration. The campaign's case ``spatial_errors`` runs the filter with many
+seeds.
 """
 
 
@@ -24,10 +25,10 @@ from ship_testing.campaign_cases import case_in_short
 from ship_testing.paper_stars import paper_stars, with_sensor
 
 LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
-"""7″ and 5″, with a noise of 3″."""
+"""Spatial errors of 7″ (field) and 5″ (pixels); the noise is 3″."""
 
 def solve_first_exposure(run: SimulatedRun):
-    """Return the attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
+    """Return the attitude of the sensor by the first exposure of a run, and the true attitude (horizon from sensor)."""
     config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
     sky_model = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
@@ -43,7 +44,7 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
     nees, parts = [], []
     for seed in range(60):
         solution, true_nv = solve_first_exposure(simulate(scenario, seed))
-        # One in a thousand exposures disagrees with itself by chance, and is refused.
+        # One in a thousand exposures is inconsistent by chance, and is rejected.
         if solution.status is SolutionStatus.INVALID:
             continue
         nees.append(normalized_error_squared(log_rotation(true_nv @ solution.rotation_nb.T), solution.covariance_n))
@@ -53,7 +54,7 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
     assert low <= np.mean(nees) <= high
     sigma = np.sqrt(np.trace(np.mean(parts, axis=0), axis1=-2, axis2=-1))
     by_name = dict(zip(SOLUTION_TERMS, sigma, strict=True))
-    # The errors of the pixels are to the noise as 0.2 px to 0.132.
+    # The ratio of the pixel errors to the noise is that of 0.2 px to 0.132 px.
     assert by_name["pixel_spatial"] == pytest.approx(by_name["star_noise"] * 0.2 / 0.13222, rel=0.01)
     assert by_name["field_spatial"] > by_name["pixel_spatial"]
 

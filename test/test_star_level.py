@@ -31,7 +31,7 @@ SEEDS = 120
 
 
 def one_epoch(**changes) -> Scenario:
-    """Return the reference case at star level for a second, one exposure of each sensor, stamped at the start."""
+    """Return one second of the reference case with single stars: one exposure of each sensor, stamped at the start."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=1.0) for id_, sensor in whole.star_sensors.items()}
     short = replace(whole, duration_s=1.0, ins=replace(whole.ins, rate_hz=1.0), star_sensors=sensors)
@@ -39,7 +39,7 @@ def one_epoch(**changes) -> Scenario:
 
 
 def configured_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyModel:
-    """Return the sky by the fixes and the weather station."""
+    """Return the sky model with all position fixes and weather readings of a run."""
     sky_model = load_sky_model(configuration.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
@@ -50,7 +50,7 @@ def configured_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyM
 def sighted_stars(
     exposures: dict[str, StarExposure], sky_model: SkyModel, configuration: ShipAttitudeConfig
 ) -> MatchedStars:
-    """Return all stars of several sensors in the deck."""
+    """Return all stars of several sensors in the deck frame."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):
         sensor = configuration.star_sensors[id_]
@@ -92,7 +92,7 @@ def joint_errors(scenario: Scenario, configured: Scenario | None = None, **sky: 
 
     Args:
         scenario: scenario of the simulation.
-        configured: scenario of the estimator's configuration; that of ``scenario`` where None.
+        configured: scenario of the estimator's configuration; None for ``scenario``.
         sky: changed parameters of the sky.
     """
     suite = suite_configuration(configured or scenario)
@@ -103,7 +103,7 @@ def joint_errors(scenario: Scenario, configured: Scenario | None = None, **sky: 
         exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
         solution = solve_stars(sighted_stars(exposures, configured_sky(run, configuration), configuration))
         assert solution.status is SolutionStatus.VALID
-        # The sensors have no time offset: the truth at the first stamp is theirs.
+        # The sensors have no time offset: their exposures have the truth at the first stamp.
         error_n = log_rotation(run.truth.rotation_nd[0] @ solution.rotation_nb.T)
         errors_n.append(error_n)
         covariances_n.append(solution.covariance_n)
@@ -127,7 +127,7 @@ def test_the_error_of_the_joint_solution_fits_its_covariance(case: str) -> None:
 
 @pytest.mark.slow
 def test_unmodelled_errors_are_detected() -> None:
-    """The test can fail: large weather errors with the configuration of the usual ones."""
+    """The test can fail: here weather errors are large, but the configuration states the usual sigmas."""
     values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), configured=BASE)
     assert np.mean(values) > mean_nees_band(SEEDS, degrees=3)[1]
 
@@ -142,7 +142,7 @@ def low_elevation_scenario(model: str) -> Scenario:
 def test_errors_of_low_stars_fit_their_covariance_by_erfa_and_are_smaller_by_traced_rays() -> None:
     """The true refraction is that of traced rays. The error of erfa's formula there is slightly more than its sigma.
 
-    It is the same in each seed, so that NEES is no mean over its sigma: only the upper bound applies.
+    This error is the same for each seed, so the mean NEES need not be 3: only the upper bound applies.
     """
     truth = low_elevation_scenario("ray_trace")
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
@@ -157,7 +157,7 @@ def test_errors_of_low_stars_fit_their_covariance_by_erfa_and_are_smaller_by_tra
 
 @pytest.mark.slow
 def test_an_error_of_the_clock_is_modelled_with_that_of_ut1() -> None:
-    """A rotation of the Earth by 0.2 s more or less than the stamps: 3″, as with such an error of all clocks."""
+    """The Earth's rotation differs from the stamps by 0.2 s (sigma), which is 3″, as if all clocks had this error."""
     late = one_epoch(earth_rotation_sigma_s=0.2)
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
     stated = normalised_errors(late, utc_sigma_s=0.2)
@@ -183,7 +183,7 @@ def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
         star_sensors=sensors,
         position=replace(BASE.position, sigma_m=0.0, slow_sigma_m=0.0),
         weather=replace(BASE.weather, pressure_sigma_hpa=0.0, temperature_sigma_k=0.0),
-        # The least that is not the table's own.
+        # The smallest sigma that replaces the sigma of the table.
         earth_rotation_sigma_s=1e-9,
     )
     run = simulate(exact, seed=1)

@@ -1,4 +1,4 @@
-"""The reference case with single stars: does a wrong sky show? Solutions and streaks of it.
+"""The reference case with single stars: errors by a wrong sky are detected; star solutions and streaks are consistent.
 
 The consistency of the fused attitude is tested in ``test_campaign_cases.py`` and ``make campaign``. The simulated sky
 and the estimator's are separate code.
@@ -32,14 +32,14 @@ from ship_testing.solved_voyages import run_with_solutions
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = int(os.environ.get("SKY_SEEDS", "8"))
 FEW = int(os.environ.get("SKY_SEEDS", "4"))
-"""Seeds that show an error which is far beyond the covariance; ``make campaign`` takes more of both."""
+"""Seeds that suffice for an error far beyond the covariance; ``make campaign`` sets both numbers by ``SKY_SEEDS``."""
 LONG_STREAK_SEEDS = 200
 SURELY_WRONG = 6.0
 """Least mean NEES if a part of the model is missing; 3 is consistent."""
 
 
 def short_scenario(**changes) -> Scenario:
-    """Return the reference case at star level, shortened."""
+    """Return the reference case with single stars, shortened."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=2.0) for id_, sensor in whole.star_sensors.items()}
     ins = replace(whole.ins, rate_hz=10.0)
@@ -74,7 +74,7 @@ def final_error_squared(run: SimulatedRun, estimate: AttitudeEstimate) -> float:
 
 
 def test_a_fix_in_time_rewinds_nothing() -> None:
-    """Fixes and weather readings arrive at their stamps: only the first cause exposures to be compared again."""
+    """Fixes and weather readings arrive at their stamps: only the first ones cause exposures to be compared again."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     run = simulate(replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=10.0)), seed=1)
     core, steps = core_for(run.scenario), 0
@@ -83,7 +83,7 @@ def test_a_fix_in_time_rewinds_nothing() -> None:
     def count_steps(*arguments):
         nonlocal steps
         found = step(*arguments)
-        # None: it waits for a sample of the INS.
+        # None: the exposure waits for a sample of the INS.
         steps += found is not None
         return found
 
@@ -103,7 +103,10 @@ def final_attitude_with_solutions(run: SimulatedRun) -> AttitudeEstimate:
 
 @pytest.mark.statistics
 def test_with_a_poor_fix_solutions_have_the_sigma_of_the_stars() -> None:
-    """A fix of sigma 100 m. As each sensor's own error, its part of sigma was 0.7 of the true one."""
+    """The fix has a sigma of 100 m.
+
+    Formerly this error counted as independent in each sensor, and its part of sigma was 0.7 of the true part.
+    """
     scenario = short_scenario()
     scenario = replace(scenario, position=replace(scenario.position, slow_sigma_m=100.0))
     nees = []
@@ -119,20 +122,20 @@ def test_with_a_poor_fix_solutions_have_the_sigma_of_the_stars() -> None:
 
 
 def run_with_streaks(exposure_s: float, seeds: int) -> list[SimulatedRun]:
-    """Return the reference case with an exposure time: its ship rolls 4° in 11 s."""
+    """Return runs of the reference case with an exposure time; its ship rolls 4° in 11 s."""
     scenario = short_scenario()
     sensors = {id_: replace(star, exposure_s=exposure_s) for id_, star in scenario.star_sensors.items()}
     return [simulate(replace(scenario, star_sensors=sensors), seed) for seed in range(seeds)]
 
 
 def without_exposure_length(run: SimulatedRun) -> SimulatedRun:
-    """Return the same run, its exposures without their length."""
+    """Return the same run, without the exposure time in the scenario."""
     sensors = {id_: replace(sensor, exposure_s=0.0) for id_, sensor in run.scenario.star_sensors.items()}
     return replace(run, scenario=replace(run.scenario, star_sensors=sensors))
 
 
 def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
-    # Of a tenth of a second: test_campaign_cases.py.
+    # test_campaign_cases.py tests streaks of a tenth of a second.
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= np.mean([final_nees(run) for run in run_with_streaks(0.2, SEEDS)]) <= high
 
@@ -148,7 +151,7 @@ def test_streaks_without_exposure_time_are_detected(exposure_s):
 
 
 def large_roll_scenario(ins_rate_hz: float) -> Scenario:
-    """Return a roll of 20° in 8 s, exposures of a quarter of a second: streaks of up to 600 pixels."""
+    """Return a scenario with a roll of 20° in 8 s and exposures of 0.25 s: streaks of up to 600 pixels."""
     scenario = short_scenario()
     sensors = {id_: replace(star, exposure_s=0.25, rate_hz=1.0) for id_, star in scenario.star_sensors.items()}
     roll = AngleMotion(waves={"swell": Wave(amplitude_deg=20.0, period_s=8.0, phase_rad=0.3)})
@@ -157,10 +160,10 @@ def large_roll_scenario(ins_rate_hz: float) -> Scenario:
 
 
 def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
-    """Streaks determine the clock: 0.55 ms after 30 s, with any rate of the INS.
+    """Streaks determine the clock of the INS with a sigma of 0.55 ms after 30 s, at any rate of the INS.
 
-    Along a streak a star has a sigma of some 500", across it of 3". The rate between two samples 10 ms apart was off by
-    200" a second, a part of it across the streak: the sigma was 0.515 ms.
+    A star has a sigma of some 500" along its streak, and of 3" across the streak. Formerly the rate from two samples 10
+    ms apart had an error of 200" per second, partly across the streak: the sigma was 0.515 ms.
     """
     claimed_s = []
     for ins_rate_hz in (20.0, 100.0):
@@ -174,7 +177,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
 
 @pytest.mark.statistics
 def test_errors_of_long_streaks_fit_their_covariance() -> None:
-    """A rate with the noise of two samples had a roll RMS of 1.19 sigma and a NEES of 3.54."""
+    """With a rate from two noisy samples, the roll RMS was 1.19 sigma and the NEES 3.54."""
     scenario = large_roll_scenario(100.0)
     results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
     ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))
@@ -219,7 +222,7 @@ class _WithoutVelocity(RefreshedSky):
 
 
 class SkyWithoutAberration(SkyModel):
-    """Apparent places for an observer at rest; without proper motion, 0.3″ since 2000 for most."""
+    """Apparent places for an observer at rest, also without proper motion, which is 0.3″ since 2000 for most stars."""
 
     def __init__(self, config, table, catalogue) -> None:
         super().__init__(config, table, catalogue)
@@ -227,7 +230,7 @@ class SkyWithoutAberration(SkyModel):
 
 
 class UniversalTimeIsUtc(EarthOrientationTable):
-    """UT1 = UTC, without Earth rotation data; 0.3055 s off on the day of the scenario."""
+    """Table with UT1 = UTC, which is wrong by 0.3055 s on the day of the scenario."""
 
     def __init__(self, table: EarthOrientationTable) -> None:
         self.__dict__.update(table.__dict__)

@@ -89,7 +89,7 @@ def bytes_of(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
 
 
 def ship_bytes(path: Path) -> list[tuple[str, int, bytes]]:
-    """Return the ship's attitudes since the first INS sample; before it only the ticks publish that there is none."""
+    """Return the ship's attitudes since the first INS sample; before, only ticks publish INVALID attitudes."""
     return [entry for entry in bytes_of(path, SHIP) if entry[1] > small_voyage.START_NS]
 
 
@@ -155,7 +155,7 @@ def test_a_bag_with_inputs_and_outputs_of_both_nodes_is_verified(
 
 @pytest.mark.statistics
 def test_the_error_of_the_joint_solution_fits_its_covariance_over_many_voyages() -> None:
-    """Scenario ``paper_stars``: each seed draws mounting, refraction, UT1 and place; one solution of each."""
+    """Scenario ``paper_stars``: each seed draws mounting, refraction, UT1 and place, and gives one solution."""
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(joint_nees(SEEDS)) < high
 
@@ -165,7 +165,7 @@ def test_the_error_of_the_joint_solution_of_streaks_fits_its_covariance() -> Non
     """Exposures of a fifth of a second of a ship that rolls 4° in 11 s."""
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(joint_nees(SEEDS, exposure_s=0.2)) < high
-    # Where the streaks are taken for short ones, the stars do not even fit one another (NaN).
+    # With a configured point spread of 100 px the streaks count as short, and no solution is consistent (NaN).
     assert not np.mean(joint_nees(5, exposure_s=0.2, configured_psf_px=100.0)) < high
 
 
@@ -217,7 +217,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
         if number == 80:
             assert calls.service("reset", arrival.receive_ns).success
         data = serialize_message(arrival.message)
-        # As it comes from the middleware: sigma_px and magnitude have single precision there.
+        # The message has passed the middleware, where sigma_px and magnitude have single precision.
         calls.handle(arrival.topic, data, deserialize_message(data, type(arrival.message)), arrival.receive_ns)
     black_box.close()
 
@@ -240,7 +240,7 @@ def test_live_over_dds_the_outputs_and_the_black_box_are_the_same(
         run.play(rate=1.0)
     live = {(r.topic.lstrip("/"), stamp(r)): attitude(r) for r in records(run.recorded_path) if "solution" in r.topic}
     for record in records(both[1], *SOLUTIONS):
-        # The place may rest on a fix more or less.
+        # The position may be interpolated from one fix more or less.
         assert np.max(np.abs(live[record.topic, stamp(record)] - attitude(record))) < 1e-11
     assert replay([str(path), "--verify"]) == 0, capsys.readouterr().out
 

@@ -37,6 +37,6 @@ def test_a_study_page_fits_its_window(name: str, browser: Browser, tmp_path: Pat
     assert browser.evaluate("document.documentElement.scrollHeight") <= MOST_PX
     wide = "[...document.querySelectorAll('.table')].filter(one => one.scrollWidth > one.clientWidth).length"
     assert browser.evaluate(wide) == 0
-    # What is folded is there.
+    # The pictures of folded parts exist.
     browser.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
     assert browser.evaluate("[...document.querySelectorAll('img')].every(one => one.clientHeight > 100)")

@@ -98,7 +98,7 @@ def test_a_bag_without_required_inputs_starts_nothing():
 @pytest.mark.smoke
 def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
-    # At 20 times its speed the bag takes more than a core: the attitude is INVALID.
+    # At 20 times its speed the bag would need more than a core, and the attitude would be INVALID.
     with LiveProcess(suite("--bag", DEMO, "--rate", "8"), tmp_path / "suite.log", environment) as process:
         assert process.wait(120) == 0, process.log_text()
         log = process.log_text()
@@ -109,11 +109,11 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
 
 @pytest.mark.parametrize("is_simulated_sent", [False, True])
 def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, is_simulated_sent):
-    """Only THS has a mode for it; HDT is invalid unless configured, as for a training."""
+    """Only THS has a mode for simulated data; HDT is empty unless ``tell_simulated`` is set, as for a training."""
     path, log_path = tmp_path / "suite.yaml", tmp_path / "log.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
-        # The bag is played at 5 times its speed: a delay of 50 ms is a quarter of a second of its time.
+        # The bag is played at 5 times its speed: a delay of 50 ms is a quarter of a second of the bag.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
             "tell_simulated": is_simulated_sent,
@@ -203,7 +203,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
             assert observer.spin_until(lambda t=topic, own=own: namespaces(observer.node, t) == {own}), topic
             assert observer.spin_until(lambda t=topic: observer.node.count_publishers(t) == 1), topic
         assert observer.spin_until(lambda: frames >= FRAMES), frames
-        # Suites share only this topic: the name of a status contains the node's namespace.
+        # Suites share only this topic: the hardware_id of a status contains the node's namespace.
         observer.node.create_subscription(
             DiagnosticArray,
             "/diagnostics",
@@ -219,15 +219,15 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
 
 
 def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(tmp_path, domain, monkeypatch):
-    """The suite has another node, page, alerts, a black box, and a recorder, whose bag contains the gap of the data.
+    """The suite runs with page, alerts, black boxes, another node and a recorder, whose bag contains the gap.
 
-    Measured with 25 processes competing for the four cores, 10 kills: gap 0.8 s in the median, 1.7 s at most. It needs
-    at most 0.2 s of work, as the reserve process has imported its libraries before; the rest is the 0.5 s of the
-    announcement period of DDS participants (``dds_profile.xml``). On a computer with more load one kill of three must
-    suffice: the time for which a process waits for a core does not depend on the suite.
+    In 10 kills with 25 processes competing for four cores, the gap was 0.8 s in the median and 1.7 s at most. The
+    restart needs at most 0.2 s of work, because the reserve process has already imported its libraries. The rest is the
+    announcement period of DDS participants, 0.5 s (``dds_profile.xml``). With more load, the gap must be short after
+    one kill of three: how long a process waits for a core does not depend on the suite.
     """
     for name, value in UDP_ONLY.items():
-        monkeypatch.setenv(name, value)  # of a node that is not started by the suite
+        monkeypatch.setenv(name, value)  # for the node that the suite does not start
     gaps_s = []
     while not gaps_s or (min(gaps_s) >= 2.0 and len(gaps_s) < 3):
         folder = tmp_path / str(len(gaps_s))
@@ -241,7 +241,7 @@ def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(
 
 
 def gap_after_kill_s(folder, environment):
-    """Kill the node once; return the longest gap of ``ship_attitude``, s of data, the suite's log, its file."""
+    """Kill the node once; return the longest gap of ``ship/attitude``, s of data, the suite's log, the saved file."""
     saved, path, recorded = folder / "alignment.yaml", folder / "suite.yaml", folder / "recorded.mcap"
     with read_bag(DEMO) as bag:
         attached = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
@@ -277,12 +277,12 @@ def gap_after_kill_s(folder, environment):
 
 @pytest.mark.slow
 def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
-    """Its reserve process is stopped too, as if a user stops all processes of that name."""
+    """The node's reserve process is stopped too, as if a user stops all processes of that name."""
     command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"
         wait_for(lambda: valid in process.log_text() and has_reserve(process.pid, "ship_attitude"), process)
-        time.sleep(2.0)  # the reserve's own heartbeat
+        time.sleep(2.0)  # until the reserve process has sent a heartbeat
         pids = processes_of(process.pid, "ship_attitude")
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -318,13 +318,13 @@ def processes_of(suite_pid, name):
 
 
 def node_of(suite_pid, name):
-    """Return the process id of the one with a DDS participant."""
+    """Return the process id of the process with a DDS participant."""
     (pid,) = filter(udp_ports_of, processes_of(suite_pid, name))
     return pid
 
 
 def has_reserve(suite_pid, name):
-    """True if a process has imported its libraries, and waits for its start."""
+    """True if a reserve process has imported its libraries, and waits for its start."""
     others = [pid for pid in processes_of(suite_pid, name) if not udp_ports_of(pid)]
     return any("poll" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
 
@@ -348,7 +348,7 @@ def test_every_status_of_the_nodes_has_one_place_in_the_aggregator_file(tmp_path
         wanted = {f"{node}: black box" for node in ("ship_attitude", "star_attitude")}
         wanted |= {"optical_axis: pointing", "optical_axis: parameters", "alerts: list"}
         assert observer.spin_until(lambda: wanted <= names, 60.0), (tmp_path / "stars.log").read_text()
-        observer.spin_until(lambda: False, 3.0)  # what comes once a second, three times
+        observer.spin_until(lambda: False, 3.0)  # receive three times what is published once a second
     text = (ROOT / "src" / "ship_bringup" / "config" / "diagnostic_aggregator.yaml").read_text(encoding="utf-8")
     exact = re.findall(r'"([^"]*)"', " ".join(re.findall(r"^ *name: (.*)$", text, re.MULTILINE)))
     prefixes = re.findall(r'"([^"]*)"', " ".join(re.findall(r"^ *startswith: (.*)$", text, re.MULTILINE)))

@@ -1,4 +1,4 @@
-"""Images of a target in a bag: replayed and compared with the true direction, in blocks and one by one, without effect.
+"""Images of a target in a bag: directions fit the truth, in blocks and one by one, and pointings are unchanged.
 
 The bag is simulated (theodolite_night.yaml): the detector turns, and the target moves around on it.
 """
@@ -25,7 +25,7 @@ TARGET, DIRECTION, TRUTH = "theodolite/target", "theodolite/target_direction", "
 
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[int, Any]]:
-    """Return a bag with images, its suite file, and the true directions and places by stamp."""
+    """Return the folder of a bag with images, its suite file, and the true directions and places by stamp."""
     folder, scenario = tmp_path_factory.mktemp("target"), with_stars_and_targets(bag_scenario(duration_s=10.0))
     scenario = dataclasses.replace(scenario, telescopes={})
     write_bag(scenario, 3, folder / "in.mcap", b"")

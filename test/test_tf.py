@@ -60,7 +60,7 @@ def by_stamp(messages):
 
 
 def ros_rotation(forward_azimuth, elevation, roll):
-    """Return East, North, Up from forward, left, up of a device, by REP-103 angles in rad."""
+    """Return the rotation to East, North, Up from forward, left, up of a device, by the suite's angles, rad."""
     return Rotation.from_euler("ZYX", [math.pi / 2 - forward_azimuth, -elevation, roll])
 
 
@@ -287,7 +287,7 @@ def test_a_bag_of_a_replay_has_the_latched_frames_of_the_live_node(both):
 
 
 def test_by_the_ins_alone_the_parent_of_the_main_axis_is_the_horizon(tmp_path):
-    """The deck of /tf is not that of the INS: as its child the axis would have the INS's errors."""
+    """The deck on /tf is not the attitude of the INS: as a child of this deck, the axis would have the INS's errors."""
     replayed = replay_frames(tmp_path, {"source": "ins/imu", "frame_id": ""})
     mains = [t for t in transforms(replayed["/tf"]) if t.child_frame_id == "theodolite_main"]
     pointings = by_stamp(m for m in replayed["theodolite/pointing"] if m.status != Status.INVALID)

@@ -80,7 +80,7 @@ class Ship:
 
 
 def test_all_clocks_are_set_back_by_300_s(monkeypatch, tmp_path, capfd):
-    """The system clock of this computer is not changed: the node has another one."""
+    """The system clock of this computer is not changed: only the clock that the node reads is replaced."""
     off_ns = [0]
     monkeypatch.setattr(node_clock, "time", SimpleNamespace(time_ns=lambda: time.time_ns() + off_ns[0]))
     ship = Ship(tmp_path)

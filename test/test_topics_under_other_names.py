@@ -47,7 +47,7 @@ def plain(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def renamed_bag(tmp_path_factory):
-    """Return the same with an INS, a receiver and a truth with topic names of drivers."""
+    """Return the same twenty seconds with the topic names of drivers for INS, receiver and truth."""
     return _beginning(tmp_path_factory.mktemp("renamed") / "voyage.mcap", NAMES)
 
 
@@ -238,7 +238,7 @@ def test_a_live_node_subscribes_to_the_ships_topic_name(monkeypatch):
 def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(
     renamed_bag, mapped_suite, tmp_path, monkeypatch
 ):
-    """The nodes use the ship's names by the map; a recording includes it, so that a replay needs no option."""
+    """The nodes use the ship's names by the map; a recording includes the map, so that a replay needs no option."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id, recorded = free_domain_id(), tmp_path / "recorded.mcap"
     environment = live_environment(domain_id, tmp_path)

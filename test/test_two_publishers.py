@@ -1,6 +1,6 @@
-"""Two publishers on one input, named by the live node or found by their values: outputs of both are not VALID.
+"""Two publishers on one input, named by the live node or found by their values: outputs by this input are not VALID.
 
-Their detection in a live node is tested in ship_node/test/test_live_node.py.
+The detection of two publishers in a live node is tested in ship_node/test/test_live_node.py.
 """
 
 import copy
@@ -96,7 +96,7 @@ def _bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def second_ins_sample(message: Any, other: np.ndarray, later_s: float) -> Any:
-    """Return a sample of an INS rotated against this one, this long after it."""
+    """Return a sample of a second INS, rotated by ``other`` against the first, ``later_s`` after the given sample."""
     message = copy.deepcopy(message)
     rate, turned = message.angular_velocity, message.orientation
     turn = exp_rotation(later_s * np.array([rate.x, rate.y, rate.z])) @ other

@@ -77,7 +77,7 @@ def test_a_star_sensor_without_data_is_out_within_two_seconds_of_the_first_missi
 ) -> None:
     clouds_s, no_data_s = one_by_one.out_s["star.fore"]
     assert CLOUDS[0] < clouds_s < CLOUDS[1]
-    assert 101.9 <= no_data_s <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
+    assert 101.9 <= no_data_s <= 100.033 + 0.2 + 2.0  # 5 Hz; the last exposure, at 99.833, arrives 0.1 s later
     assert one_by_one.shown_sources["star.fore"][1].reason == "no data"
     assert one_by_one.back_s["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
@@ -161,7 +161,7 @@ def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) ->
 
 
 def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
-    """Arrivals by a monotonic clock of another start, updated at intervals: the same state at the end."""
+    """Live arrival times are those of a monotonic clock with another start, and states are computed at intervals."""
     recorded, live, shift_ns = SuiteMonitor(), SuiteMonitor(), -1_404_906_000_123_456_700_000
     end_ns = 0
     for number, (time_ns, topic, message) in enumerate(records(clean[1])):
@@ -189,7 +189,7 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
     for time_ns, topic, message in records(*clean):
         if topic == "ship/error_arcsec":
             message.error_heading, message.error_pitch, message.error_roll = nan, nan, nan
-        # The truth has other stamps than these, so that it is interpolated.
+        # The truth has other stamps than these attitudes, so that the truth is interpolated.
         if topic != "ship/attitude" or ns_from_stamp(message.header.stamp) in filled:
             live.process_message(topic, message, time_ns)
     points = live.history.errors["ship/error_arcsec"]
@@ -219,7 +219,7 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
 
 
 def safety_between(voyage: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
-    """Return the states of the azimuth in the ribbon."""
+    """Return the safety states of the azimuth in the history of a time span."""
     points = [
         point for point in voyage.monitor.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s
     ]

@@ -29,7 +29,7 @@ def kind_of(type_name: str) -> Any:
 
 
 def recorded_messages(*bags: Path) -> list[tuple[int, str, Any]]:
-    """Return (log time, topic, rclpy message) of the first seconds of bags; attitudes and pointings at 10 Hz."""
+    """Return (log time, topic, rclpy message) of the first seconds of bags; all but innovations at 10 Hz at most."""
     found = []
     for path in bags:
         with read_bag(path) as bag:
@@ -67,7 +67,7 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
                 sound = math.isfinite(angle.value) and angle.accuracy_95 <= 3.0 * angle.limit and not angle.is_old
                 assert sound or angle.safety is Safety.UNSAFE
     assert tried > 2000
-    monitor.process_message("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
+    monitor.process_message("ship/alerts", AlertArray(), voyage[-1][0])  # alerts outlive a reset
     monitor.reset()
     fresh = SuiteMonitor()
     for time_ns, topic, message in voyage:

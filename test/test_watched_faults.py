@@ -1,8 +1,9 @@
 """A voyage with faults, from the bag to the user: page, terminal, alerts and diagnostics name the right source, soon.
 
 Times are seconds of the data after the first message of the bag. A fault is named within 2 s of the first time at which
-it can be detected: the first wrong measurement, or the time at which a message is overdue. That also holds live: with
-15 processes competing for four cores the last of the outputs named each source 0.3 s to 0.9 s after it.
+it can be detected: the first wrong measurement, or the time at which a message is overdue. This limit also holds live:
+with 15 processes competing for four cores, the last output named each source 0.3 s to 0.9 s after the fault could be
+detected.
 """
 
 import json
@@ -42,7 +43,7 @@ from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence, SuiteState
 
 LIVE_EARLY_S = 0.1
-"""Maximum difference of the data's time in a live state, which has its own steady clock, s."""
+"""Maximum time by which a report of a live state may be early, s: the state has its own steady clock."""
 LOOK_NS = NS_PER_S // 5
 OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
 
@@ -79,12 +80,12 @@ class FirstReports:
                 self.record("page", source.name, picture.utc_ns)
 
     def record_branch(self, path: str, text: str, utc_ns: int) -> None:
-        """Record the source of an entry of the function tree, unless it is OUT only because it needs another."""
+        """Record the source of an entry of the function tree, unless it is OUT only because it needs another source."""
         if text != "in" and "needs" not in text and "/" in path:
             self.record("diagnostics", path.rpartition("/")[2], utc_ns)
 
     def check(self, soon_s: Callable[[str], float], early_s: float = 0.0) -> None:
-        """Assert that every output named every source soon after it could be detected, and no other before them."""
+        """Assert that every output named every faulty source soon after it could be detected, and no other source."""
         detectable = {
             (output, source): known_s for source, known_s in DETECTABLE_S[self._bag].items() for output in OUTPUTS
         }

@@ -1,6 +1,6 @@
 """Wide priors with `input: solution`: the attitude of the first seconds compared with the truth, by both nodes' cores.
 
-The ship rolls, so that an INS clock that is off by its sigma of 5 ms turns her by up to 40 arcseconds.
+The ship rolls, so that an error of the INS's clock of one sigma, 5 ms, is up to 40 arcseconds of attitude.
 """
 
 import functools
@@ -31,14 +31,17 @@ CONSTANT_S = 1e7
 """Correlation time of an error that is constant over the voyage, s.
 
 With the times of the reference case an error of degrees changes by a minute of arc in a second. The checks of the INS
-count such a walk as noise too, so that the covariance is larger than the error."""
+count such a walk as noise too, so that the covariance is larger than the error.
+"""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Sigmas of the INS's error, arcseconds; True if it is constant; True if all stars are correctly identified.
+    """Sigmas of the INS's error, arcseconds, and conditions of the voyage.
 
-    Exposures are points in time, or last some seconds, the first ones from before the INS's first sample.
+    All stars are correctly identified if ``has_star_identities`` is True, and the INS's error is constant if
+    ``is_constant`` is True. Exposures last ``exposure_s``; if this is not 0, the first exposures begin before the INS's
+    first sample.
     """
 
     heading: float
@@ -49,7 +52,7 @@ class Prior:
 
     @property
     def scenario(self) -> Scenario:
-        """Return the reference case with single stars, sensors one after the other, errors drawn by this prior."""
+        """Return the reference case with single stars, exposures one after another, and errors drawn by this prior."""
         whole = load_scenario(SCENARIOS / "paper_stars.yaml")
         sensors = {
             id_: replace(
@@ -89,7 +92,7 @@ NOT_IDENTIFIED = [
     Prior(10.0 * DEGREE, 10.0, has_star_identities=False),
     Prior(DEGREE, DEGREE, has_star_identities=False),
 ]
-"""Without names: more than 5 degrees, or more than five stars in a gate."""
+"""Priors that are too wide to identify stars: more than 5 degrees, or more than five stars in a gate."""
 
 
 @functools.cache
@@ -115,7 +118,7 @@ def valid_errors(prior: Prior, seed: int) -> list[tuple[FloatArray, FloatArray]]
 
 @pytest.mark.parametrize("prior", [*PRIORS, *STREAKS], ids=str)
 def test_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
-    """Before, in five of eleven seeds, up to 8.9 sigma in the first 0.7 s, with names and without; 16 with streaks."""
+    """Before, in five of eleven seeds, up to 8.9 sigma in the first 0.7 s, identified or not; 16 with streaks."""
     ends = []
     for seed in SEEDS:
         found = valid_errors(prior, seed)
@@ -129,7 +132,7 @@ def test_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
 
 @pytest.mark.parametrize("prior", PRIORS, ids=str)
 def test_the_attitude_is_valid_nine_tenths_of_the_time(prior: Prior) -> None:
-    """Before, 0.72 and 0.74 in two of eleven seeds with 3° of heading; never in one with 1°."""
+    """Before, 0.72 and 0.74 in two of eleven seeds with 3° of heading; with 1°, never VALID in one seed."""
     for seed in SEEDS:
         found = estimates(prior, seed)
         assert len(found) == round(DURATION_S * INS_HZ) + 1
@@ -138,7 +141,7 @@ def test_the_attitude_is_valid_nine_tenths_of_the_time(prior: Prior) -> None:
 
 @pytest.mark.parametrize("prior", [*PRIORS, *NOT_IDENTIFIED], ids=str)
 def test_no_attitude_is_valid_before_two_star_measurements_agree(prior: Prior) -> None:
-    """Before, the first one made it VALID."""
+    """Before, the first star measurement made the attitude VALID."""
     for seed in SEEDS:
         used: set[tuple[str, int]] = set()
         for outcome in run_voyage(prior, seed)[1]:

@@ -26,7 +26,7 @@ BOTH, ONE = ("fore", "starboard"), ("fore",)
 
 
 def scenario(has_identities: bool) -> Scenario:
-    """Return ten stars in a field of 13°, one exposure a second for ten seconds."""
+    """Return a scenario with up to ten stars in a field of 13°, and one exposure a second for ten seconds."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {
         id_: replace(one, rate_hz=1.0, most_stars=10, identified=has_identities)
@@ -59,8 +59,8 @@ def test_no_valid_error_exceeds_its_covariance_or_level(scale, named, sensor_ids
     assert found.worst_sigmas < 5.0
     assert found.worst_over_level < 1.0
     if scale < 1e-3 or sensor_ids == ONE:
-        # Within three sigmas nothing is lost; and a wrong camera does not cost the other one its identities. Two
-        # exposures, a second apart, must agree before an attitude is VALID.
+        # Errors within three sigmas, or of one camera only, do not prevent VALID attitudes. The first VALID attitude
+        # needs two consistent exposures, which are a second apart.
         assert found.last_invalid_s < 1.1
     elif scale == SCALES[-1]:
         assert found.valid_count == 0

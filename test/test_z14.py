@@ -51,7 +51,10 @@ def test_there_are_as_many_conclusions_as_in_the_paper():
 @pytest.mark.parametrize("reading", InstallationConvention)
 @pytest.mark.parametrize(("figure", "turn_back_arcsec"), [(3, 1e-9), (6, 8.0)])
 def test_roll_does_not_grow_with_elevation_as_in_the_abstracts(reading, figure, turn_back_arcsec):
-    """Abeam, by both abstracts roll grows; along the keel, by the English one, by the Chinese one heading does."""
+    """By both abstracts, roll grows abeam.
+
+    Along the keel, roll grows by the English, heading by the Chinese abstract.
+    """
     for azimuth_deg in (*AHEAD_ASTERN, *ABEAM):
         roll = curve_arcsec(figure, azimuth_deg, reading)[:, ROLL]
         assert not is_growing(roll, turn_back_arcsec)
@@ -81,7 +84,7 @@ def test_trends():
 
 
 def test_numbers_that_the_remarks_name():
-    """Physically: figure 3 and 6 abeam, figure 5 ahead, figure 6 astern; and figure 3 abeam in the paper's reading."""
+    """Physical reading: figures 3 and 6 abeam, figure 5 ahead, figure 6 astern. Paper's reading: figure 3 abeam."""
     assert curve_arcsec(3, 90.0, PAPER)[0, HEADING] == pytest.approx(141.42, abs=0.005)
     abeam = curve_arcsec(3, 90.0, PHYSICAL)
     np.testing.assert_allclose(abeam, np.tile([141.42, 0.0, 100.0], (91, 1)), atol=0.005)

@@ -29,7 +29,7 @@ class ProtectionLevelRun(AdapterRun):
         hand_over(self, arrivals, until_ns)
 
     def published_and_own_levels(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:
-        """Return each output that is not INVALID, the levels published last before it, and its own, rad."""
+        """Return each output that is not INVALID, with the last published levels and the output's own levels, rad."""
         published, found = np.full(3, np.nan), []
         for _, topic, message in self.published:
             if topic == self.adapter.integrity_topic:
@@ -39,7 +39,10 @@ class ProtectionLevelRun(AdapterRun):
         return found
 
     def exceedances(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Return stamp, published, own levels of outputs with own levels unknown or above by more than a twentieth."""
+        """Return (stamp, published, own levels) of outputs with an own level above 1.05 times the published level.
+
+        Outputs are also returned if only the published or only the own levels contain NaN.
+        """
         return [
             (stamp_of(message), published, own)
             for message, published, own in self.published_and_own_levels()

@@ -45,13 +45,13 @@ def random_base(rng, base):
     if base == "bool":
         return bool(rng.integers(2))
     if base == "byte":
-        return int(rng.integers(-128, 128))  # rosbags reads and writes it with a sign
+        return int(rng.integers(-128, 128))  # rosbags reads and writes a byte as signed
     kind = dtype(base)
     if kind.kind == "f":
         special = FLOATS if kind.itemsize == 8 else FLOATS_32
         if rng.random() < 0.5:
             return float(kind.type(rng.choice(special)))
-        # Any bits except the many kinds of NaN, which are the same in a text.
+        # Any bit pattern, but all patterns of NaN become one NaN: a text does not distinguish them.
         value = float(np.frombuffer(rng.bytes(kind.itemsize), kind)[0])
         return float("nan") if value != value else value
     limits = np.iinfo(kind)

@@ -40,7 +40,7 @@ def write_suite(path: Path, length_s: int = 900, prefix: str = "", *, truth: boo
 
 
 def alert_array(stamp_ns: int) -> object:
-    """Return the alert that a star sensor is out, as the only one."""
+    """Return an alert array with one alert: the star sensor ``star.bow`` is out."""
     stamp = make_header(FACTORY, stamp_ns).stamp
     alert = FACTORY.make(
         "ship_msgs/msg/Alert",

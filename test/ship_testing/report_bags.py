@@ -10,11 +10,17 @@ from ship_testing.hand_made_bags import START_NS, innovation, ship_attitude
 
 SECOND_NS = 1_000_000_000
 SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
-"""Covariance of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
+"""Standard deviations (diagonal, rad) about East, North and Up of a ship that heads North.
+
+They are pitch 2″, roll 3″, heading 4″; the 95 % limits are 3.9″, 5.9″ and 7.8″.
+"""
 
 
 def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
-    """Write attitudes at 10 Hz with 1″ of heading error, a gap between two times; rejections of star.fore at times."""
+    """Write attitudes at 10 Hz with 1″ of heading error, and innovations of star.fore at 1 Hz.
+
+    There are no attitudes between the two times of ``gap_s``; the innovations at the seconds ``rejected`` are rejected.
+    """
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")
         for tick in range(10 * seconds):
@@ -23,7 +29,7 @@ def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
                 bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
             if not gap_s[0] <= tick / 10 < gap_s[1]:
                 estimate = ship_attitude(stamp_ns, ARCSEC, covariance_enu=SIGMA_ENU @ SIGMA_ENU)
-                # Of (heading, pitch, roll), for a level ship that heads North.
+                # Covariance of (heading, pitch, roll) of a level ship that heads North.
                 estimate.covariance = (np.diag([4.0, 2.0, 3.0]) ** 2 * ARCSEC**2).ravel()
                 bag.write("ship/attitude", estimate, stamp_ns)
             if tick % 10 == 0:
@@ -35,7 +41,7 @@ def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
 
 
 def copy_bag(source, writer, prefix=""):
-    """Copy the messages and attachments of a bag into an open bag or folder; its topics get a prefix."""
+    """Copy a bag's attachments, and its messages with a prefix of the topics, to an open writer; close the writer."""
     with read_bag(source) as bag:
         for name, data in bag.attachments.items():
             writer.add_attachment(name, data)

@@ -1,4 +1,4 @@
-"""Separations and levels of independent components: each is a state."""
+"""Solution separations and protection levels of three independent states, which are also the output's components."""
 
 from collections.abc import Sequence
 
@@ -15,14 +15,14 @@ def solution_separations(
     k: SigmaMultipliers,
     subfilter_indices: Sequence[int] | None = None,
 ) -> ProtectionLevels:
-    """Return the separations of estimates without one source from that by all, and the levels.
+    """Return the solution separations of the subfilters from the main filter, and the protection levels.
 
     Args:
-        distance: of three components, shape (h, 3).
-        variance: without each source, shape (h, 3).
-        variance_0: by all sources, shape (3,).
-        k: numbers of sigmas.
-        subfilter_indices: hypotheses to be evaluated; None for all.
+        distance: solution separation of each subfilter in the three states, shape (h, 3).
+        variance: variances of each subfilter, shape (h, 3).
+        variance_0: variances of the main filter, shape (3,).
+        k: sigma multipliers.
+        subfilter_indices: indices of the tested subfilters; None for all.
     """
     subfilters = np.arange(len(distance)) if subfilter_indices is None else np.array(subfilter_indices, dtype=np.intp)
     components, of_all = np.eye(3), np.diag(variance_0)

@@ -32,10 +32,10 @@ class AttitudeError(NamedTuple):
 
     Attributes:
         time_s: after the start.
-        status: of it.
-        sigmas: largest error about North, Up and East, in standard deviations as published.
-        sources: that it rests on.
-        level_ratio: largest error of heading, pitch and roll as a share of its protection level; 0 without a level.
+        status: status of the attitude.
+        sigmas: largest of the errors about North, Up and East, each in its estimated standard deviations.
+        sources: sources that the attitude uses.
+        level_ratio: largest ratio of a heading, pitch or roll error to its protection level; 0 without levels.
         excluded: the sources that are excluded.
         error: angle between the attitude and the true one, rad.
     """
@@ -115,7 +115,7 @@ def round_ins(run: SimulatedRun, digits: int, from_s: float, until_s: float = np
 def delay_ins_stamps(
     run: SimulatedRun, max_delay_s: float, from_s: float, until_s: float = np.inf, seed: int = 1
 ) -> SimulatedRun:
-    """Delay the INS's stamps at random, uniformly from zero."""
+    """Delay the INS's stamps by random times, uniform between 0 and ``max_delay_s``."""
     faulty, rng = _faulty(run, run.ins.time_ns, from_s, until_s), np.random.default_rng(seed)
     late_ns = np.where(faulty, np.round(rng.uniform(0.0, max_delay_s * 1e9, len(faulty))), 0.0).astype(np.int64)
     return replace(run, ins=replace(run.ins, time_ns=run.ins.time_ns + late_ns))

@@ -1,8 +1,8 @@
-"""Simulated session with a theodolite, on arrays without tracks, messages or scenario: sightings for the filter.
+"""Simulated session with a theodolite: sightings for the filter, computed without tracks, messages or scenario.
 
 True values are drawn with the sigmas of the configuration unless given: deformation and ship's error are Gauss–Markov,
-axis errors uniform in size and of either sign. Two lights at 2 km are at (3°, 2°) and (-2°, -3°) from the main axis,
-[W18].
+axis errors uniform in size and of either sign. Two lights at 2 km are at (3°, 2°) and (-2°, -3°) from the axis of the
+calibration telescope, [W18].
 """
 
 from collections.abc import Mapping
@@ -53,7 +53,7 @@ def config(**changes) -> OpticalAxisConfig:
 
 
 def gauss_markov(rng, times_s: FloatArray, sigma: FloatArray, time_s: float) -> FloatArray:
-    """Return a process at increasing times, shape (k, n)."""
+    """Return a Gauss–Markov process at increasing times, shape (k, n); values are independent if ``time_s`` is 0."""
     values = np.empty((len(times_s), len(sigma)))
     value, last_s = sigma * rng.standard_normal(len(sigma)), times_s[0]
     for index, now_s in enumerate(times_s):
@@ -70,10 +70,10 @@ class Session:
     Attributes:
         times_s: shape (k,).
         axes: true axis errors, rad, shape (7,).
-        rotation_nm: true main axis, shape (k, 3, 3).
+        rotation_nm: true rotation to the horizon from the main frame, shape (k, 3, 3).
         sightings: inputs of the filter, one at each time.
-        parallelism: true one of the calibration telescope, rad, shape (3,).
-        focal_length_m: true one of the calibration telescope.
+        parallelism: true parallelism of the calibration telescope, rad, shape (3,).
+        focal_length_m: true focal length of the calibration telescope.
     """
 
     times_s: FloatArray
@@ -108,15 +108,15 @@ def session(
 
     Args:
         settings: configuration, with the sigmas of the errors.
-        seed: of all of them.
+        seed: seed of all errors.
         times_s: of the sightings, shape (k,).
         encoder: true angles of the encoders, rad, shape (k, 2).
-        ship_sigma_n: of the ship's slow error about North, Up and East, rad, shape (3,).
-        motion_scale: of the ship; 0 for none.
-        lens_error_m: of the principal point N', shape (3,), instead of one drawn.
-        beacons_deg: by name, to the right of and above the main axis.
+        ship_sigma_n: standard deviations of the ship's correlated error about North, Up and East, rad, shape (3,).
+        motion_scale: factor of the ship's pitch and roll; 0 for a ship without motion.
+        lens_error_m: error of the configured principal point N', shape (3,); None for a drawn error.
+        beacons_deg: name → angles to the right of and above the axis of the calibration telescope.
         distance_m: of the lights at each time, shape (k,); None for 2 km.
-        focal_length_m: true one of the calibration telescope; None for one drawn.
+        focal_length_m: true focal length of the calibration telescope; None for a drawn value.
     """
     rng = np.random.default_rng(seed)
     names, count = list(beacons_deg), len(times_s)
@@ -143,7 +143,7 @@ def session(
     white = settings.ship.white_sigma_arcsec * ARCSEC
     encoder_sigma = settings.encoder.sigma_arcsec * ARCSEC
 
-    # The INS alone states no covariance: it is configured.
+    # If the ship's attitude comes from the INS, the filter uses the configured covariance.
     stated_n = np.diag(ship_sigma_n**2) if settings.ship.source == "ship/attitude" else None
 
     pitch, roll = (

@@ -2,8 +2,9 @@
 
 Two lights at 2 km are at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis.
 
-Each epoch has four errors. Each axis of each baseline has 2.7 cm, and each light has 2" of refraction. The focal length
-of 100 mm has 0.1 mm, and each image coordinate 0.65 µm, a tenth of a pixel.
+Each epoch has four kinds of random error. Their standard deviations are 2.7 cm for each axis of each baseline and 2"
+for the refraction of each light. They are 0.1 mm for the focal length of 100 mm, and 0.65 µm, a tenth of a pixel, for
+each image coordinate.
 """
 
 from dataclasses import dataclass, replace
@@ -56,7 +57,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Epochs:
-    """Measurements and their truth; ``focal_length_m`` (...) is the true one."""
+    """Measurements and their truth; ``focal_length_m`` is the true focal length, shape (...)."""
 
     truth: Truth
     focal_length_m: FloatArray
@@ -76,7 +77,7 @@ def truth_of(
     rotation_deg: FloatArray | float,
     beacons_deg: FloatArray = BEACONS_DEG,
 ) -> Truth:
-    """Return a telescope with this axis, and lights around it that do not rotate with its image."""
+    """Return the geometry of a telescope with these angles; the lights around its axis do not rotate with the image."""
     azimuth, elevation, rotation = map(np.deg2rad, np.broadcast_arrays(azimuth_deg, elevation_deg, rotation_deg))
     right, up = np.tan(np.deg2rad(beacons_deg)).T
     around = np.stack([np.ones_like(up), up, right], axis=-1)
@@ -104,11 +105,11 @@ def refraction_per_coefficient(truth: Truth) -> FloatArray:
 
 
 def error_free_epochs(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, seed: int = 0) -> Epochs:
-    """Return measurements without errors, for a ship and drones at any attitude."""
+    """Return measurements without errors, for a ship and drones at random attitudes."""
     rng = np.random.default_rng(seed)
     leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
     rotation_nd, rotation_nb = _random_attitudes(rng, leading), _random_attitudes(rng, (*leading, count))
-    # The main axis is taken to look where the telescope does: N' needs no more.
+    # The main frame is assumed to coincide with the telescope's frame; only the vector to N' uses the main frame.
     rotation_dm = np.swapaxes(rotation_nd, -1, -2) @ truth.rotation_nt
     lens_n = rotation_nd @ survey.theodolite_lever.vector_m + truth.rotation_nt @ survey.principal_point.vector_m
     baseline_n = (
@@ -140,15 +141,16 @@ def paper_epochs(
     unsurveyed_lens_m: FloatArray = NONE,
     focal_length_sigma_m: float = FOCAL_LENGTH_SIGMA_M,
 ) -> Epochs:
-    """Return epochs with the paper's errors, drawn for each.
+    """Return epochs with the paper's errors, drawn for each epoch.
 
     Args:
-        truth: with one leading dimension, the epochs.
+        truth: true geometry with one leading dimension, the epochs.
         seed: of the errors.
-        common_refraction: one error of refraction for both lights, which is 2" at the telescope's elevation.
-        baseline_sigma_m: error of each baseline, each axis.
-        unsurveyed_lens_m: error of the survey of N': in the truth, not in the survey of the epochs, main frame.
-        focal_length_sigma_m: error of the focal length, drawn at each epoch.
+        common_refraction: True to draw one refraction error for both lights, 2" at the elevation of the telescope at
+            the first epoch.
+        baseline_sigma_m: standard deviation of each axis of each baseline.
+        unsurveyed_lens_m: true vector to N' minus its vector in the survey of the epochs, main frame.
+        focal_length_sigma_m: standard deviation of the focal length, drawn at each epoch.
     """
     true_lens = replace(SURVEY.principal_point, vector_m=SURVEY.principal_point.vector_m + unsurveyed_lens_m)
     epochs = replace(error_free_epochs(truth, replace(SURVEY, principal_point=true_lens), seed=seed), survey=SURVEY)

@@ -1,7 +1,7 @@
 """A small session for the tests of the adapter: a mount stabilised against the ship's motion, and two lights.
 
 The line of sight drifts over the bow, so that the azimuth encoder wraps from 2 pi to 0 in the middle. All values are
-computed from formulas and one seed: two runs differ only by their messages.
+computed from formulas and one seed, so two runs differ only if their messages differ.
 """
 
 import copy
@@ -122,7 +122,7 @@ def mount_state(t_s: float) -> tuple[float, float, FloatArray]:
 
 
 def drone_attitude(t_s: float) -> FloatArray:
-    """Return horizon from drone: it sways."""
+    """Return horizon from drone; the drone sways in pitch and roll."""
     return rotation_from_angles(*np.deg2rad([100.0, 2.0 * np.sin(1.5 * t_s), 2.0 * np.cos(1.3 * t_s)]))
 
 
@@ -239,7 +239,7 @@ def session(duration_s: float = 6.0) -> tuple[Arrival, ...]:
 
 
 def session_with_ins_only(duration_s: float = 6.0) -> tuple[Arrival, ...]:
-    """Return the same with the ship's attitude from an INS."""
+    """Return the session with ``ins/imu`` messages in place of ``ship/attitude``."""
     zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
 
     def imu_from_ship(ship: Any) -> Any:
@@ -263,7 +263,7 @@ def _noisy_baseline_message(name: str, rng: np.random.Generator, t_s: float, sin
 
 
 def error_in_sigmas(pointing: Any) -> float:
-    """Return the error of the main axis across itself, in sigmas of the published covariance."""
+    """Return the RMS, over two axes, of the error perpendicular to the main axis, in sigmas as published."""
     t_s = (stamp_of(pointing) - START_NS) * 1e-9
     truth_nm = mount_state(t_s)[2]
     estimate_nm = rotation_from_angles(pointing.azimuth, pointing.elevation, pointing.image_rotation)

@@ -1,6 +1,6 @@
 """A small ship for the tests of the adapter: it rolls and pitches, with an INS at 25 Hz and two star sensors at 5 Hz.
 
-All values are computed from formulas and one seed: two runs differ only by their messages.
+All values are computed from formulas and one seed, so two runs differ only if their messages differ.
 """
 
 import functools
@@ -112,7 +112,10 @@ def voyage(duration_s: float = 5.0, heading_deg: float = 34.4) -> tuple[Arrival,
 
 
 def ins_message(since_ns: int, heading_deg: float, white_n: FloatArray) -> Any:
-    """Return a message of the INS: true = exp(a) exp(w) measured, valid at its stamp + tau."""
+    """Return an INS message valid at its stamp + ``_TAU_S``.
+
+    The true attitude is exp(a) exp(w) measured, with the INS error a and the white noise w.
+    """
     t_s = since_ns * 1e-9 + _TAU_S
     before, after = attitude(t_s - 1e-4, heading_deg), attitude(t_s + 1e-4, heading_deg)
     rotation_nd = exp_rotation(-white_n) @ exp_rotation(-_INS_ERROR_N) @ attitude(t_s, heading_deg)
@@ -169,7 +172,7 @@ def run_adapter(adapter: ShipAttitudeAdapter, arrivals: Iterable[Arrival], until
 
 
 def remove_interval(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
-    """Return the arrivals without those of these topics with stamps in [from_s, until_s)."""
+    """Return the arrivals, except the arrivals on these topics with stamps in [from_s, until_s) after the start."""
     from_ns, until_ns = (START_NS + round(s * SECOND_NS) for s in (from_s, until_s))
     return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
 
@@ -199,7 +202,7 @@ def rotation_of(message: Any) -> np.ndarray:
 
 
 def assert_consistent(message: Any, heading_deg: float = 34.4) -> None:
-    """Assert that the attitude is within five of its sigmas of the true one, each axis."""
+    """Assert that the error of the attitude about each axis is below five published sigmas."""
     true_nd = attitude(since_start_s(message), heading_deg)
     error_n = log_rotation(true_nd @ rotation_of(message).T)
     variance_enu = np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))

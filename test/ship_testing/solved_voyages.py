@@ -20,7 +20,7 @@ from ship_testing.adapter_runs import FACTORY
 
 
 def run_with_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:
-    """Return the outcomes of the inputs of ``ship_attitude``, in order, both nodes configured for the scenario."""
+    """Return the outcome of each input of ``ship_attitude``, in order; both nodes are configured for the scenario."""
     return list(outcomes_with_solutions(core_with_solutions(run), run, range(run.ins.time_ns.size)))
 
 

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 Row = tuple[Sequence[slice], Callable[..., np.ndarray]]
-"""Slices of the unknowns of a residual, and the residual by their values, in its sigma."""
+"""Slices of the unknowns that a residual depends on, and the function of their values that returns it in sigmas."""
 
 
 def solve(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
@@ -45,7 +45,7 @@ def solve(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
 
 
 def covariance_of(factors: object, size: int, parts: Sequence[slice]) -> np.ndarray:
-    """Return the covariance of some of the ``size`` unknowns, one after another."""
+    """Return the covariance of the unknowns ``parts``, in their order; ``size`` is the number of all unknowns."""
     places = np.concatenate([np.arange(part.start, part.stop) for part in parts])
     unit = np.zeros((size, len(places)))
     unit[places, np.arange(len(places))] = 1.0

@@ -1,4 +1,4 @@
-"""Changes that make an exposure of single stars unusable, and the reports of adapters about them."""
+"""Changes that make a message or a single star unusable, with the expected reason of rejection and text."""
 
 import functools
 from collections.abc import Callable
@@ -26,7 +26,7 @@ FORE_SOLUTION = "star/fore/solution"
 Change = Callable[[Any], None]
 
 def set_field(path: str, value: Any) -> Change:
-    """Return a function that sets a field, as ``header.frame_id``."""
+    """Return a function that sets a field of a message; a path is, for example, ``header.frame_id``."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:
@@ -91,6 +91,6 @@ REJECTED_STARS = [
         Reason.UNITS,
         "degrees?",
     ),
-    # Achernar, declination -57°: it never rises at 32° north.
+    # Achernar, declination -57°: at 32° north this star hardly rises, and here it is below the horizon.
     ("below the horizon", set_star_fields(3, catalogue_id=7588), Reason.BELOW_HORIZON, "HIP 7588: elevation -"),
 ]

@@ -1,4 +1,4 @@
-"""Random scenes of star sensors aboard, for tests: attitude, stars, all errors drawn, optional false identities."""
+"""Random scenes of star sensors aboard, for tests: attitude, stars and errors are drawn; identities can be false."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 FIELD_RADIUS_DEG = 6.0
-"""Round field: with it the terms are those of models.md §2, which does not give its field."""
+"""Radius of a round field in which the error terms are those of models.md §2; that section states no field."""
 SIGMA = 3.0 * ARCSEC
 INSTALLATION_SIGMA = np.array([20.0, 1.0, 1.0]) * ARCSEC
 UT1_SIGMA_S, POSITION_SIGMA_M, REFRACTION_SIGMA = 0.01, 5.0, 0.01
@@ -19,7 +19,7 @@ SENSORS_DEG = ((0.0, 45.0), (90.0, 45.0))
 
 @dataclass(frozen=True)
 class Scene:
-    """Attributes of SightedStars, the true attitude (horizon from deck), and flags of correct identities."""
+    """Matched stars, the true attitude (horizon from deck), and flags of correct identities."""
 
     stars: MatchedStars
     rotation_nd: FloatArray
@@ -43,7 +43,7 @@ def draw_scene(
         false_stars: stars whose place and identity are drawn independently, uniform in the field.
         swapped_pairs: pairs of further stars of one sensor with each other's identity.
         neighbours: further stars with the identity of a neighbour within 120".
-        heading_deg: of the ship; drawn where None.
+        heading_deg: heading of the ship; None for a drawn heading.
         tilt_deg: largest pitch and roll.
     """
     heading = rng.uniform(0.0, 360.0) if heading_deg is None else heading_deg
@@ -76,7 +76,7 @@ def draw_scene(
     truth_ns = np.array([rotation_nd @ m @ e for m, e in zip(mountings, errors, strict=True)])[sensor]
     apparent_n = np.einsum("kij,kj->ki", truth_ns, named_s)
     shared_n = shared_columns(apparent_n)
-    # What the catalogue chain computes differs from what is seen by the shared errors.
+    # The directions computed from the catalogue are the apparent directions minus the shared errors.
     reference_n = _unit(apparent_n - shared_n @ rng.standard_normal(shared_n.shape[-1]))
     noise = SIGMA * rng.standard_normal(seen_s.shape)
     measured_s = _unit(seen_s + noise)
@@ -93,7 +93,7 @@ def shared_columns(direction_n: FloatArray) -> FloatArray:
     horizontal = np.hypot(direction_n[:, 0], direction_n[:, 2])
     upward = direction_n * (-direction_n[:, 1] / horizontal)[:, None]
     upward[:, 1] = horizontal
-    # 59" at 45 degrees, as the tangent of the zenith distance.
+    # Refraction is 59" at 45 degrees, and proportional to the tangent of the zenith distance.
     bent = REFRACTION_SIGMA * 59.0 * ARCSEC * horizontal / np.maximum(direction_n[:, 1], 0.1)
     turns = np.array(
         [

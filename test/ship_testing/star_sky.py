@@ -88,7 +88,7 @@ def exposure_of(
 
 
 def without_identity(exposure: StarExposure) -> StarExposure:
-    """Return the message of a sensor without a catalogue."""
+    """Return the exposure as a sensor without a catalogue would send it: no HIP numbers and no positions."""
     unknown = np.full(len(exposure), np.nan)
     positions = replace(exposure.positions, right_ascension=unknown, declination=unknown)
     return replace(exposure, hip=np.zeros(len(exposure), dtype=np.int64), positions=positions)

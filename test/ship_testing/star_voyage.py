@@ -56,9 +56,9 @@ EXACT_CAMERA = {
 }
 """The same camera with optics without errors."""
 EXACT_OPTICS = {f"star_sensors__{id_}__camera": EXACT_CAMERA for id_ in ("fore", "starboard")}
-"""Changes of :func:`config` that set it for both sensors."""
+"""Changes of :func:`config` that set :data:`EXACT_CAMERA` for both sensors."""
 SIGMA_PX = 0.04
-"""3.3″."""
+"""Standard deviation of a star's coordinates on the detector, px (3.3″)."""
 
 
 def config(**changes: Any) -> StarAttitudeConfig:
@@ -129,7 +129,7 @@ def bright_stars(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatAr
 
 
 def streak_means(topic: str, since_ns: int, pixels: FloatArray, exposure_s: float) -> FloatArray:
-    """Return means of the pixels of stars over an exposure, by its true motion at two hundred times."""
+    """Return the mean pixels of stars over an exposure, from the sensor's true attitude at two hundred times."""
     directions_s, middle = CAMERA.directions(pixels), true_sensor(topic, since_ns)
     offsets_ns = (exposure_s * 1e9 * ((np.arange(200) + 0.5) / 200 - 0.5)).astype(int)
     turns = [true_sensor(topic, since_ns + ns).T @ middle for ns in offsets_ns.tolist()]
@@ -224,7 +224,7 @@ def without_topics(arrivals: Iterable[Arrival], *topics: str) -> tuple[Arrival, 
 
 
 def run_new_adapter(arrivals: Iterable[Arrival], **changes: Any) -> Run:
-    """Give all arrivals to a new adapter, and continue for half a second."""
+    """Give all arrivals to a new adapter, and continue for one second."""
     taken = tuple(arrivals)
     return run_adapter(new_adapter(**changes), taken, until_ns=taken[-1].receive_ns + SECOND_NS)
 

@@ -1,4 +1,4 @@
-"""Hand-made suite states: a suite with a theodolite, changes of it, and the two faults of the design."""
+"""Hand-made suite states: a suite with a theodolite, its variants, and the two example faults of the design."""
 
 import math
 from collections import deque
@@ -61,7 +61,7 @@ def unsafe_angle(name: str, because_of: str = "") -> AngleState:
 
 
 def angle_over_limit(name: str, because_of: str = "", share: float = 1.5) -> AngleState:
-    """Return an angle above its limit, by this share."""
+    """Return an angle with an accuracy of ``share`` times its limit."""
     limit = LIMITS.angle_limit(name)
     changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_limit_s": 7.0}
     return angle(name, because_of=because_of, **changes)
@@ -104,7 +104,7 @@ def source_out(name: str, reason: str, **changes: Any) -> SourceDetails:
 
 
 def late_input(topic: str, latency_s: float) -> InputState:
-    """Return an input topic whose stamps are this far behind the clock, negative ahead of it."""
+    """Return an input topic whose stamps are ``latency_s`` behind the clock (ahead if ``latency_s`` is negative)."""
     return InputState(topic, 2.0, latency_s, 0.1, 0, 0, {})
 
 
@@ -128,7 +128,7 @@ def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority
 def suite_state(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteState:
     """Return a suite with a theodolite in normal state: five angles SAFE, eight sources IN, no alert.
 
-    The given angles and sources replace those of their names; sources that are OUT are first.
+    The given angles and sources replace those with the same names; sources that are OUT are first.
     """
     angles = {name: angle(name) for name in ANGLES}
     sources = {name: source(name) for name in _AGES}
@@ -168,7 +168,7 @@ SHIFTED_SENSOR_INPUT = InputState(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81
 
 
 def state_with_mounting_shift(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteState:
-    """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
+    """Return a state with a displaced star sensor, the first example fault in the design of page and terminal."""
     text = "WARNING star.starboard rejected"
     well = {
         "alerts": (SHIFTED_SENSOR_ALERT,),
@@ -184,7 +184,10 @@ def state_with_mounting_shift(*changed: AngleState | SourceDetails, **changes: A
 
 
 def state_with_two_faults() -> SuiteState:
-    """Return in addition an encoder without messages for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
+    """Return the state with a displaced star sensor, and an encoder without messages for twelve seconds.
+
+    The state contains angles that are SAFE, CAUTION, UNSAFE and old.
+    """
     angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="no data from encoder")
     encoder = source_out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
     lost_pointing = alert("encoder", "Pointing lost: no data from encoder", NOW_NS - 10 * NS)
@@ -194,7 +197,10 @@ def state_with_two_faults() -> SuiteState:
 
 
 def history(*, is_faulty: bool = False) -> History:
-    """Return ten minutes of states, one a second: CAUTION for half a minute after four, with faults also at the end."""
+    """Return ten minutes of states, one a second: heading, pitch and roll are CAUTION from 212 s to 240 s.
+
+    With ``is_faulty``, heading and roll are CAUTION from 561 s on, and the theodolite's angles UNSAFE from 588 s on.
+    """
     points = deque()
     for second in range(600):
         words = dict.fromkeys(ANGLES, Safety.SAFE)

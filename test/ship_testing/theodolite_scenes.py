@@ -35,7 +35,7 @@ def bag_scenario(duration_s=10.0, **changes):
 
 
 def with_stars_and_targets(scenario):
-    """Return the scenario with the targets and the stars on the mount of theodolite_night.yaml."""
+    """Return the scenario with the targets, the star cameras and the main detector of theodolite_night.yaml."""
     stars = load_scenario(SCENARIOS / "theodolite_night.yaml")
     return dataclasses.replace(
         with_theodolite(scenario, main_detector=stars.theodolite.main_detector),
@@ -45,7 +45,7 @@ def with_stars_and_targets(scenario):
 
 
 def without_errors(scenario):
-    """Return a scenario without errors and with large installation angles; all devices have the same sample times."""
+    """Return a scenario without random errors and with large axis errors; images coincide with other samples."""
     names = ("g", "h", "c", "I", "beta_x", "beta_y", "flexure")
     known = {f"axes__{name}_arcsec": 35.0 - 11.0 * number for number, name in enumerate(names)}
     sigmas = {f"axes__{name}_sigma_arcsec": 0.0 for name in names}

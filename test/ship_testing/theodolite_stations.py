@@ -70,7 +70,7 @@ def direction_message(
 
 
 def buoy_n(since_s: float) -> np.ndarray:
-    """Return a buoy that drifts with 2 m/s, 2 km away: (North, Up, East) from the origin."""
+    """Return the position of a buoy 2 km away that drifts at 2.2 m/s: (North, Up, East) from the origin, m."""
     return np.array([2000.0 + 2.0 * since_s, 3.0, -400.0 + 1.0 * since_s])
 
 
@@ -80,7 +80,7 @@ def theodolite_n(number: int) -> np.ndarray:
 
 
 def buoy_direction(number: int, since_s: float) -> np.ndarray:
-    """Return the true direction (North, Up, East) of the buoy from one of the theodolites."""
+    """Return the apparent direction (North, Up, East) of the buoy from one of the theodolites, raised by refraction."""
     at = station(f"t{number}", theodolite_n(number))
     return seen_direction(
         at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient
@@ -88,7 +88,7 @@ def buoy_direction(number: int, since_s: float) -> np.ndarray:
 
 
 def triangulation_values(count: int) -> dict[str, Any]:
-    """Return the places of the origin and of the theodolites, as nested parameters; places and air are known."""
+    """Return nested parameters with the places of the origin and of the theodolites; places and air have sigma 0."""
     stations = {}
     for number in range(count):
         at = station(f"t{number}", theodolite_n(number))

@@ -6,7 +6,7 @@ import pytest
 
 
 def usage_error(main: Callable[[Sequence[str]], int], capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return the one line on stderr, with its end, of a command that ends with exit code 2 and no other output."""
+    """Assert that a command ends with exit code 2 and one line on stderr only; return the line with its newline."""
     code = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     assert code == 2

@@ -1,4 +1,4 @@
-"""[P15]'s worked example: beta Lyrae from a ship at 32° N, 120° E, and its chain with steps omitted."""
+"""[P15]'s worked example: beta Lyrae from a ship at 32° N, 120° E, and the reduction with steps omitted."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def shift_arcsec(first_n: FloatArray, second_n: FloatArray) -> FloatArray:
 
 
 def without_aberration(orientation: EarthOrientation, diurnal: bool) -> FloatArray:
-    """Return the chain without annual aberration, and optionally without diurnal aberration."""
+    """Return the star's direction without annual aberration, and without diurnal aberration if ``diurnal`` is False."""
     tt, site = tt_julian_date(TIME_NS), SHIP.position
     sky = erfa.apci13(*tt)[0].copy()
     sky["v"], sky["bm1"] = 0.0, 1.0

@@ -32,7 +32,7 @@ def with_wrong_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[s
 
     Args:
         run: simulated with exact focal lengths.
-        sensor_ids: sensors with a wrong focal length; the sigma of all is the default one again.
+        sensor_ids: sensors with a wrong focal length; all sensors get the default sigma of the focal length again.
         scale: relative difference.
     """
     sensors, stars = dict(run.scenario.star_sensors), dict(run.stars)
@@ -48,7 +48,7 @@ def with_wrong_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[s
 
 
 def change_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s: float) -> SimulatedRun:
-    """Return the run with all focal lengths longer by ``scale`` for some time after the first exposure."""
+    """Return the run with all focal lengths longer by ``scale`` in a time span after the first exposure."""
     stars = dict(run.stars)
     for id_, seen in stars.items():
         configured = run.scenario.star_sensors[id_].camera
@@ -68,9 +68,9 @@ class OpticsErrorStatistics:
     Attributes:
         valid_count: VALID attitudes.
         count: all attitudes.
-        last_invalid_s: time after the first stamp of the truth of the last attitude that is not VALID.
-        worst_sigmas: largest error of a VALID one about an axis, in its own standard deviations.
-        worst_over_level: largest error of a VALID one over its protection level.
+        last_invalid_s: time of the last attitude that is not VALID, after the first stamp of the truth.
+        worst_sigmas: largest error of a VALID attitude about an axis, in standard deviations of the attitude.
+        worst_over_level: largest ratio of an error of a VALID attitude to its protection level.
         texts: why measurements were rejected.
     """
 

@@ -1,7 +1,8 @@
 """Cells of the return matrix: the faults of each, and the time from which all inputs are consistent.
 
-Every kind of fault is combined with every topic that can have it, for several durations and with a node that starts
-during it; then overlapping pairs, steps of clocks, and random sequences. The list is the same in every run.
+Every kind of fault is combined with every topic to which it applies, for several durations, and once with nodes that
+start during the fault. Further cells have clock steps, overlapping pairs of faults and random sequences. The list is
+the same in every run.
 """
 
 import itertools
@@ -35,7 +36,7 @@ from ship_simulation.scenario.names import (
 from ship_testing.returns.voyages import VOYAGES, VoyageData
 
 START_S = 40.0
-"""Begin of the faults after the beginning of the voyage, s."""
+"""Start of the first fault after the beginning of the voyage, in all cells but random histories, s."""
 
 DURATIONS_S = (0.4, 4.0, 30.0, 120.0)
 STEPS_S = (0.1, -0.1, 1.0, -1.0, 18.0, -18.0, 300.0, -300.0, 900.0, -900.0)
@@ -63,7 +64,7 @@ _SIZES: dict[str, dict[str, Any]] = {
     "false_stars": {"count": 5},
     "false_lights": {"count": 2},
 }
-"""Kind → its sizes, clearly visible ones; kinds without an entry need none."""
+"""Kind → its sizes, which are clearly visible; :func:`sizes_of` adds ``offset`` and ``corrupt``; others need none."""
 
 _OFFSETS = {
     IMU: 1e-3,
@@ -81,18 +82,18 @@ _OFFSETS = {
     HUMIDITY: 0.3,
     DEFLECTION: 1e-4,
 }
-"""Message type → offset of the field that :data:`FIRST_VALUE` names, in its unit."""
+"""Message type → offset of the field that :data:`FIRST_VALUE` names, in the unit of the field."""
 
 _CORRUPT_VALUE = 0.25
 _COARSE = {"reference/": 30.0, "beacon/": 300.0}
-"""Beginning of a topic → factor of rotations of a device whose attitude is less accurate than that of stars."""
+"""Beginning of a topic → factor on arcsecond sizes, for devices whose attitude is less accurate than that of stars."""
 
 POSITION_FROM_START = "a position that is wrong from the start"
 COMMON_CLOCK_STEP = "one clock of the INS and all stars: two faults that agree"
 IMAGE_MOVED = "an image that drifts on the detector (N′), or is off from the start: it looks like encoders that do so"
 SMALL_SLIP = "an encoder that slips by less than its readings show, until the second exposure after it"
 _SLIP_SEEN_ARCSEC = 50.0
-"""A larger slip is detectable in readings at 10 Hz of a mount that sweeps."""
+"""Encoder slip above which the 10 Hz readings of a sweeping mount show the slip, arcsec."""
 _POSITION_FAULTS = ("offset", "corrupt", "position_off", "units")
 _INS_AND_STARS = "ins and stars"
 
@@ -112,11 +113,11 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class ClockStep:
-    """A step of the time base: all stamps and the computer's clock, from a time on.
+    """A step of the time base: all stamps and the computer's clock are shifted from a time on.
 
     Attributes:
         at_s: time after the beginning of the voyage.
-        step_s: size; all steps up to a time add up.
+        step_s: size; the shift at a time is the sum of all steps until then.
     """
 
     at_s: float
@@ -130,12 +131,12 @@ class Cell:
     Attributes:
         number: place in the list; seed of the random numbers of its faults.
         voyage: name of the voyage.
-        row: of the table: a kind of fault, or a set of cells.
+        row: row of the table: a kind of fault, or a set of cells.
         name: of the cell, for people.
         faults: of the inputs.
         steps: of the time base.
         undetectable_reason: why the faults cannot be detected from the data; empty if they can.
-        node_starts_s: begin of the inputs of the nodes, after the beginning of the voyage.
+        node_starts_s: time after the beginning of the voyage at which the nodes get their first input.
     """
 
     number: int
@@ -149,7 +150,7 @@ class Cell:
 
     @property
     def key(self) -> tuple[int, str]:
-        """Return the key of its result."""
+        """Return the key of the cell's result."""
         return self.number, self.name
 
     @property
@@ -159,7 +160,7 @@ class Cell:
 
     @property
     def consistent_from_s(self) -> float:
-        """Return the time from which all inputs are consistent, s: end of the last fault and its delays."""
+        """Return the time from which all inputs are consistent, s: last end of a fault (with delay) or clock step."""
         ends_s = [fault.end_s + (fault.delay_s if fault.kind in ("delay", "reorder") else 0.0) for fault in self.faults]
         return max(ends_s + [step.at_s for step in self.steps])
 
@@ -195,7 +196,7 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
 
 
 def _undetectable_class(faults: Sequence[Fault], from_start: bool) -> str:
-    """Return the class of undetectable faults of one of the faults; empty if all are detectable."""
+    """Return the class of the first undetectable fault; empty if all faults are detectable."""
     for fault in faults:
         if from_start and fault.topic == FIX_TOPIC and fault.kind in _POSITION_FAULTS:
             return POSITION_FROM_START
@@ -207,7 +208,7 @@ def _undetectable_class(faults: Sequence[Fault], from_start: bool) -> str:
 
 
 def sample_cells(cells: Sequence[Cell], count: int) -> list[Cell]:
-    """Return a seeded sample of cells; a larger one begins with the smaller ones."""
+    """Return a seeded sample of cells; a larger sample begins with the cells of each smaller sample."""
     chosen = random_stream(1, "returns.sample").permutation(len(cells))[:count]
     return [cells[place] for place in chosen.tolist()]
 
@@ -216,7 +217,7 @@ Draft = dict[str, Any]
 
 
 def _kinds(voyages: Mapping[str, VoyageData]) -> Iterator[tuple[str, str, str, dict[str, Any]]]:
-    """Yield voyage, kind, topic and sizes of every fault on every topic that can have it, each topic type once."""
+    """Yield voyage, kind, topic and sizes of every kind of fault on every topic of :func:`_own_topics` that it fits."""
     for voyage, data in voyages.items():
         for topic, kind in itertools.product(_own_topics(voyage, data), KINDS):
             type_name = data.topics[topic]
@@ -228,11 +229,11 @@ _OWN_TOPICS = {
     "tracker": ("star/starboard/", "gnss/", "gravity/"),
     "mount": ("theodolite/night/", "theodolite/target", "gnss/"),
 }
-"""Voyage → beginnings of the topics whose single faults it has; its other topics are those of other voyages."""
+"""Voyage → beginnings of the topics that have single faults; the voyage's other topics have theirs in other voyages."""
 
 
 def _own_topics(voyage: str, data: VoyageData) -> list[str]:
-    """Return the topics whose single faults a voyage has."""
+    """Return the topics of a voyage that have single faults; all topics if the voyage is not in ``_OWN_TOPICS``."""
     return [topic for topic in sorted(data.topics) if topic.startswith(_OWN_TOPICS.get(voyage, ""))]
 
 
@@ -256,7 +257,7 @@ def _node_starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
 
 
 def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
-    """Return cells in which the clock of each device, and of groups, steps and returns."""
+    """Return cells in which the clock of one topic or of a group of topics steps, and later steps back."""
     for voyage, data in voyages.items():
         devices = {topic: (topic,) for topic in _own_topics(voyage, data)}
         for name, beginnings in _GROUPS.items():
@@ -278,7 +279,7 @@ def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
 
 
 _BY_UTC = ("sky", "tracker", "mount")
-"""Voyages whose stars are directions in the sky: after a permanent step they contradict UTC permanently."""
+"""Voyages with star directions in the sky: after a permanent step, the stars contradict UTC permanently."""
 
 
 def _time_bases() -> Iterator[Draft]:

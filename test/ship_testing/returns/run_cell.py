@@ -1,7 +1,7 @@
-"""Run one cell of the return matrix: its messages, created in memory, are given to the nodes in this process.
+"""Run one cell of the return matrix: give its messages, created in memory, to the nodes in a fork of this process.
 
 A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded,
-contradicted or rejected. It also ends at the bound of the return time.
+contradicted or rejected. It also ends 5 s after the bound of the return time.
 """
 
 import copy
@@ -34,10 +34,10 @@ STEADY_S = 15.0
 
 _AFTER_BOUND_S = 5.0
 _AFTER_JUMP_S = 30.0
-"""Bound of ``star_attitude`` after a wrong position, s."""
+"""Bound of the return time of ``star/joint/solution`` in a cell with a fault on ``gnss/fix``, s."""
 
 _LONGEST_GAP_NS = 3 * NS_PER_S // 2
-"""Longer without a message, an output is not VALID, ns."""
+"""Longest gap between the messages of an output that still counts as VALID, ns."""
 
 _VALID, _UNAVAILABLE = 0, 2
 _WARN = 1
@@ -83,7 +83,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
     try:
         result |= _evaluate(cell, run)
     except Exception:
-        # A defect of the software is what is looked for; the other cells go on.
+        # The matrix looks for such defects of the software: the result records them, and the other cells go on.
         result |= {"exception": traceback.format_exc(limit=-4), "returned": False}
     return result | {"cpu_s": round(time.process_time() - start_cpu_s, 2)}
 
@@ -119,7 +119,7 @@ class ReturnSink(VoyageSink):
             self.states[topic] = int(message.state)
             self.excluded[topic] = list(message.excluded)
         elif topic == DIAGNOSTICS_TOPIC:
-            # A report holds all that its node has to report; what it no longer contains is over.
+            # A message contains all statuses of its nodes; a status that is missing now has ended.
             nodes = {status.name.partition(":")[0] for status in message.status}
             self.texts = {name: text for name, text in self.texts.items() if name.partition(":")[0] not in nodes}
             for status in message.status:
@@ -128,7 +128,10 @@ class ReturnSink(VoyageSink):
                     self.texts[status.name] = status.message
 
     def is_recovered(self, since_ns: int, now_ns: int) -> bool:
-        """True if all outputs have been VALID since a time, and no source is excluded, contradicted or refused."""
+        """True if all outputs have been VALID since a time, and no source is excluded, contradicted or rejected.
+
+        No integrity state may be UNAVAILABLE.
+        """
         return (
             all(
                 valid_since_ns is not None
@@ -195,11 +198,11 @@ def _bound_s(cell: Cell, topic: str) -> float:
 
 
 class _Run:
-    """The nodes of a voyage with their messages, and the ticks between them by the computer's clock.
+    """The nodes of a voyage; they process messages, and ticks at fixed times between the messages.
 
     Attributes:
         data: the voyage.
-        sink: records their outputs.
+        sink: records the outputs of the nodes.
         steps: (time, size) of the steps of the time base, ns.
         next_ns: messages that arrive before it have been processed.
     """
@@ -234,7 +237,7 @@ class _Run:
                 self._publish(adapter.handle(message.topic, content, log_ns + self._offset_ns, log_ns), log_ns)
 
     def _set_clock(self, time_ns: int) -> None:
-        """Set the computer's clock if it steps by a time."""
+        """Step the computer's clock if its offset at ``time_ns`` differs from the present offset."""
         offset_ns = self._clock_offset_ns(time_ns)
         if offset_ns != self._offset_ns:
             step_ns, self._offset_ns = offset_ns - self._offset_ns, offset_ns
@@ -253,7 +256,7 @@ class _Run:
 
 @functools.lru_cache(maxsize=len(VOYAGES))
 def _prepared_run(path: Path) -> _Run:
-    """Return the nodes of a voyage after the time before the faults; use them only in a copy of this process."""
+    """Return the nodes of a voyage, run until ``START_S``; use them only in a forked copy of this process."""
     run = _Run(load_voyage(path))
     run.next_ns = run.data.time_ns(START_S)
     for message in run.data.messages:

@@ -1,4 +1,4 @@
-"""Table of the return matrix, one row per kind of fault and group of topics, and a line for each cell that failed."""
+"""Table of the return matrix, one row per kind of fault or set of cells, and a line for each cell that failed."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ def _has_error_beyond_level(result: Result) -> bool:
 
 
 def failed_results(results: Sequence[Result]) -> list[Result]:
-    """Return the cells that did not return, were VALID beyond a level, or failed in the software."""
+    """Return the results in which an output did not return or was VALID beyond its level, or the software failed."""
     return [one for one in results if not one["returned"] or exceeds_level(one) or one.get("failures")]
 
 
@@ -68,7 +68,7 @@ def _row(name: str, group: Sequence[Result]) -> Row:
 
 
 def unseen_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line for each class of undetectable faults, with the cells that were VALID beyond a level."""
+    """Return a line for each class of undetectable faults: its cells, and how many were VALID beyond a level."""
     by_class: dict[str, list[Result]] = defaultdict(list)
     for result in results:
         if result["unseen"]:

@@ -61,7 +61,7 @@ def _sky() -> Scenario:
 
 
 def _tracker() -> Scenario:
-    """Return a sensor with attitudes in the sky and one with attitudes in the horizon; deflection is an input."""
+    """Return a ship with a star sensor for inertial and one for horizon attitudes; the deflection is an input."""
     ship = _ship("paper")
     stars = ship.star_sensors
     gravity = replace(ship.gravity, told="topic", rate_hz=_SLOW_HZ, xi_arcsec=5.0, eta_arcsec=-3.0)
@@ -76,7 +76,7 @@ def _theodolite() -> Scenario:
 
 
 def _mount() -> Scenario:
-    """Return the same with a camera for stars on the theodolite, and a target."""
+    """Return a theodolite as in :func:`_theodolite`, with a star camera on its mount and a target."""
     whole = load_scenario(SCENARIOS / "theodolite_night.yaml")
     parts = _pointing(whole)
     main = replace(whole.theodolite.main_detector, rate_hz=_SLOW_HZ)
@@ -133,8 +133,8 @@ class Message:
     """A message of a bag, decoded; it must not be changed.
 
     Attributes:
-        topic: of it.
-        content: the message.
+        topic: topic of the message.
+        content: the decoded message.
         stamp_ns: its stamp.
         log_ns: time of its arrival.
         order: its place in the bag.
