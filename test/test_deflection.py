@@ -206,12 +206,11 @@ def test_fixes_in_another_order_end_in_the_same() -> None:
     ends = []
     for late_s in (0.0, 1.5):
         core = core_of(scenario)
-        fixes = replace(run.fixes, time_ns=run.fixes.time_ns)
         delayed = [
             (time_ns + (round(late_s * 1e9) if source == "fix" else 0), source, index)
             for time_ns, source, index in run.arrivals()
         ]
-        changed = _RearrangedRun(replace(run, fixes=fixes), sorted(delayed, key=lambda one: one[0]))
+        changed = _RearrangedRun(run, sorted(delayed, key=lambda one: one[0]))
         for _ in attitude_outcomes(core, changed, ()):
             pass
         ends.append(core.state)

@@ -63,11 +63,12 @@ class AttitudeErrors(NamedTuple):
     def worst_in_sigmas(self, from_s: float = 0.0, until_s: float = np.inf) -> float:
         """Return the largest error in standard deviations while VALID."""
         valid = [claim.sigmas for claim in self._errors_between(from_s, until_s) if claim.status is Status.VALID]
-        return max(valid, default=0.0)
+        return float(np.max(valid, initial=0.0))  # NaN if one is NaN
 
     def worst_level_ratio(self) -> float:
         """Return the largest ratio of an error to its protection level while VALID."""
-        return max((claim.level_ratio for claim in self.attitudes if claim.status is Status.VALID), default=0.0)
+        valid = [claim.level_ratio for claim in self.attitudes if claim.status is Status.VALID]
+        return float(np.max(valid, initial=0.0))  # NaN if one is NaN
 
     def excluded_sources(self) -> set[str]:
         """Return all sources that were excluded at some time."""

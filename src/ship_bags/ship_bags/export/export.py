@@ -152,7 +152,7 @@ def _take_messages(bag: Bag, order: ExportRequest, topics: dict[str, _Topic]) ->
     if not met:
         what = "no message of these topics" if order.topics else "no message"
         raise BadInput(f"{what} was logged between --from and --to: the bag {_time_range_text(bag)}", file=order.bag)
-    nothing = "no message was logged between --from and --to, so no file is written, of"
+    nothing = "no message was logged between --from and --to, so no file is written for"
     left_out = [f"{nothing} {', '.join(empty)}"] if empty else []
     return [name for name in topics if name in met], [*undecoded, *left_out]
 
