@@ -187,7 +187,8 @@ def test_a_clock_that_is_ahead_or_behind_is_reported(import_logs, offset_s):
     _, printed = import_logs(ins=text)
     side = "ahead of" if offset_s > 0.0 else "behind"
     assert f"its clock is {abs(offset_s):.3g} s {side} the receive times" in printed
-    assert ("GPS time for UTC" in printed) == (abs(offset_s) == 18.0)
+    assert ("(GPS time instead of UTC)" in printed) == (offset_s == 18.0)
+    assert ("(leap seconds subtracted twice)" in printed) == (offset_s == -18.0)
     assert "use --time receive" in printed
 
 

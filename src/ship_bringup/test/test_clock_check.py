@@ -144,7 +144,7 @@ def test_chrony_before_ptp_and_failure_without_answer(tmp_path, monkeypatch):
     assert row.advice.startswith("set up chrony")
     program(tmp_path, "chronyc", "506 Cannot talk to daemon\n", 1)
     row = check_clock(read_clock_state(), Limits())
-    found = "no program synchronises the clock: chronyc reports: 506 Cannot talk to daemon, no pmc"
+    found = "no answer about the clock: chronyc reports: 506 Cannot talk to daemon, no pmc"
     assert (row.result, row.finding) == (Result.FAIL, found)
     program(tmp_path, "pmc", PTP)
     assert read_clock_state().source == "PTP"

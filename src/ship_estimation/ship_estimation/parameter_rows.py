@@ -6,7 +6,7 @@ from ship_estimation.parameters import ParameterDescription, describe
 
 _WIDTH = 120
 _WIDEST = 24
-"""Maximum width of a column other than the first; a wider cell does not widen the column."""
+"""Maximum width of a column between the first and the last; a wider cell does not widen the column."""
 _BELOW = " " * 6
 
 

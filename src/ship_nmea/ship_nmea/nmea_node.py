@@ -105,7 +105,7 @@ class NmeaNode:
 
     Raises:
         BadInput: a parameter is unknown, of the wrong type, out of its range or missing, or the work cannot start with
-            its value. The error text contains file and line.
+            its value. The error text contains file and line if a parameter file gives the parameter.
     """
 
     def __init__(

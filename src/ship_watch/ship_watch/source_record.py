@@ -23,7 +23,7 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
 """Reason of a rejection → kind of the rejected source → the sources that may cause the rejection."""
 
 _SELF_REPORTED = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
-"""Pairs of reason and source with which the device itself reports that it has no value."""
+"""Pairs of reason and source for which the rejected message itself states that it has no value."""
 
 _CORRECTIONS = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
 """Reason of an accepted measurement → text of the correction that was made in it."""
@@ -54,7 +54,7 @@ class SourceRecord:
         name: name of the source.
         first_word: kind of the source, the first part of its name: "star" for all star sensors.
         period_ns: usual time between messages of the source, ns; NaN if unknown.
-        used: largest number of messages of the source that one node has used so far.
+        used: largest number of messages of one topic of the source that one node has used so far.
         topics: topic → reports on it, in the order of the topics' names.
         decisions: (innovation topic, name in it) → measurement decisions.
         used_at_rejection: (innovation topic, name in it) → value of ``used`` at the last rejection.
@@ -163,7 +163,7 @@ class SourceRecord:
             if history.is_out and fault.reason == _rejection_text(self.name, key[1], history)
         }
         if fault.reason == _NO_USABLE_DATA.get(self.first_word):
-            reasons = {Reason.GAP}  # measurements that wait for another source are rejected only after a long wait
+            reasons = {Reason.GAP}  # assumed: waiting measurements are rejected with GAP only much later
         needed = [name for reason in reasons for name in _NEEDS.get(reason, {}).get(self.first_word, ())]
         cause = next((name for name in needed if name in faulty_names), "")
         if not cause and self.last_cause in needed:
@@ -172,7 +172,7 @@ class SourceRecord:
         return replace(fault, reason=f"needs {cause}", because_of=cause) if cause else fault
 
     def source_state(self, fault: SourceFault | None, now_ns: int) -> SourceState:
-        """Return the state of the source: OUT with a fault, IN without a fault, OFF if nothing was ever received."""
+        """Return the state of the source: OUT with a fault, OFF before any message or decision, else IN."""
         if fault is None:
             if not self.decisions and all(topic.arrived_ns is None for topic in self.topics.values()):
                 return unconfigured_source(self.name)

@@ -59,10 +59,10 @@ class AttitudeMeasurement:
     covariance_known: bool = True
     shared_n: FloatArray | None = None
     shared_by: str = SHARED_BY_SKY
-    reach_ns = 0  # an attitude is valid at its stamp
+    reach_ns = 0  # no motion data before or after the stamp are needed
 
     def content(self) -> bytes:
-        """Return all values as bytes, to recognise a repeated message and to sort conflicting messages."""
+        """Return rotation and covariances as bytes, to recognise repeated and to sort conflicting messages."""
         shared = b"" if self.shared_n is None else self.shared_n.tobytes()
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes() + shared
 

@@ -2,8 +2,9 @@
 
 A trial is a possible attitude. It is computed from a pair of stars whose measured angle fits the sky. If an attitude is
 known beforehand (the prior), each trial is the prior corrected by a single star. All stars with
-Mahalanobis² < 16 are members of the trial. The worst member is dropped while the probability of the members is below
-1e-3. A trial is accepted if the probability of its members is above 1e-6 and it has more members than any rival.
+Mahalanobis² < 16 are members of the trial. While the probability of the members is below 1e-3, the worst member is
+dropped. The last members (three without a prior, one with a prior) need only a probability above 1e-6. A trial is
+accepted only if it has more members than any rival.
 Without a prior at least three stars are needed to verify one another, because two stars with swapped identities are
 always consistent.
 """
@@ -101,9 +102,10 @@ class StarSelection:
 
     Attributes:
         members: True for each selected star, shape (k,); all False if no set is consistent and larger than its rivals,
-            or if too many false sets are expected.
+            or if too many sets of wrong stars are expected to fit the prior.
         attitude_fit: attitude from the selected stars; None if the selection did not compute it.
-        false_matches: expected number of false sets if it exceeds MAX_FALSE_MATCHES; else None.
+        false_matches: expected number of sets of wrong stars that fit the prior by chance if it exceeds
+            MAX_FALSE_MATCHES; else None.
     """
 
     members: BoolArray

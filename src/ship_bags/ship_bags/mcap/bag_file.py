@@ -54,7 +54,7 @@ _BLOCK_BYTES = 1 << 20
 
 @dataclass
 class McapFile(BagFile):
-    """MCAP file, read by its records."""
+    """MCAP file whose records this package reads itself."""
 
     data: RecordFile = field(kw_only=True)
 
@@ -202,7 +202,7 @@ def _summary(file: McapFile) -> _Summary | None:
 
 
 def _summary_start(file: McapFile) -> int | None:
-    """Return the offset of the summary; None unless the opened file ended in a footer with the right checksum.
+    """Return the offset of the summary; None unless the file ends in a footer whose checksum is right or not given.
 
     Offsets are counted from the start of the file, because its end moves while the file is being written.
     """

@@ -127,7 +127,7 @@ class BagWriter:
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
     ) -> None:
-        """Add a topic before its first message; needed only if it is latched or may stay empty.
+        """Add a topic before its first message; needed only if it is latched, may stay empty, or has another QoS.
 
         Args:
             topic: name of the topic.
@@ -242,7 +242,8 @@ class BagWriter:
                 self._sync.finish()
                 os.fsync(self._file.fileno())
                 if self._written_path != self.path:
-                    # The file is renamed before it is closed, because until then other programs cannot write it.
+                    # The file is renamed before it is closed. Closing ends its lock; another program could then remove
+                    # the .part file.
                     self._written_path.replace(self.path)
                 self._file.close()
         except BaseException:

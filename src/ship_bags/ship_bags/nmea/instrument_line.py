@@ -1,6 +1,6 @@
 """Line of an instrument with its receive time, counts of lines, and correction of the instrument's time.
 
-No line is dropped silently: unused, unparsed and failed lines are counted.
+No line is dropped silently: unused and rejected lines are counted.
 """
 
 from collections import Counter
@@ -21,10 +21,12 @@ _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
 _AHEAD_NS = NS_PER_S // 20
 """Time ahead of the receive time above which an instrument's clock is reported, ns; estimators reject such stamps."""
 _BEHIND_NS = 5 * NS_PER_S
-"""Time behind the receive time above which an instrument's clock is reported, ns; slow lines and computers delay less.
+"""Time behind the receive time above which an instrument's clock is reported, ns.
+
+A slow serial line or computer delays a sentence by less.
 """
 _GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
-"""GPS time minus UTC since 2017, and the tolerance of an offset that equals it, ns."""
+"""GPS time minus UTC since 2017, and the tolerance within which an offset counts as equal to it, ns."""
 _DAY = timedelta(days=1)
 _DAY_NS = 86_400 * NS_PER_S
 
@@ -126,8 +128,9 @@ def clock_problem(delay_ns: int, other_clock: str) -> str:
     if -_AHEAD_NS <= delay_ns <= _BEHIND_NS:
         return ""
     side = "ahead of" if delay_ns < 0 else "behind"
-    is_gps = abs(abs(delay_ns) - _GPS_AHEAD_NS) <= _SAME_NS
-    cause = " (GPS time for UTC, or leap seconds subtracted twice)" if is_gps else ""
+    cause = ""
+    if abs(abs(delay_ns) - _GPS_AHEAD_NS) <= _SAME_NS:
+        cause = " (GPS time instead of UTC)" if delay_ns < 0 else " (leap seconds subtracted twice)"
     return f"its clock is {abs(delay_ns) / NS_PER_S:.3g} s {side} {other_clock}{cause}"
 
 

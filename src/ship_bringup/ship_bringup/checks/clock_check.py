@@ -95,12 +95,12 @@ def ptp_state(text: str) -> ClockState | None:
 def check_clock(state: ClockState, limits: Limits) -> CheckLine:
     """Check the clock against the ship's limits: FAIL above the clock's limit, WARN above the heading's limit.
 
-    A clock that is not synchronised, or a program without a usable answer, is a FAIL. A computer without chrony and PTP
-    is a WARN.
+    A clock that is not synchronised, or installed programs without a usable answer, are a FAIL. A computer without
+    chrony and PTP is a WARN.
     """
     if state.is_unresponsive:
-        found = f"no program synchronises the clock: {state.detail}"
-        return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")
+        found = f"no answer about the clock: {state.detail}"
+        return CheckLine(_CHECK, Result.FAIL, found, "start chrony, or ptp4l and phc2sys: systemctl status chrony")
     if not state.source:
         return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _ADVICE)
     if not state.is_synchronised:

@@ -39,7 +39,9 @@ _CLOSE_TIMEOUT_S = 1.0
 
 
 class Viewers:
-    """All connected viewers and all offered channels. Other threads may only read the attributes.
+    """All connected viewers and all offered channels.
+
+    Other threads may only read the attributes, and take entries from ``new_subscriptions``.
 
     Attributes:
         channels: number of a channel → offered channel.
@@ -141,7 +143,7 @@ class FoxgloveServer:
         name: name of the suite, which clients display.
         host: address to listen on; loopback serves this machine only.
         port: TCP port; 0 for a free port.
-        allowed_hosts: further host names that requests and web pages may have.
+        allowed_hosts: further host names accepted in the Host of a request and in the Origin of a web page.
 
     Raises:
         BadInput: the port is in use, or the address does not belong to this machine.

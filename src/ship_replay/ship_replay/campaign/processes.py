@@ -1,6 +1,6 @@
 """Run of items on this machine, each in a new process: if a process is killed, only its item is repeated.
 
-A process pool of the standard library fails completely if one of its processes is killed.
+``ProcessPoolExecutor`` fails completely if one of its processes is killed.
 """
 
 import json
@@ -93,7 +93,7 @@ class _Worker:
         """Wait for the result, remove the folder, and return the result; None if the process died before sending it."""
         try:
             result_or_none: Result | None = json.loads(self.connection.recv_bytes())
-        except EOFError:
+        except (EOFError, OSError):  # OSError: the process was killed while it sent the result
             result_or_none = None
         self._process.join()
         self._clean_up()

@@ -1,9 +1,9 @@
 """The two models of an INS's error as processes with parameters, and the corresponding suite parameters.
 
-A fit uses logarithms of the quantities that a record determines best. For a Gauss-Markov process this quantity is
-2 sigma² / time, the noise variance per second: even a record much shorter than the time determines it. To determine
-sigma and time separately, many correlation times are needed. For the Schuler process these quantities are the noise of
-the sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
+A fit searches logarithms of parameters, which are chosen so that a record determines them well. A Gauss-Markov process
+has 2 sigma² / correlation time, the noise variance per second: even a record much shorter than the correlation time
+determines it. To determine sigma and time separately, many correlation times are needed. For the Schuler process these
+quantities are the noise of the sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
 damping are taken from the configuration.
 """
 
@@ -127,7 +127,7 @@ class GaussMarkovModel:
 
 
 class SchulerModel:
-    """Schuler oscillation with fitted errors of gyroscopes and accelerometers; the process is that of the filter.
+    """Schuler oscillation with fitted errors of gyroscopes and accelerometers; the equations are those of the filter.
 
     Args:
         ins: configuration with the start values of the search and the values that are not fitted.
@@ -200,7 +200,7 @@ class SchulerModel:
 
     @cached_property
     def _scale(self) -> FloatArray:
-        """Units of the states: effect of an arcsecond of tilt on each state over about one oscillation."""
+        """Units of the states: size of each state that causes about one arcsecond of tilt."""
         return np.array([ARCSEC] * 3 + [0.04] * 2 + [ARCSEC] + [1e-3 * ARCSEC] * 3 + [10.0 * ARCSEC] * 2)
 
     def _discrete_process(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:

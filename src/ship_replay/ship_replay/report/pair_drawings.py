@@ -113,7 +113,7 @@ class _Series:
 
 
 def sides_svg(pair: Pair) -> str:
-    """Return the figure of the errors (without truth, innovations) with their ±3σ: A on the left, B on the right.
+    """Return the figure of the errors, or without truth of the innovations, with their ±3σ: A left, B right.
 
     Both sides of a row have the same scale. The text is empty if there are neither errors nor innovations.
     """

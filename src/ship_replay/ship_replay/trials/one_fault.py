@@ -1,4 +1,4 @@
-"""Detailed report on one fault: outputs over time, named sources, and errors."""
+"""Detailed report on one fault: errors and statuses over time, and the sources that nodes reported."""
 
 from collections.abc import Iterator
 from itertools import groupby
