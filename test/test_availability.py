@@ -225,7 +225,7 @@ def test_the_whole_table_agrees_with_the_small_part() -> None:
 
 
 def test_the_pages_valid_attitudes_are_consistent() -> None:
-    """In each case, about one in a thousand is beyond the covariance, and the mean NEES is in its 99.9 % band."""
+    """About one in a thousand is beyond the covariance in each case, and the mean NEES is in its 99.9 % band."""
     _, _, *rows = [[one.strip() for one in row.strip("|").split("|")] for row in table_of("consistency").splitlines()]
     assert len(rows) == 2 * len(trials.COUNTS) - 1  # without the INS, one star in each sensor is not VALID
     for _, _, valid, beyond, nees in rows:

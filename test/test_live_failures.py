@@ -19,7 +19,7 @@ def stay_on_this_machine(monkeypatch):
 
 
 def test_live_tests_run_on_a_separate_worker(request):
-    """If xdist did not know the group of the live tests, their nodes would run at the same time, and sometimes fail."""
+    """If xdist ignored the group of the live tests, their nodes would run at the same time, and sometimes fail."""
     if not hasattr(request.config, "workerinput"):
         pytest.skip("all tests run one after another here: no xdist")
     assert request.node.nodeid.rpartition("@")[2] == "live"

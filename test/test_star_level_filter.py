@@ -177,7 +177,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
 
 @pytest.mark.statistics
 def test_errors_of_long_streaks_fit_their_covariance() -> None:
-    """With a rate from two noisy samples, the roll RMS was 1.19 sigma and the NEES 3.54."""
+    """A rate from two noisy samples gave a roll RMS of 1.19 sigma and an NEES of 3.54."""
     scenario = large_roll_scenario(100.0)
     results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
     ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))

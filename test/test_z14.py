@@ -51,9 +51,9 @@ def test_there_are_as_many_conclusions_as_in_the_paper():
 @pytest.mark.parametrize("reading", InstallationConvention)
 @pytest.mark.parametrize(("figure", "turn_back_arcsec"), [(3, 1e-9), (6, 8.0)])
 def test_roll_does_not_grow_with_elevation_as_in_the_abstracts(reading, figure, turn_back_arcsec):
-    """By both abstracts, roll grows abeam.
+    """Both abstracts state that roll grows abeam.
 
-    Along the keel, roll grows by the English, heading by the Chinese abstract.
+    The English abstract states that roll, the Chinese that heading grows along the keel.
     """
     for azimuth_deg in (*AHEAD_ASTERN, *ABEAM):
         roll = curve_arcsec(figure, azimuth_deg, reading)[:, ROLL]

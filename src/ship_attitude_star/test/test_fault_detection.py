@@ -265,7 +265,7 @@ def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glit
 
 @pytest.mark.slow
 def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_time_the_second_time() -> None:
-    """In two of 24 other voyages one of 4800 VALID attitudes is beyond five sigmas, at most at 5.05."""
+    """One of 4800 VALID attitudes is beyond five sigmas, at most at 5.05, in two of 24 other voyages."""
     drift = InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
     assert [names for _, names in sailed.excluded] == [(), ("star.port",), (), ("star.port",), ()]

@@ -123,7 +123,7 @@ def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
 
 @pytest.mark.parametrize("zero_rates", [False, True])
 def test_one_wrong_sample_is_rejected_and_changes_nothing(zero_rates: bool) -> None:
-    """With ``orientation.w`` negated the quaternion has unit norm, but is more than 90° from the ship's attitude."""
+    """A quaternion with ``orientation.w`` negated has unit norm, but is more than 90° from the ship's attitude."""
     arrivals = change_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
     run = run_adapter(new_adapter(), replace_message(arrivals, index, negate_w))

@@ -26,7 +26,7 @@ def drawn_stars(optics: Optics, count: int, rng: np.random.Generator) -> FloatAr
 
 
 def test_with_many_stars_liebe_equals_the_covariance_except_for_the_mean_distance() -> None:
-    """In a uniform square the distance from the middle is 0.3826 sides in the mean and 1/√6 sides RMS."""
+    """The distance from the middle of a uniform square is 0.3826 sides in the mean and 1/√6 sides RMS."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(1)
     ours = np.mean([attitude_sigmas(drawn_stars(optics, 400, rng), optics.star_sigma()) for _ in range(50)], axis=0)

@@ -254,7 +254,7 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
 
 
 def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
-    """With ``integrity.return_after_s`` of an hour, stars are not reinstated, but a second estimator is adopted."""
+    """Stars are not reinstated, since ``integrity.return_after_s`` is an hour, but a second estimator is adopted."""
     arrivals = turn_star_messages(voyage(145.0), UP, FAULTY_S, 70.0)
     run = run_voyage(arrivals, faulty_s=np.inf, integrity__return_after_s=3600.0)
     assert statuses(run, FAULTY_S + 2.0, 130.0) == {Status.DEGRADED}

@@ -184,7 +184,7 @@ def test_an_unreachable_requirement_has_no_error_size() -> None:
 
 @pytest.mark.slow
 def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
-    """With one sensor ahead, refraction causes a pitch error: the size at 45 degrees times cot E."""
+    """Refraction with one sensor ahead causes a pitch error: the size at 45 degrees times cot E."""
     one = {"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 45.0}}, "common": {"refraction_sigma_arcsec": 0.6}}
     # Only the direction ahead is clear; all other azimuths are masked.
     wall = {"azimuths_deg": [12.0, 348.0, 348.0, 12.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}

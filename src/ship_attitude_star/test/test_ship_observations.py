@@ -175,7 +175,7 @@ def test_a_camera_is_needed() -> None:
 
 
 def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
-    """Of several possible inputs of a sensor, only the configured one is subscribed to."""
+    """Only the configured input of a sensor is subscribed to, of several that are possible."""
     topics = {entry.topic for entry in ShipAttitudeAdapter(config(), FACTORY).inputs}
     assert FORE in topics
     assert not {"star/fore/solution", "star/fore/horizon_attitude", "star/fore/inertial_attitude"} & topics
@@ -223,7 +223,7 @@ EXACT_SENSOR = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward",
 
 
 def test_an_exact_prior_can_be_compared_with_stars(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With all sigmas of INS and mounting at 0 the predicted attitude has zero covariance and still selects stars."""
+    """The predicted attitude has zero covariance and still selects stars: all sigmas of INS and mounting are 0."""
     monkeypatch.setattr("ship_testing.small_voyage._INS_ERROR_N", np.zeros(3))
     monkeypatch.setattr("ship_testing.small_voyage._TAU_S", 0.0)
     exact = [

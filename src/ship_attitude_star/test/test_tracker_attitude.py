@@ -126,7 +126,7 @@ def test_with_more_stars_the_covariance_is_conservative(sky_model, sky) -> None:
 
 
 def test_uncorrected_aberration_is_corrected_once(sky_model, sky) -> None:
-    """With very many stars, only the lift by refraction and the shift by aberration at the boresight remain."""
+    """Only the lift by refraction and the shift by aberration at the boresight remain with very many stars."""
     seen_n, natural_c, proper_c = sky
     off = {}
     for removed, catalogue_c in ((True, proper_c), (False, natural_c)):

@@ -110,7 +110,7 @@ def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
 @pytest.mark.statistics
 @pytest.mark.parametrize("waves", [0.2, 1.0, 3.0])
 def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
-    """With a single linearisation the mean NEES was 20.7 where 4 is expected, the worst 377."""
+    """A single linearisation gave a mean NEES of 20.7 where 4 is expected, the worst 377."""
     runs = [voyage(seed, waves=waves) for seed in range(SEEDS)]
     ends = [run_core(run) for run in runs]
     low, high = mean_nees_band(SEEDS, 4)
@@ -122,7 +122,7 @@ def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_s", [-0.6, -0.38, 0.36, 0.40, 0.6])
 def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> None:
-    """With a single linearisation, offsets of 0.36 to 0.40 s ended 10 to 15 sigmas off; 95 % was rejected."""
+    """A single linearisation let offsets of 0.36 to 0.40 s end 10 to 15 sigmas off; 95 % was rejected."""
     for seed in range(4):
         run = voyage(seed, offset_s)
         core, rejected = run_core(run)

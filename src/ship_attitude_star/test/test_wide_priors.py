@@ -1,4 +1,4 @@
-"""With priors from a minute of arc to half a turn, single stars and star solutions lead to the same attitude.
+"""Single stars and star solutions lead to the same attitude, with priors from a minute of arc to half a turn.
 
 Truth is drawn from the filter's prior: error of the INS, its white noise, mounting, and the errors common to all stars.
 """

@@ -57,7 +57,7 @@ def test_flushed_messages_can_be_read_while_the_bag_is_still_open(tmp_path):
 
 @pytest.mark.parametrize("seed", range(30))
 def test_a_flipped_bit_in_an_unflushed_bag_loses_one_second(tmp_path, seed):
-    """By their size, all ten seconds of the bag would fit into one chunk."""
+    """All ten seconds of the bag would fit into one chunk by their size."""
     data = bytearray(write_imu_bag(tmp_path / "voyage.mcap", count=1000).read_bytes())
     draw = random.Random(seed)
     data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)

@@ -72,7 +72,7 @@ def test_filter_is_batch_least_squares() -> None:
 
 
 def test_constant_measured_often_is_the_weighted_mean() -> None:
-    """With a negligible prior, the filter equals numpy's least squares and the inverse normal matrix."""
+    """The filter with a negligible prior equals numpy's least squares and the inverse normal matrix."""
     rng = np.random.default_rng(3)
     design, true = rng.standard_normal((50, 3)), np.array([1.0, -2.0, 0.5])
     sigmas = rng.uniform(0.5, 2.0, 50)

@@ -256,7 +256,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
-    """With a base rotation error of 20″ common to the rows, the saved tilt has a sigma of 20″; without it, below 3″."""
+    """The saved tilt has a sigma of 20″ if the rows share a base rotation error of 20″, and below 3″ without it."""
     rows = table_rows()
     header = f"{HEADER},time_s,group,group_sigma_arcsec"
     lines = [

@@ -71,7 +71,7 @@ def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
 
 
 def test_separations_have_the_covariance_that_is_stated() -> None:
-    """With one sample a seed, the mean of the normalised squares is within the 99.9 % band of chi-square."""
+    """The mean of the normalised squares, one sample a seed, is within the 99.9 % band of chi-square."""
     values = []
     for seed in range(200):
         state, sighting = remembered_state(seed)

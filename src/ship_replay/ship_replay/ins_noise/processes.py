@@ -3,8 +3,8 @@
 A fit searches logarithms of parameters, which are chosen so that a record determines them well. A Gauss-Markov process
 has 2 sigma² / correlation time, the noise variance per second: even a record much shorter than the correlation time
 determines it. To determine sigma and time separately, many correlation times are needed. For the Schuler process these
-quantities are the noise of the sensors and the errors at the start. The time constants of drift and bias, the latitude error at the start, and the
-damping are taken from the configuration.
+quantities are the noise of the sensors and the errors at the start. The time constants of drift and bias, the latitude
+error at the start, and the damping are taken from the configuration.
 """
 
 import math
