@@ -47,7 +47,8 @@ def test_with_a_confirmed_ins_the_hint_names_the_other_source() -> None:
     assert "ins." not in hint(120.0, 30.0, ins_confirmed=True)
     assert "star_sensors.fore.azimuth_deg" in hint(120.0, 30.0, ins_confirmed=True)
     assert "references.s330.convention" in hint(60.0, 30.0, "reference.s330", ins_confirmed=True)
-    assert hint(60.0, 30.0, ins_confirmed=True) == ""
+    for source in ("star.fore", "baseline"):
+        assert hint(60.0, 30.0, source, ins_confirmed=True) == ""
 
 
 def test_a_tilt_difference_is_no_heading_mistake() -> None:

@@ -25,7 +25,7 @@ _SAME_TILT_RAD = np.deg2rad(15.0)
 """Maximum tilt difference for a heading mistake, rad, because a heading mistake does not change the tilt."""
 
 _QUARTER_TURN = 0.5 * np.pi
-_STAR = "star."
+_STAR, _REFERENCE = "star.", "reference."
 _SAME_RATIO = 0.5
 """Maximum difference of two residuals that count as equal, divided by the smaller residual."""
 
@@ -101,7 +101,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     if not (difference > _MIN_HEADING_ERROR_RAD and tilt < _SAME_TILT_RAD):
         return ""
     parameter = _heading_parameter(source)
-    if _is_near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
+    if _is_near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and not _is_reference(source)):
         ins_parameter = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
         driver = source if ins_confirmed else "the INS"
         return f", as if heading were given as yaw (90° - heading): check {ins_parameter} and the driver of {driver}"
@@ -162,6 +162,10 @@ def _heading_parameter(source: str) -> str:
 
 def _is_star(source: str) -> bool:
     return source.startswith(_STAR)
+
+
+def _is_reference(source: str) -> bool:
+    return source.startswith(_REFERENCE)
 
 
 def _id(source: str) -> str:
