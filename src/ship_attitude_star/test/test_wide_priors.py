@@ -186,7 +186,7 @@ def test_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_sensor(
     first = state_after(ship_filter.initial_state(), "fore", TIME_NS)
     assert first.unconfirmed_step is not None
     assert first.unconfirmed_step.text == (
-        "the attitude rests on one star measurement; confirmation by stars of another time or sensor is pending"
+        "the attitude depends on a single star measurement; confirmation by stars of another time or sensor is pending"
     )
     assert state_after(first, "starboard", TIME_NS).unconfirmed_step is None
     second = state_after(first, "fore", TIME_NS + 100_000_000)

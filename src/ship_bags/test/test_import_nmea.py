@@ -305,7 +305,7 @@ def test_a_log_without_attitude_gives_only_the_fix(import_texts, capsys):
     positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
     found, _, _ = import_texts("--resample", "20", ins=positions + GYR1)
     assert set(found) == {"gnss/fix"}
-    assert "no attitude in it: gnss/fix only" in capsys.readouterr().out
+    assert "the log contains no attitude: only gnss/fix is written" in capsys.readouterr().out
 
 
 def test_unusable_lines_are_counted_and_shown(import_texts, capsys):

@@ -276,7 +276,7 @@ def with_outages(report_data, outages_s):
     ([(12, 14)], [(10, None)], ["star.fore was out in B and not in A: 14 to the end (no data)."]),
     ([(3, 6)], [(9, 12)], ["star.fore was out in A and not in B: 3 to 6 (no data).",
                            "star.fore was out in B and not in A: 9 to 12 (no data)."]),
-    ([], [], ["No source was out in either."]),
+    ([], [], ["No source was out in A or in B."]),
 ])
 def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
     """Differences of two seconds or less count as the same time; times by hand."""

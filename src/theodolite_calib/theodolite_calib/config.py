@@ -343,7 +343,7 @@ class DroneImuConfig:
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/imu must carry; empty accepts any")
     accept_unset_covariance: bool = accept_unset_covariance()
     convention: str = parameter(
-        "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
+        "enu_flu", doc="axes of the messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
     tilt_sigma_deg: float = _sigma_deg(0.3, "correlated error in tilt, each axis")
     heading_sigma_deg: float = _sigma_deg(1.0, "correlated error in heading")
@@ -445,7 +445,7 @@ class OpticalAxisConfig:
         "fixed", doc="minimum fix of a baseline; others are rejected", choices=("fixed", "float"), live=True
     )
     lag_s: float = parameter(
-        2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
+        2.0, doc="measurements up to this lag are applied at their own stamp", unit="s", minimum=0.0, maximum=600.0
     )
     lights_recent_s: float = parameter(
         3.0,

@@ -52,8 +52,8 @@ class InsConfig(StarInsConfig, InsErrorConfig):
 
     model: str = parameter(
         GAUSS_MARKOV,
-        doc="model of its error: exponentially correlated (tilt_time_s, heading_time_s), or the Schuler oscillation,"
-        " which needs gnss/fix for the latitude (schuler)",
+        doc="model of the INS error: exponentially correlated (tilt_time_s, heading_time_s), or the Schuler oscillation"
+        ", which needs gnss/fix for the latitude (schuler)",
         choices=(GAUSS_MARKOV, SCHULER),
     )
     schuler: SchulerConfig = section(SchulerConfig)
@@ -110,7 +110,7 @@ class StarSensorConfig(MountingConfig):
         maximum=1e7,
     )
     time_offset_s: float = parameter(
-        0.0, doc="a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
+        0.0, doc="a message is valid at its stamp plus this offset", unit="s", minimum=-1.0, maximum=1.0
     )
     time_offset_sigma_s: float = parameter(
         0.0, doc="uncertainty of time_offset_s; 0: known exactly", unit="s", minimum=0.0, maximum=1.0
@@ -140,7 +140,7 @@ class ReferenceConfig:
     """Parameters of another attitude system: mounting, noise and clock offset relative to the INS."""
 
     convention: str = parameter(
-        "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
+        "enu_flu", doc="axes of the messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
     frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
     accept_unset_covariance: bool = accept_unset_covariance()
@@ -270,7 +270,7 @@ class ShipAttitudeConfig(StarSensorsById):
     recovery: RecoveryConfig = section(RecoveryConfig)
     sky: SkyConfig = section(SkyConfig)
     lag_s: float = parameter(
-        2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
+        2.0, doc="measurements up to this lag are applied at their own stamp", unit="s", minimum=0.0, maximum=600.0
     )
     smoothing_lag_s: float = parameter(
         0.0,

@@ -499,7 +499,7 @@ class ShipFilter:
 
 def _unconfirmed_first_star(source: str, time_ns: int) -> UnconfirmedStep:
     """Return the unconfirmed step that is set by the first accepted star measurement."""
-    return UnconfirmedStep(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
+    return UnconfirmedStep(time_ns - 1, "the attitude depends on a single star measurement", "stars", time_ns, source)
 
 
 def _unconfirmed_ins_jump(since_ns: int) -> UnconfirmedStep:

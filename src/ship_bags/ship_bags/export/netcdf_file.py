@@ -93,7 +93,7 @@ class NetcdfFile(TableFile):
 
     def _end(self) -> None:
         if self.row_count > _MAX_RECORDS:
-            raise BadInput(f"more than {_MAX_RECORDS} rows: take --format csv or parquet", file=self.path)
+            raise BadInput(f"more than {_MAX_RECORDS} rows: use --format csv or parquet", file=self.path)
         self._stream.write(self._header())
         record = self._record()
         self._waiting.seek(0)
@@ -122,12 +122,12 @@ class NetcdfFile(TableFile):
         if longest > MAX_TEXT_BYTES:
             raise BadInput(
                 f"topic '{self.head.topic}': a {column.name} of {longest} bytes; the limit for NetCDF is "
-                f"{MAX_TEXT_BYTES}: take --format csv or parquet",
+                f"{MAX_TEXT_BYTES}: use --format csv or parquet",
             )
         if any(text.endswith(b"\0") for text in encoded):
             raise BadInput(
                 f"topic '{self.head.topic}': a {column.name} ends with the character NUL, which NetCDF cannot "
-                "keep: take --format csv or parquet",
+                "keep: use --format csv or parquet",
             )
         return encoded
 

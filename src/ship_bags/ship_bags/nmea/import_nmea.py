@@ -96,7 +96,7 @@ def import_logs(order: ImportRequest, out_path: Path) -> list[LogReport]:
                 raise BadInput(f"no two attitudes within {MAX_GAP_S:g} s of each other to resample", file=order.ins)
         timed += [imu_message(factory, INS, INS, sample) for sample in samples]
     else:
-        report.remarks.append("no attitude in it: gnss/fix only")
+        report.remarks.append("the log contains no attitude: only gnss/fix is written")
         _remark_on_clock(report, [(log_ns, ns_from_stamp(message.header.stamp)) for log_ns, _, message in fixes])
     timed += fixes
     for name, path in sorted(order.references.items()):

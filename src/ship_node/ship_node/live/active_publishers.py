@@ -101,5 +101,5 @@ def publisher_names(publishers: Sequence[Any]) -> list[str]:
 
 def duplicate_publishers_text(topic: str, names: Sequence[str]) -> str:
     """Return the text for the user about two publishers of a topic, with the names of their nodes."""
-    publishers = " and ".join(names) if len(names) > 1 else "the middleware does not name both"
+    publishers = " and ".join(names) if len(names) > 1 else "the middleware does not name both nodes"
     return f"two publishers send on {topic}: {publishers}; stop all but one"

@@ -157,7 +157,7 @@ def _outage_sentences(pair: Pair) -> list[str]:
     common = [source for source in dict.fromkeys(outage.source for outage in a) if source not in named]
     if common:
         sentences.append(f"Identical outages in both runs: {', '.join(common)}.")
-    return sentences if a or b else ["No source was out in either."]
+    return sentences if a or b else ["No source was out in A or in B."]
 
 
 def _outages_only_here(outages_here: list[SourceOutage], elsewhere: list[SourceOutage]) -> list[SourceOutage]:

@@ -88,7 +88,7 @@ class Recording:
     """A recorded attitude that the simulated ship follows."""
 
     bag: str = parameter("", doc="bag with the attitude; path relative to the scenario file")
-    topic: str = parameter("ins/imu", doc="its topic of type sensor_msgs/msg/Imu")
+    topic: str = parameter("ins/imu", doc="topic of the attitude, type sensor_msgs/msg/Imu")
 
 
 @dataclass(frozen=True)
