@@ -30,7 +30,7 @@ _SAME_RATIO = 0.5
 """Maximum difference of two residuals that count as equal, divided by the smaller residual."""
 
 _RECENT_NS = 10_000_000_000
-"""Maximum age of a measurement for a hint, ns."""
+"""Maximum age, at the stamp of the last rejected measurement of the source, of other measurements in a hint, ns."""
 
 _SAME_CHI2 = chi_square_gate(0.999, 3)
 

@@ -58,7 +58,7 @@ class SchulerConfig:
 
     @property
     def latitude_sigma(self) -> float:
-        """Standard deviation of the INS latitude at the start, rad."""
+        """Standard deviation of the INS latitude error at the start, rad; zero with position aiding."""
         return self.position_sigma_m / _RADIUS_M if self.is_free else 0.0
 
     @property

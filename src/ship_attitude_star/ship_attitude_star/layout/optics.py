@@ -150,7 +150,7 @@ def _stars_up_to(magnitude: float) -> FloatArray:
 
 
 def _draw_rotations() -> FloatArray:
-    """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of normal matrices."""
+    """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of matrices of normal numbers."""
     factors, triangles = np.linalg.qr(np.random.default_rng(_SEED).standard_normal((_DIRECTIONS, 3, 3)))
     # With a positive diagonal of the triangular factors, the orthogonal factors are uniformly distributed (Mezzadri,
     # 2007). Then reflections are changed into rotations.
