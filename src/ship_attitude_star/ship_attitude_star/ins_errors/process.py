@@ -89,7 +89,7 @@ class DeflectionChange(NamedTuple):
 
 
 def deflection_change(before: LocalVertical, here: LocalVertical, length_m: float) -> DeflectionChange:
-    """Return the change of the deflection between two positions; ``length_m`` is the correlation length of its error."""
+    """Return the change of the deflection between two positions, for a correlation length ``length_m``."""
     remaining_ratio = float(np.exp(-max(here.distance_run_m - before.distance_run_m, 0.0) / length_m))
     shift = np.zeros(2)
     if here.given_deflection is not None:

@@ -195,7 +195,7 @@ class _LayoutEvaluator:
         )
 
     def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:
-        """Return the layout with one sensor at its best unobstructed direction; empty if no such direction is usable."""
+        """Return the layout with one sensor at its best unobstructed direction; empty if no direction is usable."""
         uses = np.where(allowed.is_clear & allowed.is_above_horizon, _or_infinite(allowed.requirement_use), np.inf)
         row, column = np.unravel_index(np.argmin(uses), uses.shape)
         if not np.isfinite(uses[row, column]):

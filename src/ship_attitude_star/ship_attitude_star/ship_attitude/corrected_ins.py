@@ -139,7 +139,7 @@ class CorrectedIns:
         return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
-        """Set the status DEGRADED of attitudes whose protection level exceeds the alert limit or is missing."""
+        """Set the status to DEGRADED for attitudes with a protection level that is missing or above the alert limit."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
@@ -196,8 +196,8 @@ def _attitudes_with_deflection(
     """Return the results of :func:`corrected_attitudes` if the filter needs the vertical.
 
     Returns:
-        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and True for each time at which the
-        vertical is known without stars, shape (N,).
+        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and :attr:`InsErrors.vertical_known`,
+        shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
     rotation_nd, covariance_by_source = compiled_rotations.corrected_attitudes(

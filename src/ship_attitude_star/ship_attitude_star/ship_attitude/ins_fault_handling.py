@@ -73,7 +73,8 @@ class InsFaultHandling:
     def all_filters_at(self, mean: FloatArray, covariance_by_source: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means and covariances of all filters started from one state.
 
-        In the subfilters without the INS the covariance of its error is inflated, because the error is unknown there.
+        In the subfilters without the INS the covariance of the INS error is inflated, because this error is unknown
+        there.
 
         Args:
             mean: estimated errors, shape (n,).
