@@ -112,7 +112,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     Raises:
         BadInput: the alignment file cannot be read.
-        ParameterError: a sensor that gives single stars has no camera.
+        ParameterError: the camera of a sensor that gives single stars is incomplete, or there are more filters than
+            ``integrity.max_hypotheses``.
     """
 
     node_name: ClassVar[str] = "ship_attitude"
@@ -277,7 +278,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
-        """Return alignment and sensor frames; for a new attitude also error budget, sigmas and deflection, as configured."""
+        """Return alignment and sensor frames; for a new attitude also error budget, sigmas and deflection."""
         factory, estimate, published = self.factory, self.pending_budget, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
@@ -325,7 +326,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
-        """Return the observability diagnostics with a recommended turn, updated once a minute; empty without an attitude."""
+        """Return the observability diagnostics, with a recommended turn, once a minute; empty without an attitude."""
         state, latest = self.core.state, self.latest
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
@@ -408,7 +409,7 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading, horizo
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """Return a diagnostic of the vertical at the last attitude; empty without a vertical or if the attitude is INVALID."""
+    """Return a diagnostic of the vertical at the last attitude; empty without a vertical or while INVALID."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)

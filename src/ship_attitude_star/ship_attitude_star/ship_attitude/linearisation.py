@@ -351,7 +351,7 @@ class Linearisation:
     ) -> FloatArray:
         """Return the first linearisation point, relative to the predicted mean, shape (n,).
 
-        For stars this point is the attitude from the stars alone. For other measurements the correction is zero.
+        For visible stars this point is the attitude of :func:`initial_attitude`. Otherwise the correction is zero.
         """
         correction, exposure = np.zeros_like(task.mean), matched.measurement
         if not isinstance(exposure, StarExposure):
