@@ -88,7 +88,7 @@ def allocate_errors(layout: Layout, limits_arcsec: FloatArray) -> list[Allocatio
 
 @dataclass(frozen=True)
 class _Error:
-    """One error: the field of a layout that contains it, and the index in that field."""
+    """One error, with the field of a layout that contains the error, and the index in that field."""
 
     key: str
     kind: str

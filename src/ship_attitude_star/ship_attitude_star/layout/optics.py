@@ -12,7 +12,7 @@ attitude. With few stars the sigma of the attitude is larger, because it depends
 their own mean. The layout study uses the covariance with the catalogue's stars, and shows Liebe's values for
 comparison.
 
-The magnitude limit is a parameter. It is not derived from aperture and exposure, because it also depends on the
+The magnitude limit is a parameter and is not derived from aperture and exposure, because it also depends on the
 brightness of the sky, the read-out noise and the streaks of a rolling ship.
 """
 

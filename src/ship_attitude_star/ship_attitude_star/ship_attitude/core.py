@@ -1,6 +1,6 @@
 """Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
-The core uses no ROS, no files and no clock. It consists of the filter, the INS samples and the sky model, in a
+The core uses no ROS, no files and no clock. The core consists of the filter, the INS samples and the sky model, in a
 time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when a measurement is applied and
 which output may follow. This module adds the parts for the ship attitude. These are the plausibility checks of the
 inputs, and the attitude from star sensors alone when the INS is not available.
@@ -441,9 +441,7 @@ class ShipAttitudeCore:
         return self.state.unresolved_fault is not None or self.state.utc_step is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
-        """Return another estimator.
-
-        It starts from a stored state, if given, otherwise from the saved alignment or the prior.
+        """Return another estimator, started from a stored state if given, else from the saved alignment or the prior.
 
         With a stored state the estimator also starts with the current position and air data.
         """

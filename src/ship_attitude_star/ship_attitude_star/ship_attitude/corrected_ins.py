@@ -44,14 +44,15 @@ class CorrectedIns:
     Attributes:
         state: the filter state.
         time_offset_s: estimated time offset tau of the INS, in addition to the configured offset, s.
-        since_ns: time of the state, from which the error is propagated. Before the first measurement it is later than
-            every sample, so that nothing is propagated.
+        since_ns: time of the state, from which the error is propagated. Before the first measurement ``since_ns`` is
+            later than every sample, so that nothing is propagated.
         newest_star_ns: stamp of the last accepted star measurement; None without such a measurement.
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components of ``error_n`` that do not decay, because they exceed the error model,
             shape (3,), uint8.
         covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4).
-            With an INS error process its other states follow, for example the deflection of the vertical.
+            The other states of an INS error process follow, if there is one, for example the deflection of the
+            vertical.
         model_constants: correlation time, steady-state variance and white variance of the INS error, shape (3,) each,
             and indices of the error sources INS drift, INS noise and interpolation.
         drift_index: index of the error source INS drift.
