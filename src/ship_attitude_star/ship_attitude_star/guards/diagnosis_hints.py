@@ -89,7 +89,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the other source, shape (3, 3).
-        source: the other source, ``star.<id>`` or ``reference.<name>``.
+        source: the other source, ``star.<id>``, ``reference.<name>`` or ``baseline``.
         ins_confirmed: True if other sources are consistent with the INS and only ``source`` is not; then the INS is not
             the cause.
     """

@@ -14,7 +14,7 @@ _RADIUS_M = 6_371_000.0
 
 @dataclass(frozen=True, kw_only=True)
 class SchulerConfig:
-    """Errors of the INS sensors; used if ins.model is schuler."""
+    """Parameters of the Schuler error model of the INS; used if ``ins.model`` is ``schuler``."""
 
     velocity_sigma_m_per_s: float = parameter(
         0.3, doc="error of the INS velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0

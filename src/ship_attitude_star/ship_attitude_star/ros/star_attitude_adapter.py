@@ -77,6 +77,9 @@ class StarAttitudeAdapter(BatchAdapter):
         config: parameters of the node.
         factory: creates messages.
         files: not used.
+
+    Raises:
+        ParameterError: the camera of a sensor is incomplete.
     """
 
     node_name: ClassVar[str] = "star_attitude"
