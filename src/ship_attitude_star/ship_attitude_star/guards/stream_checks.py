@@ -38,8 +38,7 @@ class PlausibilityChecks:
         """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
 
         An :class:`AttitudeMeasurement` that passes becomes a motion reference. A measurement is checked only if it is
-        newer than the last
-        measurement of the same source that passed.
+        newer than the last measurement of the same source that passed.
 
         Args:
             measurement: measurement of any kind.

@@ -19,9 +19,8 @@ The equations are
 W is the Earth's rate, w the rotation rate of the horizon by the Earth and the ship velocity V, L the latitude, R_N and
 R_E the radii of curvature. The term in 2 W sin L rotates the plane of the oscillation (Foucault); the state l adds a
 period of 24 h. T is the time constant with which position aiding damps the velocity error; an INS with position aiding
-has no
-latitude error, l = 0. e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b are
-those of the horizon, as for an INS with gimbals or sensor rotation: they do not rotate with the hull.
+has no latitude error, l = 0. e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b
+are those of the horizon, as for an INS with gimbals or sensor rotation: they do not rotate with the hull.
 
 The equations are those of the phi-angle error model (Titterton and Weston, Strapdown Inertial Navigation Technology,
 ch. 12; docs/explanation/ins.md).

@@ -2,9 +2,9 @@
 
 If all errors are scaled by one factor, the joint error scales by the same factor, because the best combination stays
 the same. *Together*, all errors meet the requirement if each is divided by the requirement use, the ratio of sigma to
-limit of the worst angle. *Alone*, with the other errors unchanged, an error may grow until the worst angle
-reaches its limit; the sensors are then combined with their new covariances. An error that another sensor compensates
-may have any size.
+limit of the worst angle. *Alone*, with the other errors unchanged, an error may grow until the worst angle reaches its
+limit; the sensors are then combined with their new covariances. An error that another sensor compensates may have any
+size.
 """
 
 from collections.abc import Iterator

@@ -1,8 +1,7 @@
 """Computation of all numbers of a layout study, recommended azimuths included, for tables, figures and page.
 
 The recommended azimuths have the least total error, within 2 %. The first sensor keeps its azimuth and the other
-sensors are
-rotated: on a level ship only differences in azimuth matter.
+sensors are rotated: on a level ship only differences in azimuth matter.
 """
 
 from dataclasses import dataclass, replace

@@ -5,10 +5,10 @@ subfilter without this source is consistent with all sources that the subfilter 
 other sources is excluded in the same way.
 
 A step between the INS and all stars is treated differently, because a position error rotates all stars just as a step
-of the INS would. If all stars
-suddenly contradict the INS, the fault is unresolved, and the stars are excluded until they are consistent with the INS
-again. A jump of the INS is detected from its own rates (:mod:`ship_estimation.ins_check`). If such a jump was reported
-recently, the INS is excluded instead (:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
+of the INS would. If all stars suddenly contradict the INS, the fault is unresolved, and the stars are excluded until
+they are consistent with the INS again. A jump of the INS is detected from its own rates
+(:mod:`ship_estimation.ins_check`). If such a jump was reported recently, the INS is excluded instead
+(:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
 """
 
 import math

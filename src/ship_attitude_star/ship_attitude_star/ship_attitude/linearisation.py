@@ -65,10 +65,9 @@ class LinearisedMeasurement(NamedTuple):
         measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
         compared: the comparison at the linearisation point x. The residual ``compared.linear.residual`` is relative to
             the predicted mean, measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state
-            with this
-            residual gives the estimate. The NIS is a sum of two normalised squares, minimised over all states: the
-            deviation of the state from the prediction, and the remaining residual. The NIS is chi² distributed with
-            as many degrees of freedom as residuals.
+            with this residual gives the estimate. The NIS is a sum of two normalised squares, minimised over all
+            states: the deviation of the state from the prediction, and the remaining residual. The NIS is chi²
+            distributed with as many degrees of freedom as residuals.
         ins: attitude of the INS, matched with the predicted clock offsets.
         matched_ins_ns: stamp of the INS attitude that is matched with the clock offsets at x.
         ins_time_ns: latest INS stamp that the comparison depends on.
