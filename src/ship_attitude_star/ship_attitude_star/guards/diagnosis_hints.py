@@ -30,7 +30,7 @@ _SAME_RATIO = 0.5
 """Maximum difference of two residuals that count as equal, divided by the smaller residual."""
 
 _RECENT_NS = 10_000_000_000
-"""Maximum age of a measurement for a hint, ns."""
+"""Maximum age, at the stamp of the last rejected measurement of the source, of other measurements in a hint, ns."""
 
 _SAME_CHI2 = chi_square_gate(0.999, 3)
 
@@ -89,7 +89,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the other source, shape (3, 3).
-        source: the other source, ``star.<id>`` or ``reference.<name>``.
+        source: the other source, ``star.<id>``, ``reference.<name>`` or ``baseline``.
         ins_confirmed: True if other sources are consistent with the INS and only ``source`` is not; then the INS is not
             the cause.
     """

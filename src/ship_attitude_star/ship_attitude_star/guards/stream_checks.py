@@ -24,7 +24,7 @@ class PlausibilityChecks:
 
     Attributes:
         ins: check of the INS samples.
-        motion_references: last attitude of each source that passed the check or was accepted, for the checks of other
+        motion_references: by source, the last attitude that passed the check or was accepted; used to check other
             sources.
     """
 
@@ -37,8 +37,8 @@ class PlausibilityChecks:
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
         """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
 
-        An attitude that passes becomes a motion reference. A measurement is checked only if it is newer than the last
-        measurement of the same source that passed.
+        An :class:`AttitudeMeasurement` that passes becomes a motion reference. A measurement is checked only if it is
+        newer than the last measurement of the same source that passed.
 
         Args:
             measurement: measurement of any kind.

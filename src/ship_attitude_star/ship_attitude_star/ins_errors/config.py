@@ -14,7 +14,7 @@ _RADIUS_M = 6_371_000.0
 
 @dataclass(frozen=True, kw_only=True)
 class SchulerConfig:
-    """Errors of the INS sensors; used if ins.model is schuler."""
+    """Parameters of the Schuler error model of the INS; used if ``ins.model`` is ``schuler``."""
 
     velocity_sigma_m_per_s: float = parameter(
         0.3, doc="error of the INS velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0
@@ -58,7 +58,7 @@ class SchulerConfig:
 
     @property
     def latitude_sigma(self) -> float:
-        """Standard deviation of the INS latitude at the start, rad."""
+        """Standard deviation of the INS latitude error at the start, rad; zero with position aiding."""
         return self.position_sigma_m / _RADIUS_M if self.is_free else 0.0
 
     @property

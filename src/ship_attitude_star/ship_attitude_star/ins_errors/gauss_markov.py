@@ -5,7 +5,8 @@ u = a + G d. The correlated error a of the INS decays with time. The deflection 
 over ground. G is the Jacobian of the horizon's rotation with respect to d (:attr:`LocalVertical.deflection_jacobian`).
 The state ``ins.attitude`` is u, the state ``gravity.deflection`` is d.
 
-Over the time t and the distance s, with the known deflection before (g) and after (g'):
+Over the time t and the distance s, with correlation time T, correlation length L, and the known deflection before (g)
+and after (g'), zero if unknown:
 
     a' = exp(-t / T) a + noise        d' = g' + exp(-s / L) (d - g) + noise        u' = a' + G d'
 

@@ -35,7 +35,7 @@ class Vertical(Protocol):
     """Source of the vertical at any time."""
 
     def at(self, time_ns: int) -> LocalVertical:
-        """Return the vertical at a time; the same object within an interval of two seconds."""
+        """Return the vertical at a time; the same object for an interval of two seconds until an input changes it."""
 
 
 class InsProcess(Protocol):
@@ -89,7 +89,7 @@ class DeflectionChange(NamedTuple):
 
 
 def deflection_change(before: LocalVertical, here: LocalVertical, length_m: float) -> DeflectionChange:
-    """Return the change of the deflection between two positions; its error has the correlation length ``length_m``."""
+    """Return the change of the deflection between two positions, for a correlation length ``length_m``."""
     remaining_ratio = float(np.exp(-max(here.distance_run_m - before.distance_run_m, 0.0) / length_m))
     shift = np.zeros(2)
     if here.given_deflection is not None:

@@ -1,7 +1,8 @@
 """Schuler error process of an INS: errors driven by its gyroscopes and accelerometers.
 
 A tilt error couples gravity into the measured acceleration. This causes a velocity error, which rotates the computed
-horizon. The result is an oscillation with a period of 84.4 min. All vectors are about (North, Up, East):
+horizon. The result is an oscillation with a period of 84.4 min. Vectors have the components (North, Up, East); v and b
+have North and East only:
 
     u           attitude error, R_true = exp(u) R_ins
     v, l        errors of velocity and latitude
@@ -17,9 +18,9 @@ The equations are
 
 W is the Earth's rate, w the rotation rate of the horizon by the Earth and the ship velocity V, L the latitude, R_N and
 R_E the radii of curvature. The term in 2 W sin L rotates the plane of the oscillation (Foucault); the state l adds a
-period of 24 h. T is the time constant with which position aiding damps the velocity; an INS with position aiding has no
-latitude error, l = 0. e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b are
-those of the horizon, as for an INS with gimbals or sensor rotation: they do not rotate with the hull.
+period of 24 h. T is the time constant with which position aiding damps the velocity error; an INS with position aiding
+has no latitude error, l = 0. e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b
+are those of the horizon, as for an INS with gimbals or sensor rotation: they do not rotate with the hull.
 
 The equations are those of the phi-angle error model (Titterton and Weston, Strapdown Inertial Navigation Technology,
 ch. 12; docs/explanation/ins.md).
@@ -44,7 +45,7 @@ _VELOCITY, _LATITUDE, _DRIFT, _BIAS = slice(5, 7), 7, slice(8, 11), slice(11, 13
 _ALL = 13
 
 _SERIES_TERMS = 4
-"""Highest power of time in the power series over a step of 2 s; the next term is below 1e-14 of the first term."""
+"""Highest power of time in the power series over a step of 2 s; accurate if time constants are much longer than 2 s."""
 
 _MAX_CHECKPOINTS = 64
 """Maximum number of stored steps; a late position fix changes only the last few steps."""
@@ -147,7 +148,7 @@ class SchulerIns:
     # -- stored propagations ------------------------------------------------------------------------------------
 
     def _checkpoint_before(self, since_ns: int, before: LocalVertical, time_ns: int, vertical: Vertical) -> _Checkpoint:
-        """Return the propagation up to the last step before a time, or up to the start time if that is later.
+        """Return the propagation up to the last step at or before a time, or to the start time if no step lies between.
 
         Propagations are stored. A stored propagation is valid while the vertical at its step is the same object,
         because a change of the vertical at one step creates new objects for all later steps.

@@ -1,10 +1,10 @@
 """Error budget of a layout: maximum size of each error for which the requirement is met, and the dominant error.
 
 If all errors are scaled by one factor, the joint error scales by the same factor, because the best combination stays
-the same. *Together* with all other errors, each error may therefore be divided by the requirement use, the ratio of
-sigma to limit of the worst angle. *Alone*, with the other errors unchanged, an error may grow until the worst angle
-reaches its limit; the sensors are then combined with their new covariances. An error that another sensor compensates
-may have any size.
+the same. *Together*, all errors meet the requirement if each is divided by the requirement use, the ratio of sigma to
+limit of the worst angle. *Alone*, with the other errors unchanged, an error may grow until the worst angle reaches its
+limit; the sensors are then combined with their new covariances. An error that another sensor compensates may have any
+size.
 """
 
 from collections.abc import Iterator
@@ -88,7 +88,7 @@ def allocate_errors(layout: Layout, limits_arcsec: FloatArray) -> list[Allocatio
 
 @dataclass(frozen=True)
 class _Error:
-    """One error: the field of a layout that contains it, and the index in that field."""
+    """One error, with the field of a layout that contains the error, and the index in that field."""
 
     key: str
     kind: str

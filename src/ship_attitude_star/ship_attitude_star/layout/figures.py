@@ -29,7 +29,7 @@ _PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
 _ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
 _FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
 _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
-# Ratio of the values of a panel above which fewer lines are drawn.
+# Ratio of the largest to the smallest value of a panel above which fewer lines are drawn.
 _STEEP_RATIO = 25.0
 
 

@@ -34,7 +34,7 @@ class SourceError:
     Attributes:
         sensor: sensor that has this error; "all" for an error that the sensors share.
         source: description of the source.
-        key: parameter of the study that sets the size of the error, if the noise does not follow from optics.
+        key: parameter of the study that sets the size of the error, unless optics determine the noise.
         sigma_arcsec: standard deviation of the source.
         errors_arcsec: errors of heading, pitch, roll due to the source, shape (3,); the sum of their squares over all
             sources is the variance.

@@ -20,7 +20,7 @@ class Obstructions:
 
     Attributes:
         masks: obstructions on deck.
-        half_fields: tangents of half the field of view to the right and up of each sensor, shape (N, 2).
+        half_fields: for each sensor, tangents of half the field of view along its right and up axes, shape (N, 2).
         up_d: upward direction in the deck frame, for mean and extreme pitch and roll of the ship, shape (9, 3).
         clearance: required elevation of a field above the horizon, rad.
     """

@@ -12,7 +12,7 @@ attitude. With few stars the sigma of the attitude is larger, because it depends
 their own mean. The layout study uses the covariance with the catalogue's stars, and shows Liebe's values for
 comparison.
 
-The magnitude limit is a parameter. It is not derived from aperture and exposure, because it also depends on the
+The magnitude limit is a parameter and is not derived from aperture and exposure, because it also depends on the
 brightness of the sky, the read-out noise and the streaks of a rolling ship.
 """
 
@@ -150,7 +150,7 @@ def _stars_up_to(magnitude: float) -> FloatArray:
 
 
 def _draw_rotations() -> FloatArray:
-    """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of normal matrices."""
+    """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of matrices of normal numbers."""
     factors, triangles = np.linalg.qr(np.random.default_rng(_SEED).standard_normal((_DIRECTIONS, 3, 3)))
     # With a positive diagonal of the triangular factors, the orthogonal factors are uniformly distributed (Mezzadri,
     # 2007). Then reflections are changed into rotations.

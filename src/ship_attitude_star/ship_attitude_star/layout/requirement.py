@@ -195,7 +195,7 @@ class _LayoutEvaluator:
         )
 
     def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:
-        """Return the layout with the best unobstructed direction of one sensor; empty if all are obstructed."""
+        """Return the layout with one sensor at its best unobstructed direction; empty if no direction is usable."""
         uses = np.where(allowed.is_clear & allowed.is_above_horizon, _or_infinite(allowed.requirement_use), np.inf)
         row, column = np.unravel_index(np.argmin(uses), uses.shape)
         if not np.isfinite(uses[row, column]):
@@ -205,7 +205,7 @@ class _LayoutEvaluator:
         return [self.candidate(f"{moved.sensor} moved", replace(layout, angles=angles))]
 
     def search(self, candidates: list[Candidate], layout: Layout) -> Candidate:
-        """Search the layout with the least requirement use, with all sensors moved.
+        """Search for the layout with the least requirement use, with all sensors moved.
 
         Two sensors at a time move to the best pair of directions of a coarse grid. One sensor at a time then moves to
         the best direction of a fine grid. This second search also starts from the layouts already evaluated, and from

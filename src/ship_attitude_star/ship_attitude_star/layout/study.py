@@ -1,7 +1,7 @@
 """Computation of all numbers of a layout study, recommended azimuths included, for tables, figures and page.
 
-The recommended azimuths have the least total error. The first sensor keeps its azimuth and the other sensors are
-rotated: on a level ship only differences in azimuth matter.
+The recommended azimuths have the least total error, within 2 %. The first sensor keeps its azimuth and the other
+sensors are rotated: on a level ship only differences in azimuth matter.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ class AzimuthScan:
     Attributes:
         sensor: sensor that is rotated.
         azimuths_deg: azimuths in [0, 360), shape (n,).
-        sigmas_arcsec: sigmas of heading, pitch, roll, shape (n, 3).
+        sigmas_arcsec: sigmas of heading, pitch, roll, shape (n, 3); NaN at azimuths with a mask in the sensor's field.
         good_deg: range of good azimuths (from, to), clockwise, around the sensor's own azimuth: the total error is at
             most a tenth above its minimum. None if the own azimuth is not good.
     """
@@ -85,8 +85,8 @@ def compute_study(config: LayoutStudyConfig) -> LayoutStudy:
     """Compute all numbers of a study.
 
     Raises:
-        ParameterError: with the ship's pitch and roll a boresight is too low, a mask is in a field of view, or the
-            field of a sensor's optics contains too few stars.
+        ParameterError: a boresight is too low with the ship's pitch and roll; a mask is invalid or in a field of view;
+            or the field of a sensor's optics has too few stars in too large a share of the sky.
     """
     optics = {name: sky_statistics(of_sensor) for name, of_sensor in config.optics.items()}
     config = _with_optics_noise(config, optics)
@@ -149,7 +149,7 @@ def _check_fields_of_view(config: LayoutStudyConfig, layout: Layout) -> Obstruct
     """Return the obstructions, after a check that no mask is in the field of a sensor as given.
 
     Raises:
-        ParameterError: a mask is in a field; the text gives the nearest clear azimuth, if there is one.
+        ParameterError: a mask is invalid, or is in a field; the text then gives the nearest clear azimuth, if any.
     """
     obstructions = Obstructions.from_config(config)
     for number, name in enumerate(layout.names):
@@ -173,7 +173,7 @@ def _check_fields_of_view(config: LayoutStudyConfig, layout: Layout) -> Obstruct
 
 
 def recommend_azimuths(layout: Layout, obstructions: Obstructions | None = None) -> Layout:
-    """Return the layout with the clear azimuths of least total error; the first sensor keeps its azimuth.
+    """Return the layout with the clear azimuths of least total error, within 2 %; the first sensor keeps its azimuth.
 
     The search starts from the given azimuths, and from azimuths spaced evenly over half a circle and the whole circle.
     """

@@ -33,7 +33,7 @@ class InertialAttitude:
 
     Attributes:
         source: name of the tracker, ``star.<id>``.
-        time_ns: stamp of the tracker, middle of the exposure.
+        time_ns: stamp of the tracker's message, the middle of the exposure.
         rotation_cs: rotation "ICRS from sensor (forward, up, right)", shape (3, 3).
         noise_s: error covariance, rotation vector in the sensor frame, rad², shape (3, 3).
         covariance_known: False if the message has no covariance, so that the configured sigma is used.

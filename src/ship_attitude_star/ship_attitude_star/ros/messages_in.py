@@ -1,7 +1,7 @@
 """Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
 
-The readers use only attributes of messages, so any message class can be used. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.MessageRejected`.
+The readers use only attributes of messages, so any message class can be used. For a message that cannot be used the
+readers raise :class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
 from dataclasses import replace
@@ -59,7 +59,7 @@ def star_measurement(
     """Read ``star/<sensor>/horizon_attitude`` or ``.../solution``: attitude of the sensor relative to the horizon.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.frame_id)
@@ -138,7 +138,7 @@ def inertial_attitude(
     """Read ``star/<sensor>/inertial_attitude``: attitude of the sensor relative to the ICRS.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_device_id("sensor_id", message.sensor_id, sensor_id)
@@ -159,10 +159,10 @@ def inertial_attitude(
 def reference_measurement(
     message: Any, name: str, config: ReferenceConfig, receive_ns: int
 ) -> ReadMessage[AttitudeMeasurement]:
-    """Read ``reference/<name>/imu``: attitude of another system; its covariance describes white noise.
+    """Read ``reference/<name>/imu``: attitude of another system; the covariance in the message describes white noise.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.frame_id)
@@ -183,7 +183,7 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     """Read ``gravity/deflection``: deflection of the vertical at the ship.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_finite("xi, eta", message.xi, message.eta)
@@ -206,7 +206,7 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
     """Read ``ship/baseline``: vector between two antennas aboard.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; the exception contains the reason.
     """
     time_ns = baseline_stamp_ns(message, config, receive_ns)
     rejection = fix_rejection(message, config.least_fix)

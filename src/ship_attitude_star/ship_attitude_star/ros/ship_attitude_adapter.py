@@ -111,8 +111,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         files: access to the alignment file.
 
     Raises:
-        BadInput: the alignment file cannot be read.
-        ParameterError: a sensor that gives single stars has no camera.
+        BadInput: the alignment file cannot be used (:class:`SavedStart`); an unreadable file is only reported.
+        ParameterError: the camera of a sensor that gives single stars is incomplete, or there are more filters than
+            ``integrity.max_hypotheses``.
     """
 
     node_name: ClassVar[str] = "ship_attitude"
@@ -253,7 +254,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def _star_readers(
         self, id_: str, star: StarSensorConfig
     ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
-        """Return the reader of a star sensor's messages, and the reader of blocks; None without a reader of blocks."""
+        """Return the readers of a star sensor's messages: of single messages, and of blocks (None for some inputs)."""
         if star.input == "observations":
             assert self._sky_model is not None
             exposure = functools.partial(
@@ -277,7 +278,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
-        """Return alignment and installation; for a new attitude also error budget, predicted errors and deflection."""
+        """Return alignment and sensor frames; for a new attitude also error budget, sigmas and deflection."""
         factory, estimate, published = self.factory, self.pending_budget, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
@@ -325,7 +326,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
-        """Return the observability diagnostics, with a recommended turn; computed once a minute."""
+        """Return the observability diagnostics, with a recommended turn, once a minute; empty without an attitude."""
         state, latest = self.core.state, self.latest
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
@@ -408,7 +409,7 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading, horizo
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """Return a diagnostic of the vertical at the last attitude; empty without a vertical or a valid attitude."""
+    """Return a diagnostic of the vertical at the last attitude; empty without a vertical or while INVALID."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)

@@ -41,7 +41,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
 _WHOLE_EXPOSURE_REASONS = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
-"""Reasons of rejected exposures that do not count as used in the input health."""
+"""Reasons for which an exposure counts as rejected in the input health; for other reasons it counts as used."""
 
 _STATUS_TEXTS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),
@@ -77,6 +77,9 @@ class StarAttitudeAdapter(BatchAdapter):
         config: parameters of the node.
         factory: creates messages.
         files: not used.
+
+    Raises:
+        ParameterError: the camera of a sensor is incomplete.
     """
 
     node_name: ClassVar[str] = "star_attitude"

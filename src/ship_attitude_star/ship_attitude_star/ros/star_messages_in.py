@@ -74,8 +74,8 @@ def star_exposure(
 ) -> ReadMessage[StarExposure]:
     """Read ``star/<sensor>/observations``: directions in the sensor frame, and identities of the stars.
 
-    The position of a star with a catalogue number is taken from the catalogue, otherwise from the message. A star
-    without number and position is identified later.
+    The position of a star with a catalogue number is taken from the catalogue, otherwise from the message. A star with
+    neither number nor position is identified later.
 
     Args:
         message: StarObservationArray.

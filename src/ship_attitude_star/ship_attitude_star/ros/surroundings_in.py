@@ -1,7 +1,7 @@
 """Readers of position and air messages for the sky model of all nodes: checks and conversion.
 
-The readers use only attributes of messages, so any message class can be used. For a message that cannot be used they
-raise :class:`ship_node.edge.messages_in.MessageRejected`.
+The readers use only attributes of messages, so any message class can be used. For a message that cannot be used the
+readers raise :class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
 import functools

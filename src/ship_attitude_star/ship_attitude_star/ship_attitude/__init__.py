@@ -6,5 +6,5 @@
 - ``fault_detection`` excludes faulty sources.
 - ``corrected_ins`` and ``output`` compute the published attitude; ``alignment`` is saved for the next voyage.
 
-The folder may import measurements, sky, stars and guards, but not the core of ``star_attitude``.
+The folder may import measurements, sky, stars, guards, ins_errors and vertical, but not the core of ``star_attitude``.
 """

@@ -193,8 +193,8 @@ def _compare_baseline(
 ) -> ComparedMeasurement | Rejection:
     """Compare a measured baseline with its predicted direction and its configured length.
 
-    The residual is the direction of the end of the baseline, up and right in the baseline frame, rad. The residual has
-    two components, as for a single star.
+    The residual is measured minus predicted direction, up and right in the baseline frame, rad. The residual has two
+    components, as for a single star.
     """
     length_m, measured_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
     direction_n = measurement.direction_n
@@ -255,8 +255,8 @@ def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_er
     """Return a residual of about 180° in the sense that leads to the smaller INS error.
 
     At 180° noise decides the sense of the logarithm. With the wrong sense, the estimated INS error would be 360° after
-    a heading jump by 180° and back. There the left Jacobian is singular. If the predicted error is about zero,
-    both errors are equally large. The one with the negative component sum is chosen.
+    a heading jump by 180° and back. At 360° the left Jacobian is singular. If the predicted error is about zero, both
+    errors are equally large. The residual that leads to the error with the negative component sum is chosen.
 
     Args:
         residual: rotation vector of the device, rad, shape (3,).

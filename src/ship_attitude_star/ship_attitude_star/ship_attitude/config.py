@@ -229,10 +229,10 @@ class ShipBaselineConfig:
         return rotation_from_angles(azimuth, elevation, 0.0)
 
     def __post_init__(self) -> None:
-        """Check parameters that depend on each other.
+        """Check the length of the baseline.
 
         Raises:
-            ParameterError: two parameters contradict each other.
+            ParameterError: the baseline is shorter than 0.3 m.
         """
         if self.is_aboard and not self.length_m >= _MIN_BASELINE_M:
             name = "ship_baseline.forward_m"

@@ -1,6 +1,6 @@
 """Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
-The core uses no ROS, no files and no clock. It consists of the filter, the INS samples and the sky model, in a
+The core uses no ROS, no files and no clock. The core consists of the filter, the INS samples and the sky model, in a
 time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when a measurement is applied and
 which output may follow. This module adds the parts for the ship attitude. These are the plausibility checks of the
 inputs, and the attitude from star sensors alone when the INS is not available.
@@ -383,7 +383,7 @@ class ShipAttitudeCore:
         return result if isinstance(result, LinearisedMeasurement) else None
 
     def alignment(self) -> Alignment:
-        """Return the current estimates of INS errors, installation angles and clock offsets."""
+        """Return the current estimates of INS errors, installation angles, clock offsets and camera optics."""
         return current_alignment(self.filter, self.config, self.state)
 
     def star_installation(self, id_: str) -> FloatArray:
@@ -441,7 +441,7 @@ class ShipAttitudeCore:
         return self.state.unresolved_fault is not None or self.state.utc_step is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
-        """Return another estimator that starts from a stored state; without one, from the saved alignment or the prior.
+        """Return another estimator, started from a stored state if given, else from the saved alignment or the prior.
 
         With a stored state the estimator also starts with the current position and air data.
         """
@@ -522,7 +522,7 @@ class ShipAttitudeCore:
         return self.filter.apply_ins_change(state, change)
 
     def _record_decision(self, decision: AttitudeDecision) -> None:
-        """Store the last accepted measurement of each source, and the time since the accepted measurement before it."""
+        """Store an accepted measurement, and the time since the previous accepted measurement of the same source."""
         measurement = decision.measurement
         if decision.accepted:
             before = self._recent_sources.get(measurement.source)
@@ -606,7 +606,7 @@ class ShipAttitudeCore:
         self._estimator.add_output(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _is_ins_timed_out(self, waiting_ns: int) -> bool:
-        """True without an INS sample, or if the last accepted one arrived more than ``ins.silence_s`` ago."""
+        """True without an INS sample, or if the last accepted sample arrived more than ``ins.silence_s`` ago."""
         return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._ins_timeout_ns
 
     def _can_publish_from_stars(self, source: str) -> bool:

@@ -44,14 +44,15 @@ class CorrectedIns:
     Attributes:
         state: the filter state.
         time_offset_s: estimated time offset tau of the INS, in addition to the configured offset, s.
-        since_ns: time of the state, from which the error is propagated. Before the first measurement it is later than
-            every sample, so that nothing is propagated.
+        since_ns: time of the state, from which the error is propagated. Before the first measurement ``since_ns`` is
+            later than every sample, so that nothing is propagated.
         newest_star_ns: stamp of the last accepted star measurement; None without such a measurement.
         error_n: estimated correlated error, rad, shape (3,).
         exceeds_model: nonzero for the components of ``error_n`` that do not decay, because they exceed the error model,
             shape (3,), uint8.
         covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4).
-            With an INS error process its other states follow, for example the deflection of the vertical.
+            The other states of an INS error process follow, if there is one, for example the deflection of the
+            vertical.
         model_constants: correlation time, steady-state variance and white variance of the INS error, shape (3,) each,
             and indices of the error sources INS drift, INS noise and interpolation.
         drift_index: index of the error source INS drift.
@@ -139,7 +140,7 @@ class CorrectedIns:
         return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
-        """Set the status DEGRADED of attitudes whose protection level exceeds the alert limit or is missing."""
+        """Set the status to DEGRADED for attitudes with a protection level that is missing or above the alert limit."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
@@ -196,8 +197,8 @@ def _attitudes_with_deflection(
     """Return the results of :func:`corrected_attitudes` if the filter needs the vertical.
 
     Returns:
-        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and True for each time at which the
-        vertical is known without stars, shape (N,).
+        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and :attr:`InsErrors.vertical_known`,
+        shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
     rotation_nd, covariance_by_source = compiled_rotations.corrected_attitudes(

@@ -4,10 +4,11 @@ The filters are defined in :mod:`ship_attitude_star.ship_attitude.subfilter_set`
 subfilter without this source is consistent with all sources that the subfilter uses. An INS that drifts away from all
 other sources is excluded in the same way.
 
-A step is treated differently, because a position error rotates all stars just as a step of the INS would. If all stars
-suddenly contradict the INS, the fault is unresolved, and the stars are excluded until they are consistent with the INS
-again. A jump of the INS is detected from its own rates (:mod:`ship_estimation.ins_check`). If such a jump was reported
-recently, the INS is excluded instead (:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
+A step between the INS and all stars is treated differently, because a position error rotates all stars just as a step
+of the INS would. If all stars suddenly contradict the INS, the fault is unresolved, and the stars are excluded until
+they are consistent with the INS again. A jump of the INS is detected from its own rates
+(:mod:`ship_estimation.ins_check`). If such a jump was reported recently, the INS is excluded instead
+(:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
 """
 
 import math
@@ -693,7 +694,7 @@ class FaultDetector:
 
 
 def _remaining_offset_sigma(state: FilterState, source: str, innovations: FilterInnovations) -> float:
-    """Return the standard deviation of the remaining offset ratio from state errors, without measurement noise."""
+    """Return the standard deviation of the remaining offset ratio due to state errors, without measurement noise."""
     offset = state.excluded[source].offset
     if offset is None:
         return 0.0

@@ -467,8 +467,8 @@ class ShipFilter:
     ) -> tuple[FilterState, AttitudeDecision]:
         """Return state and decision for a measurement that failed the innovation gate.
 
-        After ``gate.conflict_after`` consecutive rejections the reason is a conflict, and the text names its probable
-        cause. After ``gate.reopen_after`` rejections the covariance is inflated.
+        After ``gate.conflict_after`` consecutive rejections the reason is a conflict, and the text contains diagnosis
+        hints. After ``gate.reopen_after`` rejections the covariance is inflated.
         """
         source, ins, compared = decision.measurement.source, linearised.ins, linearised.compared
         # The measured deck attitude is the INS attitude, rotated by the rotation from the predicted to the measured

@@ -1,8 +1,8 @@
 """Batches of INS samples for offline processing, and the attitudes at their stamps.
 
-Offline, the samples of a period are available together and are checked in one call. Then they are committed in order
-with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes of all
-samples are computed, together for samples with the same filter state.
+Offline, the samples of a period are available together and are checked in one call. Then the samples are committed in
+order with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes
+of all samples are computed, together for samples with the same filter state.
 """
 
 from collections.abc import Callable

@@ -4,8 +4,8 @@ There are two kinds of exclusion. After a drift only the correlated error of the
 error grows by a random walk, and the change of the INS attitude between measurements is still used. The subfilters
 without the INS treat the INS error as unknown in the same way.
 
-An INS that reported a jump, and that all stars contradict afterwards, is *excluded by the stars*. The change of its
-attitude may then be wrong as well, for example after an error of its clock or axes. Therefore each inconsistent
+An INS that reported a jump, and that all stars contradict afterwards, is *excluded by the stars*. The change of the INS
+attitude may then be wrong as well, for example after an error of the INS clock or axes. Therefore each inconsistent
 measurement inflates the covariance in all filters, the fault counts as unresolved, and only the error of the INS is
 estimated. The fault therefore does not affect the other states. An INS with a clock step too large to estimate is
 treated in the same way.
@@ -73,7 +73,8 @@ class InsFaultHandling:
     def all_filters_at(self, mean: FloatArray, covariance_by_source: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return means and covariances of all filters started from one state.
 
-        In the subfilters without the INS the covariance of its error is inflated, because the error is unknown there.
+        In the subfilters without the INS the covariance of the INS error is inflated, because this error is unknown
+        there.
 
         Args:
             mean: estimated errors, shape (n,).
@@ -163,7 +164,7 @@ class InsFaultHandling:
     def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a contradiction of an excluded INS, which restarts the reinstatement timer.
 
-        The fault is unresolved. Its covariance follows from the last innovations, because the change of the INS
+        The fault is unresolved, and its covariance follows from the last innovations, because the change of the INS
         attitude may remain wrong by as much as these innovations.
         """
         names = state.in_use(self._subfilters.sources, time_ns)

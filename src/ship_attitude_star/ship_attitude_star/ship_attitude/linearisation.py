@@ -63,11 +63,11 @@ class LinearisedMeasurement(NamedTuple):
 
     Attributes:
         measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
-        compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
-            mean, measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state with this
-            residual gives the estimate. The NIS is a sum of two normalised squares, minimised over all states: the
-            deviation of the state from the prediction, and the remaining residual. The NIS is chi² distributed with
-            as many degrees of freedom as residuals.
+        compared: the comparison at the linearisation point x. The residual ``compared.linear.residual`` is relative to
+            the predicted mean, measured - predicted(x) + jacobian @ (x - mean). A Kalman update of the predicted state
+            with this residual gives the estimate. The NIS is a sum of two normalised squares, minimised over all
+            states: the deviation of the state from the prediction, and the remaining residual. The NIS is chi²
+            distributed with as many degrees of freedom as residuals.
         ins: attitude of the INS, matched with the predicted clock offsets.
         matched_ins_ns: stamp of the INS attitude that is matched with the clock offsets at x.
         ins_time_ns: latest INS stamp that the comparison depends on.
@@ -351,7 +351,7 @@ class Linearisation:
     ) -> FloatArray:
         """Return the first linearisation point, relative to the predicted mean, shape (n,).
 
-        For stars this point is the attitude from the stars alone. For other measurements the correction is zero.
+        For visible stars this point is the attitude of :func:`initial_attitude`. Otherwise the correction is zero.
         """
         correction, exposure = np.zeros_like(task.mean), matched.measurement
         if not isinstance(exposure, StarExposure):

@@ -78,7 +78,7 @@ def memory_residual(
 
 
 def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
-    """Return the largest difference of a constant state from the stored state, in standard deviations.
+    """Return the largest difference between ``state`` and ``memory`` in a constant state, in standard deviations.
 
     The result is infinite before the first measurement.
 
