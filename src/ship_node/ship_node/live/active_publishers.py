@@ -25,8 +25,7 @@ _MIN_RETURNS = 2
 """Minimum number of returns that shows two publishers.
 
 A return is a message of a known publisher after a message of another publisher. A restart of a publisher causes no
-return; a lost message may cause a return.
-"""
+return; a lost message may cause a return."""
 
 
 @dataclass

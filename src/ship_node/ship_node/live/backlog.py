@@ -17,8 +17,7 @@ LONG_QUEUE_TIME_NS = 1_000_000_000
 """Queue time that counts as long, ns.
 
 The sum of this time and :data:`BEHIND_AFTER_NS` does not exceed the default ``lag_s``. So the next node does not reject
-outputs of a node that is not behind as late.
-"""
+outputs of a node that is not behind as late."""
 
 BEHIND_AFTER_NS = 1_000_000_000
 """Working time, without standstills, for which queue times may stay long before the node is behind, ns."""
@@ -29,8 +28,7 @@ MAX_QUEUE_TIME_NS = 3_000_000_000
 SHORT_QUEUE_TIME_NS = 200_000_000
 """Maximum queue time in a node that keeps up, ns: twice the longest wait for an event.
 
-If /clock runs faster than real time, queue times are divided by its rate before the comparison.
-"""
+If /clock runs faster than real time, queue times are divided by its rate before the comparison."""
 
 RECOVERED_AFTER_NS = 1_000_000_000
 """Steady time with short queue times after which a node keeps up again, ns."""

@@ -243,8 +243,7 @@ class LiveNode:
         self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
-        """Tick the adapter up to the next message and give it the message; if no message waits, tick up to the current time.
-        """
+        """Tick the adapter, then give it the next message; if no message waits, only tick up to the current time."""
         if not self._inbox:
             times_ns = self._clock.times()
             self._report_clock_step(self._clock.stepped_ns, *times_ns)

@@ -22,8 +22,7 @@ _FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
 MIN_STEP_NS = 100_000_000
 """Smallest change of system time minus steady time between two readings that counts as a step, ns.
 
-No daemon slews so fast.
-"""
+No daemon slews so fast."""
 
 _MAX_READING_NS = 10_000_000
 """Maximum time for reading both clocks for which the readings belong together, ns."""
@@ -114,8 +113,7 @@ class NodeClock:
         return DiagnosticStatus("clock", Level.OK, "running with /clock")
 
     def _since_clock_ns(self) -> int:
-        """Return the time since the last /clock (before the first: since the start), without standstills of the node, ns.
-        """
+        """Return the time since the last /clock, or since the start before the first, without standstills, ns."""
         return self._listening.now_ns(0) - self._last_clock_ns
 
     def _frozen_ns(self) -> int:

@@ -29,8 +29,7 @@ EXIT_DONE, EXIT_BAD_INPUT = 0, 2
 _BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
 """Exceptions that end the start, for example due to bad parameters, bad arguments or a missing message package.
 
-The exceptions of all packages for bad input are ValueErrors.
-"""
+The exceptions of all packages for bad input are ValueErrors."""
 
 
 class RunnableNode(Protocol):

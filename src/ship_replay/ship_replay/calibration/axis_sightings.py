@@ -75,8 +75,7 @@ class AxisSightings:
 
     @property
     def selected_stamps(self) -> list[int]:
-        """Stamps of the rows to write, in order: all rows, or an even selection if the table has more than ``MAX_SIGHTINGS``.
-        """
+        """Stamps of the rows to write, in order; an even selection if there are more rows than ``MAX_SIGHTINGS``."""
         stamps = sorted(self.rows)
         if len(stamps) <= MAX_SIGHTINGS:
             return stamps
