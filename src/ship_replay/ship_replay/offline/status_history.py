@@ -145,8 +145,8 @@ def poor_status_reasons(
 ) -> list[str]:
     """Return the reasons for INVALID or DEGRADED outputs of a node, one line each below a heading.
 
-    The list is empty if hardly any output was INVALID or DEGRADED. The node's own diagnostics come first, then problems
-    of its configuration and its inputs.
+    The list is empty if at most 1 % of the outputs were INVALID or DEGRADED. The node's own diagnostics come first,
+    then problems of its configuration and its inputs.
 
     Args:
         history: status history of the node's output.

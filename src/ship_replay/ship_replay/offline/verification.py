@@ -123,7 +123,7 @@ class Verification:
 
     @property
     def is_verified(self) -> bool:
-        """True if all outputs are equal, at least up to the sudden end of a file."""
+        """True if no number or name differs, at least up to the sudden end of a file."""
         return self.difference is None and (self.is_truncated or not self.incomplete_reason)
 
     def add(self, topic: str, difference: Difference | None) -> None:
