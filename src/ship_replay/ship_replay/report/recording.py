@@ -271,8 +271,7 @@ class _RecordingReader:
         return found
 
     def _count_status(self, topic: str, message: Any, now_ns: int) -> None:
-        """Add the duration of the previous status, at most one second; the status of the last message is not
-        counted."""
+        """Add the duration of the previous status, at most one second; the last status of a bag is not counted."""
         since_ns, word = self._last_status.get(topic, (now_ns, ""))
         if word:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)

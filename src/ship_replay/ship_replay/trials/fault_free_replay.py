@@ -103,7 +103,7 @@ class FaultFreeReplay:
         return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
 
     def _is_star_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for a fast drift of a star sensor if there are fewer than three.
+        """True for a fast drift of a star sensor if there are fewer than three star sensors.
 
         The drift is nearly consistent with the INS, and about one axis the sensor is the most accurate source.
         """
