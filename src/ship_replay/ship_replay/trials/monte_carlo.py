@@ -121,8 +121,10 @@ def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEs
 def attitude_outcomes(
     core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]
 ) -> Iterator[AttitudeOutcome]:
-    """Process the arrivals of a run; yield the outcomes. Attitudes are requested only at wanted stamps of INS
-    samples."""
+    """Process the arrivals of a run and yield the outcomes.
+
+    Attitudes are requested only at the wanted stamps of INS samples.
+    """
     ins = _InsBatches(core, run, wanted_ns)
     for _, source, index in run.arrivals():
         if source == "ins":
