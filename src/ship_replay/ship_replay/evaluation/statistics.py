@@ -177,7 +177,7 @@ class AcceptedInnovation:
 
 @dataclass
 class SourceInnovations:
-    """Innovations of one source. A later decision replaces an accepted one; every rejection is counted.
+    """Innovations of one source; a revised decision replaces the earlier decision in ``accepted``.
 
     Attributes:
         accepted: stamp → innovation of the accepted measurement.
