@@ -58,8 +58,8 @@ class Truth:
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck or main frame, shape (3, 3).
 
-        Between stamps the rotation is interpolated. The result is None if the truth has no rates, in gaps and outside
-        the truth.
+        Between stamps the rotation is interpolated, and the result is None without rates, in a gap and outside the
+        truth.
         """
         exact = self.rotation_at_stamp(stamp_ns)
         return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
