@@ -3,7 +3,7 @@
 The queue time of a message is the time from its arrival to its use. The queue time is measured by the running clock: a
 steady clock or, with ``use_sim_time``, /clock, so that a bag played too fast is detected as well. After a short
 standstill of the node, messages have waited long but are processed at once, so the node is not behind. A node is behind
-if queue times stay long while the node is working, or if one exceeds :data:`MAX_QUEUE_TIME_NS`.
+if queue times stay long while the node is working, or if a queue time exceeds :data:`MAX_QUEUE_TIME_NS`.
 """
 
 import enum

@@ -113,7 +113,7 @@ class NodeClock:
         return DiagnosticStatus("clock", Level.OK, "running with /clock")
 
     def _since_clock_ns(self) -> int:
-        """Return the time since the last /clock, or since the start before the first, without standstills, ns."""
+        """Return the time without standstills since the last /clock, or since the start if none has arrived, ns."""
         return self._listening.now_ns(0) - self._last_clock_ns
 
     def _frozen_ns(self) -> int:

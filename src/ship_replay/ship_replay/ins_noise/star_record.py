@@ -119,7 +119,7 @@ def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRe
 
 
 def _columns(pair: StarInnovation, model: StateModel, others: "_OtherStates") -> FloatArray:
-    """Return the columns of a comparison, shape (m, s): Jacobian by u and the other states in their units, value."""
+    """Return the columns of a comparison, shape (m, s): derivatives by u and by the other scaled states, then value."""
     by_attitude = ARCSEC * pair.jacobian[:, model.slices["ins.attitude"]]
     return np.column_stack([by_attitude, pair.jacobian[:, others.rows] * others.scale, pair.value])
 

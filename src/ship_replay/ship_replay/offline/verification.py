@@ -109,7 +109,7 @@ class Verification:
         text_difference: first difference in a text; None if all are equal.
         notes: further lines for the user.
         incomplete_reason: reason for which a part of the bag could not be compared; empty if all was compared.
-        is_truncated: True if the only reason is that the file ends suddenly.
+        is_truncated: True if the comparison is incomplete only because the file ends suddenly.
     """
 
     input_counts: Counter[str] = field(default_factory=Counter)

@@ -16,7 +16,7 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 
 MEASUREMENTS = 3
-"""Maximum number of measurements of a source until its step is detected, if they take longer than a second."""
+"""Number of measurements within which a large step is detected, if these measurements take longer than a second."""
 
 _DETECTABLE_SHIFT_ARCSEC = 13.0
 """Minimum mounting shift of the telescope that the next lights detect, arcsec: three times the scatter of one light."""
