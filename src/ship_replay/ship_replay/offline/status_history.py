@@ -110,8 +110,7 @@ class StatusHistory:
 
     @property
     def spans(self) -> list[Span]:
-        """Spans in order of time. A span begins at the stamp of its first output and ends where the next span
-        begins."""
+        """Spans in order of time; a span begins with its first stamp and ends where the next span begins."""
         # INVALID outputs are not published in order of stamps, so they are sorted before grouping.
         groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.status)]
         starts_ns = [group[0].first_ns for group in groups]
