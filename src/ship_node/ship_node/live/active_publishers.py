@@ -22,9 +22,10 @@ _REMOVAL_TIMEOUT_NS = 10_000_000_000
 """Time without a message after which a publisher is removed, ns."""
 
 _MIN_RETURNS = 2
-"""Minimum number of returns to an earlier publisher, after messages of another publisher, that shows two publishers.
+"""Minimum number of returns that shows two publishers.
 
-A restart of a publisher causes no return; a lost message may cause a return."""
+A return is a message of a known publisher after a message of another publisher. A restart of a publisher causes no
+return; a lost message may cause a return."""
 
 
 @dataclass
@@ -33,7 +34,7 @@ class _Publisher:
 
     Attributes:
         number: sequence number of its last message.
-        last_ns: receive time of that message.
+        last_ns: receive time of its last message by the steady clock.
         longest_ns: longest interval between two of its messages.
     """
 
@@ -100,6 +101,6 @@ def publisher_names(publishers: Sequence[Any]) -> list[str]:
 
 
 def duplicate_publishers_text(topic: str, names: Sequence[str]) -> str:
-    """Return the text for the user about two publishers of a topic, with the names of their nodes."""
+    """Return the text for the user about two publishers of a topic, with the names of their nodes if both are known."""
     publishers = " and ".join(names) if len(names) > 1 else "the middleware does not name both nodes"
     return f"two publishers send on {topic}: {publishers}; stop all but one"

@@ -98,7 +98,7 @@ class AdapterCalls:
             self._record_event(DuplicatePublishersChanged(topic, text), now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:
-        """Report to the adapter that the clock went back."""
+        """Report to the adapter that the node's clock went back."""
         published: list[OutputMessage] = []
         try:
             published = self._adapter.clock_jumped_back(now_ns)

@@ -1,9 +1,9 @@
 """Overload detection: when a node is behind its inputs, and when it keeps up again.
 
 The queue time of a message is the time from its arrival to its use. The queue time is measured by the running clock: a
-steady clock or, with ``use_sim_time``, /clock, so that a bag played too fast is detected as well. After a standstill of
-the node, messages have waited long but are processed at once, so the node is not behind. A node is behind if queue
-times stay long while the node is working.
+steady clock or, with ``use_sim_time``, /clock, so that a bag played too fast is detected as well. After a short
+standstill of the node, messages have waited long but are processed at once, so the node is not behind. A node is behind
+if queue times stay long while the node is working, or if a queue time exceeds :data:`MAX_QUEUE_TIME_NS`.
 """
 
 import enum
@@ -16,8 +16,8 @@ from ship_node.live.node_clock import TimeoutClock
 LONG_QUEUE_TIME_NS = 1_000_000_000
 """Queue time that counts as long, ns.
 
-The sum with :data:`BEHIND_AFTER_NS` is within the default ``lag_s``, so that outputs of a node that is not behind
-are not late at the next node."""
+The sum of this time and :data:`BEHIND_AFTER_NS` does not exceed the default ``lag_s``. So the next node does not reject
+outputs of a node that is not behind as late."""
 
 BEHIND_AFTER_NS = 1_000_000_000
 """Working time, without standstills, for which queue times may stay long before the node is behind, ns."""
@@ -39,7 +39,7 @@ class OverloadChange(enum.Enum):
 
     NONE = enum.auto()
     BEHIND = enum.auto()
-    """The node is behind; all waiting messages must be dropped."""
+    """The node is behind; its waiting messages must be dropped."""
     KEEPS_UP = enum.auto()
 
 

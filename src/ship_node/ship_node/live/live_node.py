@@ -1,7 +1,7 @@
 """Live rclpy node around an adapter: inputs, ticks, services and parameters.
 
-A callback only adds its message to a bounded inbox. When no event is left to process, the adapter gets the oldest
-message (:mod:`ship_node.live.node_events`) through :class:`ship_node.live.adapter_calls.AdapterCalls`, which publishes
+A callback only adds its message to a bounded inbox. After each round of events, the adapter gets the oldest message
+(:mod:`ship_node.live.node_events`) through :class:`ship_node.live.adapter_calls.AdapterCalls`, which publishes
 the results. Before the message the adapter gets all ticks up to the message's receive time, on a grid of the timeout
 clock (:mod:`ship_node.live.node_clock`). An exception of the adapter does not end the node
 (:mod:`ship_node.live.node_report`).
@@ -64,7 +64,7 @@ class LiveNode:
     Args:
         adapter_class: adapter to run.
         context: an initialised rclpy context.
-        parameter_files: files of the command line, for the location of a bad parameter.
+        parameter_files: parameter files of the command line, to check their sections and to locate a bad parameter.
 
     Raises:
         BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file has a section for a
@@ -243,7 +243,7 @@ class LiveNode:
         self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
-        """Give the adapter the next message at its receive time, or the current time if no message waits."""
+        """Tick the adapter, then give it the next message; if no message waits, only tick up to the current time."""
         if not self._inbox:
             times_ns = self._clock.times()
             self._report_clock_step(self._clock.stepped_ns, *times_ns)
@@ -288,7 +288,7 @@ class LiveNode:
         if self._last_ns and waiting_ns - self._last_ns > MAX_CATCH_UP_NS:
             self._grid.restart(waiting_ns)
         for tick_ns in self._grid.ticks_until(waiting_ns):
-            # The node time of a tick never decreases, also if the clock is frozen or was set back.
+            # Even if the clock is frozen, no tick is before the last node time, unless the clock itself was set back.
             node_ns = max(now_ns - (waiting_ns - tick_ns), min(now_ns, self._last_node_ns))
             self._guard.call("tick", self._calls.tick, node_ns, tick_ns)
         self._last_node_ns, self._last_ns = now_ns, waiting_ns
@@ -330,7 +330,7 @@ class LiveNode:
         self.adapter.health.record_lost(topic, event.total_count_change)
 
     def _watch(self) -> None:
-        """Run the periodic checks that need no message: publishers of the inputs, clock, exceptions."""
+        """Run the periodic checks that need no message, and publish the diagnostics of the node runtime."""
         self._events.note_event()
         for topic in self._subscriptions:
             self._check_publishers(topic)

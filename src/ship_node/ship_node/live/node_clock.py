@@ -20,7 +20,9 @@ _FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
 """Timeout of the first /clock, ns; it is longer, because the publisher must be discovered first."""
 
 MIN_STEP_NS = 100_000_000
-"""Smallest change of the system's clock between two readings that counts as a step, ns; no daemon slews so fast."""
+"""Smallest change of system time minus steady time between two readings that counts as a step, ns.
+
+No daemon slews so fast."""
 
 _MAX_READING_NS = 10_000_000
 """Maximum time for reading both clocks for which the readings belong together, ns."""
@@ -111,7 +113,7 @@ class NodeClock:
         return DiagnosticStatus("clock", Level.OK, "running with /clock")
 
     def _since_clock_ns(self) -> int:
-        """Return the time since the last /clock without standstills of the node, ns."""
+        """Return the time without standstills since the last /clock, or since the start if none has arrived, ns."""
         return self._listening.now_ns(0) - self._last_clock_ns
 
     def _frozen_ns(self) -> int:
@@ -150,7 +152,7 @@ class TimeoutClock:
         """Return the timeout-clock time, ns; a node that is not at a standstill calls this at least once per tick.
 
         Args:
-            node_ns: the node time.
+            node_ns: the node time, at which the clock starts with the first call; later calls ignore it.
         """
         last_ns, self._last_ns = self._last_ns, self._steady_ns()
         if self._waiting_ns is None:

@@ -27,7 +27,7 @@ from ship_node.parameters.usage import usage_text
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
 
 _BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
-"""Exceptions before the node runs, due to bad parameters, bad arguments or a missing message package.
+"""Exceptions that end the start, for example due to bad parameters, bad arguments or a missing message package.
 
 The exceptions of all packages for bad input are ValueErrors."""
 
@@ -52,8 +52,8 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
         args: command line without the program's name; by default the command line of the process.
 
     Returns:
-        Exit code: 0 ended by a signal, 2 bad arguments or parameters (with one line on stderr), 141 if the reader of
-            the help text is gone.
+        Exit code: 0 after a signal or the help text, 2 if the start failed (with one line on stderr), 141 if the reader
+        of the help text is gone.
     """
     arguments = list(sys.argv[1:] if args is None else args)
     package = adapter_class.__module__.partition(".")[0]

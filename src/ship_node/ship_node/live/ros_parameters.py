@@ -79,11 +79,11 @@ class NodeParameters:
     Args:
         node: node without declared parameters of the suite.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
-        has_black_box: True if the node writes a black box; otherwise a parameter of that name is ignored.
+        has_black_box: True if the node can write a black box; otherwise the parameters of the black box are ignored.
 
     Raises:
         ParameterError: an override is unknown, of the wrong type, out of its range or missing.
-        InputError: the same for a parameter of the node runtime.
+        InputError: a parameter of the node runtime has a wrong type or value.
     """
 
     def __init__(self, node: ParameterNode, config_type: type, has_black_box: bool = True) -> None:
@@ -106,7 +106,7 @@ class NodeParameters:
     def connect_adapter(
         self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
     ) -> None:
-        """Pass live changes to the adapter from now on; an exception of the adapter refuses a change.
+        """Pass live changes to the adapter from now on; a change is refused if the adapter raises.
 
         Args:
             calls: calls of the adapter.
@@ -189,7 +189,7 @@ class NodeParameters:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return the values of parameter files and command line by dotted name.
+    """Return dotted name → value of the configuration's parameters in parameter files and on the command line.
 
     Before the declaration, rclpy has no public method for these values. For an empty list, as ``ros2 param dump``
     writes it, rcl keeps the name without a value.

@@ -67,7 +67,7 @@ class AxisSightings:
 
     Attributes:
         rows: sightings by stamp, ns.
-        unused_count: number of exposures that were rejected, or contained a single light.
+        unused_count: number of exposures of lights that gave no sighting.
     """
 
     rows: dict[int, AxisSighting] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class AxisSightings:
 
     @property
     def selected_stamps(self) -> list[int]:
-        """Stamps of the rows to write, in order: all, or an even selection if there are more than a fit reads."""
+        """Stamps of the rows to write, in order; an even selection if there are more rows than ``MAX_SIGHTINGS``."""
         stamps = sorted(self.rows)
         if len(stamps) <= MAX_SIGHTINGS:
             return stamps
@@ -97,7 +97,7 @@ class AxisSightings:
         )
 
     def add_decision(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
-        """Add an exposure if the core used all its lights under the names in the message; else count it as unused."""
+        """Add the sighting of an exposure of lights; count the exposure as unused if there is no sighting."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return  # stars, or a target
@@ -163,7 +163,7 @@ def axis_sightings(
 
 
 def _sighting(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
-    """Return the sighting of an exposure; None if a light was not used, or if the lights give no attitude."""
+    """Return the sighting of an exposure; None unless all lights, at least two, were used and give an attitude."""
     sighting = core.sighting(exposure)
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:

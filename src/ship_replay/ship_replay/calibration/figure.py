@@ -55,7 +55,7 @@ def _draw_history(axes: Axes, calibration: InstallationCalibration, angle: Insta
         f"{angle.angle} {angle.correction_arcsec:+.2f} ± {angle.sigma / ARCSEC:.2f}″, "
         f"before ± {angle.sigma_before / ARCSEC:.4g}″"
     )
-    # The wide band at the start may lie outside, so that the rest is visible.
+    # The wide band at the start may lie outside the axes limits, so that the rest is visible.
     later = settled_slice(sigma)
     edges = np.concatenate([value[later] - sigma[later], value[later] + sigma[later]])
     edges = edges[np.isfinite(edges)]

@@ -69,7 +69,7 @@ class Session:
         counts: source (``star.<id>``, ``reference.<name>``) → counts of its messages.
         times_s: times of the history since the first entry, s, shape (n,).
         history: name of an installation angle → values and sigmas at ``times_s``, rad, shape (n, 2).
-        duration_s: length of the bag.
+        duration_s: length of the bag, s.
         problems: problems of the bag, nodes that do not take part, and unreadable messages, one line each.
     """
 

@@ -26,7 +26,7 @@ class InputFile:
     Attributes:
         name: path as typed.
         path: absolute path.
-        contents: the file and the files it refers to, each with absolute path and hash.
+        contents: the file and the bag to which a scenario refers, each with absolute path and hash.
     """
 
     name: str

@@ -99,7 +99,7 @@ def _maker(options: argparse.Namespace) -> Maker:
 
 
 def _run_missing_items(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[ItemResult]:
-    """Return every item with its result; missing items are run, and saved unless they fail, with progress on stderr."""
+    """Return every item with its result; missing items are run with progress on stderr, and saved unless they fail."""
     known = ((item.key, folder.result(item)) for item in items)
     found = {key: result for key, result in known if result is not None}
     missing = {item.key: item for item in items if item.key not in found}

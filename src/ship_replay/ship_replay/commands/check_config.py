@@ -1,4 +1,4 @@
-"""``check_config``: missing or wrong parameters of a suite configuration, and contradictions between it and a bag."""
+"""``check_config``: missing or wrong parameters of a suite configuration, and its contradictions to a bag."""
 
 import argparse
 import sys

@@ -112,7 +112,7 @@ def _report(options: argparse.Namespace) -> None:
     from ship_replay.report.page import page
     from ship_replay.report.report_data import has_truth, read_report_data
 
-    # Sensor data are only in the replayed bag; with truth they are evaluated too.
+    # Only the input bag contains sensor data; if it contains a truth, the report evaluates these data too.
     truth = options.bag if has_truth(options.bag, options.namespace) else None
     report_data = read_report_data(options.out, truth, namespace=options.namespace)
     options.report.mkdir(parents=True, exist_ok=True)

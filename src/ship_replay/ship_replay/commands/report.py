@@ -17,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str) -> None:
-    """Add the options of a page: truth, file, limits of the ship, namespace.
+    """Add the options of a page: truth, output file, limits of the ship, names in the bags, overwriting.
 
     Args:
         parser: parser to which the options are added.

@@ -20,7 +20,7 @@ class Bounds:
     """Contents of a file of bounds.
 
     Attributes:
-        skip_s: time after the beginning of the bag that is excluded from the evaluation.
+        skip_s: duration at the beginning of the bag that is excluded from the evaluation, s.
         limits: quantity → (minimum, maximum) allowed; infinite if not limited.
     """
 

@@ -52,8 +52,8 @@ class AlignmentValue:
         name: name in the message.
         value: value in ``unit``, angles from -180 deg to 180 deg.
         sigma: standard deviation, same unit.
-        unit: ``arcsec`` for errors of the INS and of axes, ``deg`` for installation angles, ``s`` for time offsets, or
-            the unit in the message (``m``, ``px``, ``1``).
+        unit: ``deg`` for installation angles, ``arcsec`` for other angles, else the unit in the message (``s``, ``m``,
+            ``px``, ``1``).
     """
 
     name: str
@@ -139,7 +139,7 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
         namespace: namespace of the ship in the bags; bags written by a replay may have none.
 
     Raises:
-        BadInput: a bag cannot be read, or contains nothing to evaluate.
+        BadInput: a bag cannot be read, ``bag_path`` contains nothing to evaluate, or ``skip_s`` exceeds its length.
     """
     with read_bag(bag_path) as bag:
         others = [] if against is None or against.resolve() == bag_path.resolve() else [read_bag(against)]
@@ -276,7 +276,7 @@ def named_config(text: str, kind: type[Config], node_name: str) -> Config | None
     """Return a node's configuration from a suite file, in any namespace; None if no section is for the node.
 
     Raises:
-        BadInput: a parameter is unknown or out of range.
+        BadInput: the text is not a parameter file, or a parameter is unknown, missing or wrong.
     """
     # A section for all nodes counts for ship_attitude only, as in a replay (adapter_chain.nodes_of).
     node = in_any_namespace(node_name)

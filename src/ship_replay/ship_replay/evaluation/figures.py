@@ -143,7 +143,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:
-    """Return groups of series with the same channels, without parts of a first series such as ``pointing.encoder``."""
+    """Return the series grouped by channels; a part of a group's first series, as ``pointing.encoder``, is omitted."""
     groups: dict[tuple[str, str, str], list[AttitudeErrors]] = {}
     for errors in series:
         group = groups.setdefault(errors.channels, [])

@@ -58,13 +58,14 @@ class Truth:
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck or main frame, shape (3, 3).
 
-        Between stamps the rotation is interpolated if the truth has rates; otherwise the result is None.
+        Between stamps the rotation is interpolated, and the result is None without rates, in a gap and outside the
+        truth.
         """
         exact = self.rotation_at_stamp(stamp_ns)
         return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
 
     def interpolated_rotation(self, stamp_ns: int) -> FloatArray | None:
-        """Return the rotation horizon from deck or main frame, shape (3, 3), interpolated; None outside the truth."""
+        """Return the rotation horizon from deck or main frame, shape (3, 3), interpolated; None in a gap or outside."""
         found = self._track.at(stamp_ns)
         return None if found is None else found.rotation_nd
 

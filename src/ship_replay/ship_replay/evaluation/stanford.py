@@ -81,7 +81,10 @@ class Epochs:
         }
 
     def statistics(self) -> dict[str, float]:
-        """Return quantity → value: epochs; by channel, regions, availability, largest error/level and median level."""
+        """Return quantity → value: number of epochs; by channel, counts of regions and availability.
+
+        Largest error/level and median level are those of the available epochs.
+        """
         values = {"epochs": float(len(self.is_usable))}
         regions = self.regions()
         for axis, (channel, counts) in enumerate(self.counts().items()):

@@ -177,11 +177,11 @@ class AcceptedInnovation:
 
 @dataclass
 class SourceInnovations:
-    """Innovations of one source. If a measurement has several decisions, the last decision counts.
+    """Innovations of one source; a revised decision replaces the earlier decision in ``accepted``.
 
     Attributes:
         accepted: stamp → innovation of the accepted measurement.
-        rejected: reason → number of rejected measurements.
+        rejected: reason → number of rejections of measurements, and of their parts such as single stars.
     """
 
     accepted: dict[int, AcceptedInnovation] = field(default_factory=dict)

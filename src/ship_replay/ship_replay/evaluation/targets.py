@@ -25,7 +25,7 @@ class TargetErrors:
     A published direction is usable unless it is INVALID.
 
     Attributes:
-        unavailable_ns: stamps of the truth at which the published direction was INVALID or missing.
+        unavailable_ns: stamps of the truth at which the published direction was INVALID, malformed or missing.
         time_ns: stamps of usable directions.
         direction_error_arcsec: estimate minus truth across the true direction, shape (2,) each.
         sigma_arcsec: predicted standard deviation, root mean square of the two components.

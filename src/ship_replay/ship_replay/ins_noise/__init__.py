@@ -10,5 +10,5 @@ Data flow from the bag:
 6. :mod:`identification`: model selection and warnings.
 7. :mod:`parameter_output`: parameter file and text of the result.
 
-The folder imports only ``offline/``.
+Of this package the folder imports only ``offline/``.
 """

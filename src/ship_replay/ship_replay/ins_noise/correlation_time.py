@@ -15,7 +15,7 @@ from ship_geometry.rotations import FloatArray
 
 _GRID = 2001
 _POWER = 0.25
-"""Exponent of the rate 1/τ: the estimate is the mean of this power.
+"""Exponent p: the estimate of the rate 1/τ is the mean of (1/τ)^p, raised to the power 1/p.
 
 With this exponent, the ratio of RMS error to sigma is nearest to 1 in simulated records of 1 to 200 correlation times.
 The mean of the logarithm has a sigma that is too large by a fifth, due to a long tail towards long times.
@@ -25,13 +25,13 @@ The mean of the logarithm has a sigma that is too large by a fifth, due to a lon
 def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: float) -> tuple[float, float]:
     """Return the estimate of the logarithm of a correlation time, and its variance.
 
-    The noise density of the Gauss-Markov process is assumed known, since every record determines it. The Fisher
-    information of the logarithm of the time is then (1 + duration / time) / 2.
+    The noise density of the Gauss-Markov process is assumed known, since every record determines this density. The
+    Fisher information of the logarithm of the time is then (1 + duration / time) / 2.
 
     Args:
         logs: increasing logarithms of times (s), shape (N,).
         log_likelihoods: log likelihoods at these times, shape (N,).
-        duration_s: length of the record.
+        duration_s: length of the record, s.
 
     Example:
         A long record, whose likelihood is that of a normal distribution of the logarithm:

@@ -37,7 +37,7 @@ _STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
 """Distances from the maximum, in sigmas from the curvature, at which a correlation time's likelihood is computed."""
 
 _WIDEST_STEP = 1.0
-"""Maximum sigma of the logarithm for these distances; a larger sigma does not describe the likelihood."""
+"""Upper limit of the sigma that is multiplied by :data:`_STEPS`; a larger sigma does not describe the likelihood."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
 def _use_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return logarithms and covariance of the parameters, with mean and variance of each correlation time.
 
-    The other parameters are shifted according to their correlation with the time.
+    The other parameters are shifted according to their correlation with each correlation time.
     """
     point = best.copy()
     for row in np.flatnonzero(_is_time(search.model)):
@@ -156,7 +156,7 @@ class _Search:
 
     @property
     def duration_s(self) -> float:
-        """Length of the record."""
+        """Length of the record, s."""
         return self._record.duration_s
 
     def costs(self, points: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from ship_replay.ins_noise.session import NoiseSession, mean_location
 from ship_replay.ins_noise.star_record import StarRecord, star_record
 
 TIMES_NEEDED = 200.0
-"""Length of a record, in correlation times, needed for sigma within 10 % and the time within 30 %."""
+"""Length of a record, in correlation times τ, needed for σ within 10 % and τ within 30 %."""
 
 _LEAST_EPOCHS = 50
 _CLEAR = 10.0

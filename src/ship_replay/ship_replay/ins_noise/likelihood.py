@@ -27,7 +27,7 @@ class ProcessSteps(NamedTuple):
 
     Attributes:
         start: covariance at the first epoch, shape (k, n, n).
-        transition: transition to each further epoch, shape (k, E - 1, n, n), or (1, E - 1, n, n) if all are equal.
+        transition: transition to each further epoch, shape (k, E - 1, n, n), or (1, E - 1, n, n) for all sets.
         noise: covariance of the process noise of each step, shape (k, E - 1, n, n).
         white: variance of a sample's white noise about each axis, arcsec², shape (k, 3).
     """

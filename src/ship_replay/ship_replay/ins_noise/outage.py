@@ -1,4 +1,4 @@
-"""Consistency of a fitted model without stars: predictions over parts of the record, compared with later stars.
+"""Consistency check of a fitted model: predictions without stars over parts of the record, against later stars.
 
 The record is cut into equal intervals. At the beginning of each interval except the first, the filter has used all
 earlier stars. The filter predicts the INS's error to the end of the interval without stars, and the last stars of the
@@ -27,7 +27,7 @@ _CHECKED_SHARE = 0.125
 """Share of an interval at its end whose stars determine the prediction error."""
 
 _MAX_CHECKED_EPOCHS = 50
-"""Maximum number of epochs in this share; more epochs do not improve the comparison."""
+"""Maximum number of epochs that determine a prediction error; more epochs do not improve the comparison."""
 
 _PARTS = {"tilt": [0, 2], "heading": [1]}
 
@@ -49,7 +49,7 @@ class PredictionError(NamedTuple):
 
     @property
     def is_consistent(self) -> bool:
-        """True if the errors are no larger than predicted; False for NaN."""
+        """True if the mean NEES is at most its limit; False for NaN."""
         return self.nees <= self.nees_limit
 
 

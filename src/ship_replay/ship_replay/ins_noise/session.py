@@ -44,10 +44,10 @@ class StarInnovation(NamedTuple):
     Attributes:
         time_ns: stamp of the measurement.
         source: ``star.<id>``.
-        value: measured minus expected without errors, rad, shape (m,).
+        value: measured minus expected for zero errors, rad, shape (m,).
         jacobian: derivatives with respect to the states of the model, shape (m, n).
         noise: covariance of the stated measurement noise, rad², shape (m, m).
-        here: latitude and velocity of the ship, and the vertical if given.
+        here: latitude and velocity of the ship, and the deflection of the vertical if given.
     """
 
     time_ns: int
@@ -107,7 +107,7 @@ class NoiseSession:
         comparisons: comparisons in order of stamps.
         common_n: source → steady covariance of the errors that its messages share, rad², shape (3, 3).
         rejected_count: number of star measurements that were not used.
-        problems: problems of the bag, one line each.
+        problems: problems of the bag, nodes that do not take part, and unreadable messages, one line each.
     """
 
     name: str

@@ -28,7 +28,7 @@ _INS_BLOCKS = ("ins.attitude", "ins.noise", "gravity.deflection")
 
 @dataclass(frozen=True)
 class TimeVaryingStates:
-    """Time-varying states other than the INS's error, in units of their own sigmas at the start.
+    """Time-varying states other than the INS's error, in units of their own sigmas at the start (arcsec if zero).
 
     Attributes:
         covariance: covariance at the start, which is the steady covariance of Gauss-Markov states, shape (c, c).
@@ -46,7 +46,7 @@ class TimeVaryingStates:
         return len(self.time_s)
 
     def propagation(self, dt_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the decay factors of the states over times, shape (e, c), and the process noise, shape (e, c, c)."""
+        """Return the decay factors over time steps (s), shape (e, c), and the process noise, shape (e, c, c)."""
         decay = np.exp(-dt_s[:, None] / self.time_s)
         fresh = self.covariance * (1.0 - decay[:, :, None] * decay[:, None, :])
         rows = np.arange(self.count)
@@ -80,7 +80,7 @@ class StarRecord:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last epoch."""
+        """Time from the first to the last epoch, s."""
         return float(self.times_s[-1])
 
     def with_every_nth_epoch(self, step: int) -> "StarRecord":
@@ -119,7 +119,7 @@ def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRe
 
 
 def _columns(pair: StarInnovation, model: StateModel, others: "_OtherStates") -> FloatArray:
-    """Return Jacobian with respect to u and the other states, in their units, and value, together of shape (m, s)."""
+    """Return the columns of a comparison, shape (m, s): derivatives by u and by the other scaled states, then value."""
     by_attitude = ARCSEC * pair.jacobian[:, model.slices["ins.attitude"]]
     return np.column_stack([by_attitude, pair.jacobian[:, others.rows] * others.scale, pair.value])
 

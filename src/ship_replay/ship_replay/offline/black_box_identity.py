@@ -35,7 +35,7 @@ def black_box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapt
     """Return the adapter of the node that wrote a black box.
 
     Raises:
-        BadInput: the black box has another format, or its node is not known here.
+        BadInput: the metadata are missing, the format or the node is not known here, or the file is not the first part.
     """
     if METADATA not in bag.metadata:
         raise BadInput(f"metadata record '{METADATA}' is missing: the head of the black box is damaged", file=bag.path)
@@ -80,7 +80,7 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
 
 
 def older_message_converters(bag: Bag) -> dict[str, Callable[[Any], Any]]:
-    """Return output topic → function that converts a message to the black box's release; empty for this release."""
+    """Return output topic → function that converts a message to the black box's release; empty if none is needed."""
     own = _recorded_parameters(bag)
     return {"ship/imu": _without_rate_covariance} if own and _RATE_COVARIANCE_PARAMETER not in own else {}
 
@@ -133,7 +133,7 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
 
 
 def _without_later_parameters(config: Any, bag: Bag, node: str, config_path: Path | None) -> Any:
-    """Return the configuration without functions unknown to the release that wrote the black box.
+    """Return the configuration; functions unknown to the release that wrote the black box are switched off.
 
     A black box contains all parameters of its node, defaults included, so a missing parameter was unknown to this
     release. A file may still set such a parameter.
@@ -179,7 +179,7 @@ def _version_differences(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def _parameter_changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
-    """Return the parameters that differ from those in the black box, as text; empty if it has no parameters."""
+    """Return the parameters that differ from those in the black box, as text; empty if the black box has none."""
     try:
         own, now = (
             flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))),

@@ -262,7 +262,7 @@ class _BlackBoxReplay:
                 self._pending_outputs.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
-        """Return the result of a call; None and a note if it raised an exception, which did not end the live node."""
+        """Return the result of a call; if the call raises, return None and add a note, as a live node continues."""
         self._check_no_pending_outputs(time_ns)
         self._result.input_counts[what] += 1
         try:
@@ -335,7 +335,7 @@ def _use_text(use: FileUse | None) -> str:
 
 
 def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: bytes) -> Difference:
-    """Return the first line that differs, marked as a difference of texts if the documents differ in texts only."""
+    """Return the first differing line, or the lengths, marked as text if the documents differ in texts only."""
     is_text = _differ_in_texts_alone(recorded, replayed)
     one, other = (content.decode(errors="replace").splitlines() for content in (recorded, replayed))
     for number, (a, b) in enumerate(zip(one, other, strict=False), 1):

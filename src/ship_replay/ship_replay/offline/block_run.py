@@ -91,7 +91,7 @@ class BlockRun(ReplayRun):
         return events, event_records
 
     def _topic_blocks(self, events: list[InputEvent], event_records: list[BagRecord | None]) -> dict[str, TopicBlock]:
-        """Return the messages of topics that may be processed in blocks; messages of other topics are decoded."""
+        """Return topic → its messages as a block, if possible; decode all other messages except the truth."""
         blocks = self._chain.block_topics()
         places: dict[str, list[int]] = defaultdict(list)
         for place, (event, record) in enumerate(zip(events, event_records, strict=True)):

@@ -31,7 +31,7 @@ def values(message: Any, name: str = "") -> Iterator[tuple[str, Value]]:
 
 
 def are_texts(one: object, other: object) -> bool:
-    """True if both values are strings and one of them is a sentence.
+    """True if both values are strings and at least one contains a space.
 
     Strings without a space are names of frames, sources or reasons. Names are compared like numbers.
 

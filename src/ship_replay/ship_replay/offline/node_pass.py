@@ -155,7 +155,7 @@ class NodePass:
             self.outputs.message_batches.append(MessageBatch(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, index: int, now_ns: int) -> None:
-        # A block ends before the first tick with an effect (_start_batch), so a tick within it can be skipped.
+        # A block ends before the first tick with an effect (_start_batch), so a tick within the block can be skipped.
         if self._batch is not None and self._block_adapter is not None and self._block_adapter.has_idle_ticks:
             return
         self._commit_arrived()

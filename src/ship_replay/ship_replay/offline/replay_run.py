@@ -35,8 +35,10 @@ class ReplaySummary:
     Attributes:
         inputs: relative topic → number of messages processed.
         outputs: topic → number of messages written, truth included.
-        rejected: relative topic → reason → number of messages not used.
-        accepted_with_note: relative topic → reason → number of messages used with a note, or of message parts not used.
+        rejected: input topic, after the node's name if several nodes are replayed → reason → number of messages not
+            used.
+        accepted_with_note: the same topics → reason → number of messages used with a note, or of message parts not
+            used.
         undecodable: relative topic → number of messages that do not match their type.
         status_histories: topic with a status → its status history.
         exclusions: topic of Integrity messages → history of the reported exclusions.
@@ -44,9 +46,9 @@ class ReplaySummary:
         log_delays: statistics of log time minus stamp.
         reasons: reasons for which outputs were INVALID or DEGRADED, one line each.
         absent: optional input topics that are not in the bag.
-        problems: problems of the bag, one line each.
-        duration_s: length of the bag.
-        elapsed_s: processing time.
+        problems: nodes that are not replayed, and problems of the bag, one line each.
+        duration_s: length of the bag, s.
+        elapsed_s: processing time, s.
     """
 
     inputs: Counter[str] = field(default_factory=Counter)

@@ -110,7 +110,7 @@ class StatusHistory:
 
     @property
     def spans(self) -> list[Span]:
-        """Spans in order of time. A span ends where the next begins; INVALID begins at the tick that reports it."""
+        """Spans in order of time; a span begins with its first stamp and ends where the next span begins."""
         # INVALID outputs are not published in order of stamps, so they are sorted before grouping.
         groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.status)]
         starts_ns = [group[0].first_ns for group in groups]
@@ -145,8 +145,8 @@ def poor_status_reasons(
 ) -> list[str]:
     """Return the reasons for INVALID or DEGRADED outputs of a node, one line each below a heading.
 
-    The list is empty if hardly any output was INVALID or DEGRADED. The node's own diagnostics come first, then problems
-    of its configuration and its inputs.
+    The list is empty if at most 1 % of the outputs were INVALID or DEGRADED. The node's own diagnostics come first,
+    then problems of its configuration and its inputs.
 
     Args:
         history: status history of the node's output.

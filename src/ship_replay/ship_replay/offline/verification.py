@@ -109,7 +109,7 @@ class Verification:
         text_difference: first difference in a text; None if all are equal.
         notes: further lines for the user.
         incomplete_reason: reason for which a part of the bag could not be compared; empty if all was compared.
-        is_truncated: True if the only reason is that the file ends suddenly.
+        is_truncated: True if the comparison is incomplete only because the file ends suddenly.
     """
 
     input_counts: Counter[str] = field(default_factory=Counter)
@@ -123,7 +123,7 @@ class Verification:
 
     @property
     def is_verified(self) -> bool:
-        """True if all outputs are equal, at least up to the sudden end of a file."""
+        """True if no number or name differs, at least up to the sudden end of a file."""
         return self.difference is None and (self.is_truncated or not self.incomplete_reason)
 
     def add(self, topic: str, difference: Difference | None) -> None:

@@ -46,7 +46,7 @@ class AttitudeTracks:
         return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
 
     def predicted_attitude(self, device: Any, time_ns: int) -> StarPrior | None:
-        """Return the attitude of a camera (horizon from sensor) with the covariance of its errors; None if unknown."""
+        """Return the attitude of a camera (horizon from sensor) with its error covariance; None if unknown."""
         ship, ins = self.ship.at(time_ns + offset_ns(device)), self.config.ins
         if ship is None:
             return None

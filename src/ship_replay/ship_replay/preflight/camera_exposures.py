@@ -59,7 +59,7 @@ class CameraRecord:
         topic: topic of the camera's stars.
         camera: configured camera.
         messages: some of the messages, each with its arrival time, ns.
-        predicted_attitude_at: function that returns the predicted attitude (horizon from sensor) at a time; None if
+        predicted_attitude_at: function of a time that returns the predicted attitude (horizon from sensor), or None if
             unknown.
     """
 

@@ -1,4 +1,4 @@
-"""Contradictions between a suite configuration and a bag: topics, types, frames, and too long gaps of inputs."""
+"""Contradictions between a suite configuration and a bag: topics, types, frames, too long gaps; processor load."""
 
 import os
 import re

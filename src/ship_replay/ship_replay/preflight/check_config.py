@@ -261,7 +261,8 @@ def _mountings(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield the sky parameters of two nodes that both need the sky, with both values.
 
-    Both nodes must have the same sky. Otherwise errors shared by solutions and other sensors cannot be separated.
+    Both nodes must use the same sky parameters. Otherwise errors shared by solutions and other sensors cannot be
+    separated.
     """
     if _needs_sky(one) and _needs_sky(other):
         for name in (

@@ -255,7 +255,7 @@ def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str])
 def _collect_images(
     config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]
 ) -> tuple[list[tuple[int, dict[str, FloatArray]]], dict[str, list[tuple[int, FloatArray]]]]:
-    """Return images with several lights, spread over the bag, and the unit vectors to the drones by time."""
+    """Return images with several lights, spread over the bag, and the unit vectors to the beacons by time."""
     topics = {f"beacon/{id_}/baseline": id_ for id_ in config.beacons if f"beacon/{id_}/baseline" in usable}
     relative = {usable[topic]: topic for topic in (*topics, _IMAGE_TOPIC)}
     spacing_ns = ((bag.end_ns or 0) - (bag.start_ns or 0)) // _IMAGES
@@ -280,7 +280,7 @@ def _collect_images(
 
 
 def _nearest_direction(baselines: list[tuple[int, FloatArray]], time_ns: int) -> FloatArray | None:
-    """Return the unit vector nearest in time; None if no vector is within the limit."""
+    """Return the unit vector nearest in time; None if none is within ``_NEAR_NS``."""
     index = bisect_left(baselines, time_ns, key=lambda entry: entry[0])
     near = [entry for entry in baselines[max(index - 1, 0) : index + 1] if abs(entry[0] - time_ns) <= _NEAR_NS]
     return min(near, key=lambda entry: abs(entry[0] - time_ns))[1] if near else None

@@ -115,7 +115,7 @@ def _reason_names(reasons: Sequence[Reason]) -> Iterator[str]:
 
 
 def _reason_and_advice(last: Any, word: str) -> str:
-    """Return the node's text about the last rejection, and the advice."""
+    """Return the advice for a reason, after the text of the last rejection if it has this reason."""
     node_text = f": {shorten(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
     advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
     return f"{node_text}; {advice}" if advice else node_text

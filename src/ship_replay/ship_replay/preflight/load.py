@@ -59,7 +59,7 @@ def node_loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slown
 
     Args:
         adapters: adapters of the nodes.
-        rates_hz: topic → rate of inputs from outside; rates of topics between nodes follow from them.
+        rates_hz: topic → rate of inputs from outside; rates of topics between nodes are derived from these rates.
         slowness: relative slowness of this computer, see :func:`measured_slowness`.
     """
     found = []

@@ -48,7 +48,7 @@ class MeasuredCamera:
 
     Attributes:
         axes: image axes.
-        focal_length_m: focal length from the angles between stars; None if too few stars are identified.
+        focal_length_m: focal length from the angles between stars; None if not determined.
         optics: correction of the configured focal length and principal point; None if not determined.
         magnitudes: magnitude offset; None if too few stars have a magnitude.
         attitudes: times and attitudes (horizon from sensor).
@@ -67,7 +67,7 @@ class _AxesHypothesis:
 
     Attributes:
         axes: assumed axes.
-        camera: camera with the focal length that fits the angles between stars; None if there are too few stars.
+        camera: camera with the focal length that fits the angles between stars; None if :func:`fit_camera` finds none.
         solutions: exposures with an attitude, each with its attitude.
         star_count: number of stars in all exposures.
     """

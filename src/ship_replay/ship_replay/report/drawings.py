@@ -148,8 +148,8 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
 def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
     """Return figures of the errors with their ±3σ, one figure for all sources with the same channels.
 
-    Without errors, the list contains one figure of the innovations with their ±3σ. It is empty if there are no
-    innovations either.
+    Without errors, the list contains one figure of the innovations with their ±3σ. The list is empty if no innovation
+    was accepted either.
     """
     groups: dict[tuple[str, ...], list[AttitudeErrors]] = {}
     for errors in evaluation.errors:
@@ -223,11 +223,11 @@ def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start
 
 
 def decimation_mask(values: FloatArray, most: int) -> np.ndarray:
-    """Return a mask of the rows that a decimated line keeps: each column's minimum and maximum in each of equal parts.
+    """Return a mask of the rows of a decimated line: minimum and maximum of each column in each of several equal parts.
 
     Args:
         values: shape (n, columns); non-finite values are ignored.
-        most: maximum number of rows kept; all rows are kept if there are no more.
+        most: maximum number of rows kept; all rows are kept if their number is at most this value.
 
     Returns:
         True for the rows kept, shape (n,).
@@ -253,7 +253,7 @@ def decimate_errors(errors: AttitudeErrors) -> AttitudeErrors:
 
 
 def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
-    """Return decimated innovations, with the extremes of each stamp's largest absolute residual and least residual."""
+    """Return decimated innovations; the extremes of largest absolute and of least residual per stamp are kept."""
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part

@@ -22,8 +22,8 @@ class SessionRow:
     Attributes:
         name: name of the bag.
         error: reason why there is no report; empty if there is one.
-        start_ns: UTC at which the outputs begin.
-        length_s: length of the recording.
+        start_ns: UTC at which the outputs begin, ns.
+        length_s: length of the recording, s.
         shares: "ship/attitude VALID", "heading SAFE" → share of the time.
         worst_source: source with the longest outage not caused by another source; empty if no source was out.
         faults: number of outages not caused by another source.

@@ -56,7 +56,7 @@ def _configuration_sentence(parameters: Sequence[ParameterDifference]) -> str:
 
 
 def _safe_share_sentences(pair: Pair) -> list[str]:
-    """Return a sentence with the angles of each run whose SAFE share of the time is larger than in the other run."""
+    """Return a sentence that names, for each run, the angles that were SAFE for a larger share of the time."""
     longer: dict[str, list[str]] = {"A": [], "B": []}
     for name in ANGLES:
         a, b = (_safe_share(recording, name) for recording in pair.recordings)
@@ -67,7 +67,7 @@ def _safe_share_sentences(pair: Pair) -> list[str]:
 
 
 def _accuracy_sentences(errors: Sequence[ErrorRow]) -> list[str]:
-    """Return a sentence with the channels of the outputs in which each run has the smaller RMS error."""
+    """Return a sentence with the channels of the outputs in which A, B or neither has the smaller RMS error."""
     ratios = {row.channel: row.ratio for row in _output_rows(errors) if math.isfinite(row.ratio)}
     if not ratios:
         return []

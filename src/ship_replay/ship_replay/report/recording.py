@@ -49,7 +49,7 @@ _MIN_READ_PERIOD_NS = NS_PER_S // 5
 
 @dataclass(frozen=True)
 class RecordedAlert:
-    """A change of an alert's state: raised, acknowledged, over."""
+    """A change of an alert's state; ``what`` names the change, for example raised, acknowledged or over."""
 
     utc_ns: int
     what: str
@@ -271,7 +271,7 @@ class _RecordingReader:
         return found
 
     def _count_status(self, topic: str, message: Any, now_ns: int) -> None:
-        """Add the duration of the previous status; if the output stops, its last status counts for one second."""
+        """Add the duration of the previous status, at most one second; the last status of a bag is not counted."""
         since_ns, word = self._last_status.get(topic, (now_ns, ""))
         if word:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)

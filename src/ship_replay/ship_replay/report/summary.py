@@ -41,7 +41,7 @@ def worst_source(recording: RecordedHistory) -> str:
 
 
 def valid_shares(recording: RecordedHistory) -> dict[str, float]:
-    """Return topic of an output → share of the time in which it was VALID."""
+    """Return topic of an output → share of the recording's length in which the output was VALID."""
     length_s = max((recording.end_ns - recording.start_ns) / NS_PER_S, 1e-9)
     return {
         topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(recording.status_s.items())
@@ -71,7 +71,7 @@ def _worst_source_sentence(recording: RecordedHistory, found: Sequence[SourceOut
 
 
 def _cause_sentence(recording: RecordedHistory, found: Sequence[SourceOutage]) -> str:
-    """Return the sentence about each source that failed, and the sources and angles affected by this source."""
+    """Return the sentence about up to three sources that failed, and the sources and angles affected by each."""
     roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
     if not roots:
         unsafe = [name for name in ANGLES if _was_not_always_safe(recording, name)]
@@ -116,7 +116,7 @@ def _mounting_sentence(recording: RecordedHistory) -> str:
 
 
 def _advice_sentence(recording: RecordedHistory) -> str:
-    """Return the advice of the raised alerts, causes first, then by priority."""
+    """Return the sentence with the first two advices of the raised alerts, causes first, then by priority."""
     raised = [record.alert for record in recording.alerts if record.what in ("raised", "active not acknowledged")]
     raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE_SUFFIX), -int(alert.priority)))
     texts = [

@@ -13,7 +13,7 @@ _STEPS_S = (
     *(1, 2, 5, 10, 20, 30), *(60 * minutes for minutes in (1, 2, 5, 10, 20, 30)),
     *(3600 * hours for hours in (1, 2, 3, 6, 12, 24)),
 )
-"""Steps between ticks, s: divisors of a day, so that ticks lie at whole minutes, hours or tens of seconds."""
+"""Steps between ticks, s: divisors of a day, so that ticks lie at round times."""
 
 _GAP_PERIODS = 3.0
 """Number of periods without a value above which a line is interrupted."""

@@ -61,7 +61,7 @@ class CleanVoyage:
         number: number of the voyage, and seed of its errors.
         kind: TWO, THREE or THEODOLITE.
         full_rate: True if the INS of a ship keeps the rate of the scenario, False for 20 Hz. A theodolite voyage always
-            keeps it.
+            keeps the rate of the scenario.
     """
 
     number: int
@@ -166,7 +166,7 @@ class VoyageStatistics:
 
 
 def run_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Result:
-    """Run a voyage; return its statistics as plain data."""
+    """Run a voyage; return its statistics as plain data, with angles in arcsec."""
     start_s, result = time.process_time(), dataclasses.asdict(voyage)
     result["voyage"] = result.pop("number")
     result |= {"length_s": length_s, "exception": ""}

@@ -53,8 +53,8 @@ class FaultOutcome:
 
     Attributes:
         changed: number of messages that the fault changed.
-        detected: True if a status left VALID, the faulty source was named, or any source was excluded; a status caused
-            by an earlier fault does not count.
+        detected: True if an output left VALID, an indication refers to the faulty source, or any source was excluded; a
+            status caused by an earlier fault does not count.
         attributed: True if the named source is the faulty source.
         alert_s: time from the first changed message to the first indication of the faulty source or non-VALID output;
             NaN if there is neither.

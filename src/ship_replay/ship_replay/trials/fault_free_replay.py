@@ -16,7 +16,7 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 
 MEASUREMENTS = 3
-"""Maximum number of measurements of a source until its step is detected, if they take longer than a second."""
+"""Number of measurements within which a large step is detected, if these measurements take longer than a second."""
 
 _DETECTABLE_SHIFT_ARCSEC = 13.0
 """Minimum mounting shift of the telescope that the next lights detect, arcsec: three times the scatter of one light."""
@@ -103,7 +103,7 @@ class FaultFreeReplay:
         return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
 
     def _is_star_drift(self, fault: Fault, first_ns: int) -> bool:
-        """True for a fast drift of a star sensor if there are fewer than three.
+        """True for a fast drift of a star sensor if there are fewer than three star sensors.
 
         The drift is nearly consistent with the INS, and about one axis the sensor is the most accurate source.
         """

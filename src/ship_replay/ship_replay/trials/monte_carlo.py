@@ -121,7 +121,10 @@ def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEs
 def attitude_outcomes(
     core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]
 ) -> Iterator[AttitudeOutcome]:
-    """Yield the outcome of each arrival of a run; attitudes are requested only at the wanted stamps of INS samples."""
+    """Process the arrivals of a run and yield the outcomes.
+
+    Attitudes are requested only at the wanted stamps of INS samples.
+    """
     ins = _InsBatches(core, run, wanted_ns)
     for _, source, index in run.arrivals():
         if source == "ins":
@@ -139,7 +142,7 @@ def attitude_outcomes(
 
 
 class _InsBatches:
-    """INS samples, checked in batches as in a replay; a batch ends at the next wanted stamp.
+    """INS samples, checked in batches as in a replay; a batch ends before the next wanted stamp.
 
     Args:
         core: core that processes the samples.
@@ -310,7 +313,7 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
 
 
 def pointing_core_for(scenario: Scenario) -> OpticalAxisCore:
-    """Return a core with the configuration of a scenario, and with a sky model if there is a camera."""
+    """Return a core with the configuration of a scenario, and with a sky model if there is a star camera."""
     config = build(OpticalAxisConfig, optical_axis_configuration(scenario))
     return OpticalAxisCore(config, load_sky_model(config.sky) if config.telescopes else None)
 

@@ -1,7 +1,8 @@
 """Random faults of a voyage: threats, sizes, and times at which each fault begins and ends.
 
-A threat is a kind of fault on one sort of topic, with realistic sizes. The first table contains faults that look like
-data; the second table contains malformed input, which is possible on every topic but those of the weather.
+A threat is a kind of fault on one sort of topic, with realistic sizes. :data:`DATA_LIKE` contains faults that look like
+data. :data:`BY_FORM` contains input that is malformed or wrong in time, which is possible on every topic but those of
+the weather.
 """
 
 import re

@@ -112,7 +112,10 @@ class Draws:
         self._persistent_draws: dict[str, PersistentDraw] = {}
 
     def stream(self, component: str, after: int = 0) -> np.random.Generator:
-        """Return the random stream of a component, advanced by ``after`` standard normal numbers."""
+        """Return a component's random stream, the same object at each call.
+
+        At the first call, the stream is advanced by ``after`` standard normal numbers.
+        """
         generator = self._streams.get((component, after))
         if generator is None:
             generator = self._streams[component, after] = random_stream(self.seed, component)

@@ -24,8 +24,8 @@ _REPETITION_AFTER_NS = 1_000_000
 _LONGEST_PERIOD_NS = SECOND_NS
 
 WATERMARK = object()
-"""Placeholder for a message in a delivery that marks a time, after which all further deliveries arrive. Faults do not
-affect such a delivery."""
+"""Message of a delivery that only marks a time: all further deliveries arrive after this time. Faults do not affect
+such a delivery."""
 
 
 @dataclass(slots=True)

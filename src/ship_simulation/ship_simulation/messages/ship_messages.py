@@ -73,7 +73,7 @@ def quaternion_rows(rotation: FloatArray) -> LazyRows[list[float]]:
 
 
 def angle_rows(rotation: FloatArray) -> LazyRows[list[float]]:
-    """Return the three angles of rotations, rad, shape (n, 3, 3)."""
+    """Return the three angles, rad, of each of n rotations, shape (n, 3, 3)."""
     return LazyRows(lambda part: angles_from_rotation(rotation[part]).tolist())
 
 

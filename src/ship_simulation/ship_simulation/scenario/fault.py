@@ -143,7 +143,7 @@ _SIZES = tuple(name for name in _DEFAULTS if name not in ("topic", "kind", "star
 
 
 def size_problems(key: str, fault: Fault) -> Iterator[ParameterError]:
-    """Yield the errors in the times and sizes of a fault whose name in the file is ``key``."""
+    """Yield the errors in the times and sizes of a fault; ``key`` is the dotted name of the fault in the file."""
     if fault.end_s <= fault.start_s:
         name = f"{key}.end_s"
         yield ParameterError(f"'{name}' = {fault.end_s} s must be after start_s = {fault.start_s} s", name)

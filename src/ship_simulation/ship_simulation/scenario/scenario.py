@@ -74,7 +74,7 @@ class Ins:
 
 @dataclass(frozen=True, kw_only=True)
 class Detector(CameraConfig):
-    """The camera of a star sensor that gives single stars, with the size of its detector."""
+    """A camera that gives single stars, with the size of its detector."""
 
     width_px: int = parameter(0, doc="columns; 0: not given", unit="px", minimum=0, maximum=100_000)
     height_px: int = parameter(0, doc="rows; 0: not given", unit="px", minimum=0, maximum=100_000)
