@@ -17,7 +17,7 @@ from ship_geometry import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)
-"""Maximum standard deviation about the worst axis, rad; an attitude with a larger one counts as not solved.
+"""Maximum standard deviation about the worst axis, rad; beyond this maximum an attitude counts as not solved.
 
 The covariance is valid for small errors only."""
 
@@ -56,7 +56,7 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
             value for all directions. A direction with infinite sigma is not used.
 
     Raises:
-        numpy.linalg.LinAlgError: directions or sigmas are not finite.
+        numpy.linalg.LinAlgError: a direction is not finite, or a sigma is zero or NaN.
 
     Example:
         Two stars at right angles, each with a sigma of 3″; the deck is rotated by 90° against the horizon:
