@@ -1,4 +1,4 @@
-"""Versions of all software that bit-identical results depend on, for the black box."""
+"""Versions of software that results depend on, for the black box: suite, Python and some libraries."""
 
 import platform
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ LIBRARIES = "numpy", "rclpy", "mcap"
 
 
 def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
-    """Return the versions of all software that bit-identical results depend on.
+    """Return the versions that a black box contains.
 
     Args:
         own_package: package of the node.
