@@ -15,7 +15,7 @@ class LineSplitter:
         self._is_skipping = False
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the lines that end in ``data``; of a too long line, the first :data:`LONGEST_LINE` + 1 bytes are returned."""
+        """Return the lines that end in ``data``, and the first :data:`LONGEST_LINE` + 1 bytes of a too long line."""
         *ended, rest = _END.split(self._rest + data)
         found: list[bytes] = []
         for line in ended:
