@@ -30,7 +30,7 @@ def _polynomial_error(
     next_term_share: cython.double,
     out: cython.p_double,
 ) -> cython.void:
-    """Write Newton's polynomial through samples minus a value, and a share of the polynomial's last term.
+    """Write the value of Newton's polynomial minus ``found``, and a share of the polynomial's last term.
 
     ``values`` is overwritten.
     """
@@ -118,7 +118,7 @@ def interpolate_vector(
     next_term_share: cython.double,
     any_direction: cython.double,
 ):
-    """Interpolate a vector between two of a few neighbouring samples without a gap.
+    """Interpolate a vector between two adjacent samples of a short sequence without a gap.
 
     Args:
         times_ns: stamps of the samples: both ends of the interval, at most two before and one after it, shape (n,).

@@ -1,7 +1,7 @@
 """Refraction of starlight by the air, and its dependence on the weather.
 
-The argument of each function is the elevation without air, which is computed from catalogue, time and place; so no
-prior attitude is needed ([P15] §3). There are three models; below its lowest elevation a model gives NaN.
+Each model takes the elevation without air, which is computed from catalogue, time and place; so no prior attitude is
+needed ([P15] §3). There are three models; below its lowest elevation a model gives NaN.
 
 - ``erfa`` is A tan z + B tan³ z, with the observed zenith distance z and with A and B of ERFA's ``refco``; one step of
   Newton's method solves for the observed zenith distance.

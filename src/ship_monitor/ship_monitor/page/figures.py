@@ -214,7 +214,7 @@ class ResidualBars:
 
 
 class GrowingRows(Generic[Key, Row]):
-    """Plots below each other, made in several calls, because a plot takes some time on server and browser.
+    """Plots below each other; ``max_new_rows`` limits the plots made in one call, because each plot takes some time.
 
     Args:
         box: panel of the plots.
