@@ -6,7 +6,7 @@ from importlib import metadata
 from typing import Any
 
 SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite that compute numbers for every node; ``ship_bags`` only transports numbers."""
+"""Packages of the suite that determine the results of every node; ``ship_bags`` only transports numbers."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"
 """Libraries whose versions a black box contains."""
