@@ -36,8 +36,8 @@ class WahbaSolution:
         covariance_n: covariance of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN
             if not solved.
         information_n: information matrix Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3), also if not solved.
-        solved: True if the directions determine all three axes, shape (...). One direction, or nearly parallel
-            directions, do not determine the rotation about their line.
+        solved: True if the standard deviation about every axis is below :data:`WORST_SIGMA`, shape (...). One
+            direction, or nearly parallel directions, do not determine the rotation about their line.
     """
 
     rotation_nd: FloatArray
