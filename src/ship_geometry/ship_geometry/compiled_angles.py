@@ -73,7 +73,10 @@ def rotations(of_angles: cython.const[cython.double][:, :]):
 def _by_rotation_vector(
     azimuth: cython.double, elevation: cython.double, highest: cython.double, out: cython.p_double
 ) -> cython.void:
-    """Write the derivative of the angles with respect to a rotation vector, 3 × 3; NaN beyond ``highest``."""
+    """Write the derivative of the angles with respect to a rotation vector, 3 × 3.
+
+    All elements are NaN if the magnitude of the elevation exceeds ``highest``.
+    """
     ca: cython.double = cos(azimuth)
     sa: cython.double = sin(azimuth)
     ce: cython.double = cos(elevation)
@@ -91,7 +94,7 @@ def _by_rotation_vector(
 def angle_errors(azimuth: cython.double, elevation: cython.double, highest: cython.double):
     """Return the derivative of one attitude's angles with respect to a rotation vector, shape (3, 3).
 
-    The derivative is NaN if the elevation is beyond ``highest``.
+    The derivative is NaN if the magnitude of the elevation exceeds ``highest``.
     """
     matrix = np.empty((3, 3))
     out: cython.double[:, ::1] = matrix
@@ -109,7 +112,7 @@ def angle_covariances(
     Args:
         covariances: covariance of the rotation vectors in the parent frame, rad², shape (N, 3, 3).
         of_angles: azimuth, elevation and roll, rad, shape (N, 3).
-        highest: elevation beyond which the covariance is NaN, rad.
+        highest: magnitude of the elevation beyond which the covariance is NaN, rad.
     """
     count: cython.Py_ssize_t = covariances.shape[0]
     check("covariances", covariances.shape[1] == covariances.shape[2] == of_angles.shape[1] == 3)

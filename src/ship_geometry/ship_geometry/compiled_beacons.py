@@ -72,7 +72,7 @@ def sight_lines(
         lever: vector from the ship's antenna to the mount, in d, m, shape (3,).
         principal_point: principal point of the lens relative to the mount, in frame m, metres, shape (3,).
         refraction: refraction coefficient k of each sight line, shape (E, N).
-        earth_radius_m: Earth radius R; a light at the distance d appears higher by k d²/(2 R).
+        earth_radius_m: Earth radius R; a light at the distance d seems to be k d²/(2 R) higher, m.
 
     Returns:
         Unit vectors in n, refraction included, shape (E, N, 3).

@@ -30,7 +30,7 @@ def _polynomial_error(
     next_term_share: cython.double,
     out: cython.p_double,
 ) -> cython.void:
-    """Write Newton's polynomial through samples minus a value, and a share of the polynomial's last term.
+    """Write the value of Newton's polynomial minus ``found``, and a share of the polynomial's last term.
 
     ``values`` is overwritten.
     """
@@ -118,7 +118,7 @@ def interpolate_vector(
     next_term_share: cython.double,
     any_direction: cython.double,
 ):
-    """Interpolate a vector between two of a few neighbouring samples without a gap.
+    """Interpolate a vector between two adjacent samples of a short sequence without a gap.
 
     Args:
         times_ns: stamps of the samples: both ends of the interval, at most two before and one after it, shape (n,).
@@ -126,12 +126,12 @@ def interpolate_vector(
         left: index of the sample at which the interval begins.
         time_ns: time of the interpolated vector.
         period: period of all components; infinite for lengths.
-        value0: weight by :func:`ship_geometry.sample_track.hermite_weights`.
-        slope0: likewise.
-        value1: likewise.
-        slope1: likewise.
-        next_term_share: constant of :mod:`ship_geometry.interpolation_error` for these samples.
-        any_direction: likewise.
+        value0: weight of the value at the start, from :func:`ship_geometry.sample_track.hermite_weights`.
+        slope0: weight of the slope at the start.
+        value1: weight of the value at the end.
+        slope1: weight of the slope at the end.
+        next_term_share: share of the polynomial's last term that estimates the missing terms.
+        any_direction: :data:`ship_geometry.interpolation_error.ANY_DIRECTION`.
 
     Returns:
         The vector, shape (k,).
@@ -206,7 +206,10 @@ def _change(
     component: cython.Py_ssize_t,
     period: cython.double,
 ) -> cython.double:
-    """Return the change of a component from one sample to another; each step is shorter than half a period."""
+    """Return the change of a component from one sample to another.
+
+    Whole periods are removed from each step between neighbouring samples.
+    """
     change: cython.double = 0.0
     step: cython.double
     i: cython.Py_ssize_t

@@ -18,7 +18,7 @@ if not cython.compiled:
 from cython.cimports.libc.math import NAN, atan2, cos, hypot, sin, tan
 
 _TINY = cython.declare(cython.double, 1e-300)
-"""Minimum of a divisor, the horizontal component of a direction, which is zero at the zenith."""
+"""Minimum of the divisors that are the horizontal component of a direction, which is zero at the zenith."""
 
 
 @cython.cfunc

@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled rotations, mostly for single attitudes and vectors, which are most calls of a live node.
+"""Compiled rotations, mostly for single attitudes and vectors, because a live node mostly computes these.
 
-The module is Python with C types; Cython compiles it when the package is built. Numpy is efficient for arrays only. The
-functions are documented where they are called. :mod:`ship_geometry.rotations` has the exponential, its Jacobian and the
-logarithm for arrays; the tests compare the results.
+The module is Python with C types; Cython compiles it when the package is built. Numpy is efficient for arrays only.
+:mod:`ship_geometry.rotations` has the exponential, its Jacobian and the logarithm for arrays; the tests compare the
+results of both modules.
 """
 
 import cython
@@ -94,9 +94,10 @@ def jacobian(vector: cython.const[cython.double][:]):
 @cython.cfunc
 @cython.exceptval(check=False)
 def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
-    """Write the rotation vector of a rotation matrix R, computed from the antisymmetric part of R.
+    """Write the rotation vector of a rotation matrix R.
 
-    Near half a turn t the axis n is computed from R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ.
+    The axis n is computed from the antisymmetric part of R. If the angle t is near half a turn, n is computed from
+    R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ.
     """
     cosine: cython.double = 0.5 * (rotation[0] + rotation[4] + rotation[8] - 1.0)
     x: cython.double = rotation[7] - rotation[5]
@@ -560,7 +561,7 @@ def propagate_by_rates(
     any_direction: cython.double,
     largest: cython.double,
 ):
-    """Propagate N samples, each by its rate and by the change of the rates before it.
+    """Propagate N samples, each by its rate and by the change of the rate since the sample before.
 
     Args:
         rotations: attitudes of the samples, shape (N, 3, 3).
@@ -568,7 +569,7 @@ def propagate_by_rates(
         steps_s: intervals between these samples, s, shape (N, k - 1).
         ahead_s: time by which each sample is propagated, s, shape (N,).
         any_direction: share of an error that may have any direction.
-        largest: maximum of the sum of the error's squares, rad²; with a larger sum the covariance is scaled down.
+        largest: maximum of the sum of the errors' squares, rad²; with a larger sum the covariance is scaled down.
 
     Returns:
         The propagated attitudes, their rates, and the covariance of the propagation error, rad².
@@ -647,7 +648,7 @@ def corrected_attitudes(
     white_source: cython.Py_ssize_t,
     own_source: cython.Py_ssize_t,
 ):
-    """Return N attitudes, each corrected by one of e estimates of its correlated error and clock offset.
+    """Return N attitudes, each corrected by one of e estimates of its correlated error.
 
     Args:
         by: index of the estimate for each sample, shape (N,).

@@ -23,11 +23,11 @@ _MOST_DIGITS = cython.declare(cython.int, 15)
 
 
 def plain_numbers(records: cython.const[cython.uchar][:, :], columns: cython.const[cython.Py_ssize_t][:, :]):
-    """Return the numbers in columns of n lines, shape (c, n), and True for each number that is plain, shape (c, n).
+    """Return the numbers in columns of n lines, shape (c, n), and True for each plain number, shape (c, n).
 
-    A plain number has optional blanks and minus, digits with at most one point, and optional blanks. The digits form an
-    integer that is divided once by a power of ten, which rounds as ``float`` does. A blank column is a plain number,
-    NaN; a number that is not plain is returned as zero.
+    A plain number has optional blanks and minus, 1 to 15 digits with at most one point, and optional blanks. The digits
+    form an integer that is divided once by a power of ten, which rounds as ``float`` does. A blank column is a plain
+    number, NaN; a number that is not plain is returned as zero.
 
     Args:
         records: characters of the lines, shape (n, length).

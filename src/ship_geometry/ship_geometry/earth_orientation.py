@@ -36,7 +36,8 @@ _COLUMNS = {
 }
 
 # Error of UT1 between the daily values: linear interpolation of UT1 − TAI (18 µs), tides within the day (30 µs), and
-# the difference between Bulletins A and B (30 µs since 2000, six times the stated error of A). The sum is 0.7 mas.
+# the difference between Bulletins A and B (30 µs since 2000, six times the stated error of A). The root sum square is
+# 0.7 mas.
 _UT1_FLOOR_S = 50e-6
 # Error of the pole between the daily values: linear interpolation (0.04 mas) and tides within the day (0.5 mas).
 _POLE_FLOOR = 0.5e-3 * ARCSEC
@@ -117,7 +118,7 @@ class EarthOrientationTable:
 
     @property
     def last_ns(self) -> int:
-        """Time at which the predictions end, or the leap seconds expire if that is earlier."""
+        """End of the predictions, or expiry of the table of leap seconds, whichever is earlier."""
         return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
 
     def unavailable_text(self, time_ns: TimeNs) -> str | None:

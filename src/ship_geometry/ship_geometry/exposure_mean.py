@@ -7,7 +7,7 @@ p(t) over the exposure T. The mean differs from the position p(0) at the middle,
 
 Mean and spread are computed from p at a few times, the nodes. A short exposure has the middle and two outer nodes; a
 long exposure has the nodes of Simpson's rule. The outer nodes of a short exposure are a tenth of a second from the
-middle, whatever its length, because with closer nodes the noise of the samples would dominate p̈.
+middle, whatever the length of the exposure, because with closer nodes the noise of the samples would dominate p̈.
 """
 
 import math
@@ -125,7 +125,7 @@ class ExposureMotion:
 
 
 def exposure_motion(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> ExposureMotion | None:
-    """Return the rotation of a body over an exposure; None if the track does not cover all nodes.
+    """Return the rotation of a body over an exposure; None if the track has no attitude at one of the nodes.
 
     Args:
         track: attitudes of the body.

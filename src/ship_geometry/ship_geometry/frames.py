@@ -11,7 +11,9 @@ from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray, wrap_two_pi
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
-"""Elevation beyond which azimuth and roll are not separated, and the covariance of the angles is NaN, rad."""
+"""Magnitude of the elevation beyond which the covariance of the angles is NaN, rad.
+
+Azimuth and roll cannot be separated there."""
 
 
 def rotation_from_angles(

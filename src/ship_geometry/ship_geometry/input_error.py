@@ -14,7 +14,7 @@ class InputError(ValueError):
 
     Attributes:
         reason: reason for the refusal in one line, without the file and the line.
-        file: name of the file; empty if the input is not a file or its file is not known.
+        file: name of the file; empty if the input is not in a file, or the file is not known.
         line: line of the file, from 1; None if the line is not known.
         parameters: dotted names of the parameters, the most relevant first; empty if the input is not a parameter.
         value: refused value; None if no single value is refused.

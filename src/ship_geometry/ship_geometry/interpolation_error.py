@@ -23,7 +23,7 @@ MOST_SAMPLES = 5
 """Maximum number of samples for a polynomial; with more samples their noise dominates."""
 
 NEXT_TERM_SHARE = 0.5
-"""Share of the next term of the error that is added to an estimate.
+"""Assumed ratio of the missing terms of an interpolation error to the last known term.
 
 In a wave the terms of successive orders are out of phase: if one term is zero, the next term is largest."""
 

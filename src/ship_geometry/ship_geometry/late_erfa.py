@@ -1,6 +1,6 @@
 """The functions of ERFA, imported on first use: ``from ship_geometry import late_erfa as erfa``.
 
-Nodes without stars and positions do not use ERFA; its import would be a tenth of their start time.
+Nodes that use neither stars nor positions do not need ERFA, whose import would be a tenth of their start time.
 """
 
 from typing import Any

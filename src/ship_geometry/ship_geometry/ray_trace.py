@@ -1,4 +1,4 @@
-"""Refraction by ray tracing through a model of the air, valid at lower elevations than a formula of two terms.
+"""Refraction by ray tracing through a model of the air, more accurate at low elevations than two terms of tan z.
 
 The model is by Hohenkerk and Sinclair (NAO Technical Note 63, 1985), also in the Explanatory Supplement to the
 Astronomical Almanac (1992, §3.281):

@@ -1,7 +1,7 @@
 """Refraction of starlight by the air, and its dependence on the weather.
 
-The argument of each function is the elevation without air, which is computed from catalogue, time and place; so no
-prior attitude is needed ([P15] §3). There are three models; below its lowest elevation a model gives NaN.
+Each model takes the elevation without air, which is computed from catalogue, time and place; so no prior attitude is
+needed ([P15] §3). There are three models; below its lowest elevation a model gives NaN.
 
 - ``erfa`` is A tan z + B tan³ z, with the observed zenith distance z and with A and B of ERFA's ``refco``; one step of
   Newton's method solves for the observed zenith distance.
@@ -44,7 +44,7 @@ _TINY = 1e-300
 # errors at elevations of 5°, 10° and 45°: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″,
 # 0; gravity at the pole or the equator 0.17″, 0.03″, 0. A pressure gradient of 1 hPa in 100 km, as in a wind of 10 m/s,
 # bends the ray by ∫ ∂n/∂x dh / sin² E: 0.62″, 0.16″, 0.01″. The relative error of the refractivity is 0.02 %. The
-# standard deviations here are larger than the sum of these errors.
+# standard deviations here are larger than the root sum square of these errors.
 _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
     "erfa": np.array([0.03 * ARCSEC, 1e-4 * ARCSEC, 0.0]),
     "almanac": np.array([0.0, 0.0, 0.007]),

@@ -1,4 +1,4 @@
-"""Rotation vectors and rotation matrices: exponential, logarithm and their Jacobians.
+"""Rotation vectors and rotation matrices: exponential, its left Jacobian, and logarithm.
 
 All functions accept any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3). A
 single vector or matrix is converted by :mod:`ship_geometry.compiled_rotations`. Formulas: Sola, Deray, Atchuthan, "A

@@ -101,8 +101,8 @@ class SampleTrack(Generic[Sample]):
         """Insert a sample in time order, or replace the sample with the same stamp.
 
         Returns:
-            The stamp after which interpolated values may have changed. None if the sample is the newest one, which
-            changes no value for which :meth:`is_final_at` was true.
+            The stamp after which interpolated values may have changed. None if the sample is later than all
+            others: such a sample changes no value for which :meth:`is_final_at` was true.
         """
         if not self._times or sample.time_ns > self._times[-1]:
             self._times.append(sample.time_ns)
@@ -163,7 +163,7 @@ class SampleTrack(Generic[Sample]):
         return until_ns is not None and time_ns <= until_ns
 
     def _has_rate(self, index: int) -> bool:
-        """True if sample ``index`` has a measured rate."""
+        """True if sample ``index`` has a measured rate; a derived class with measured rates overrides this method."""
         return False
 
     def _recent_from(self) -> int:

@@ -189,7 +189,7 @@ class RefreshedSky:
     seconds are between two intervals.
 
     ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. It keeps the observer's first place, which gives
-    an error of 6″ after the ship has moved by 150 m.
+    an error of 5″ or more after the ship has moved by 150 m.
 
     Args:
         table: table of Earth orientation parameters.

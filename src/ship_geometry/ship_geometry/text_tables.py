@@ -16,7 +16,7 @@ def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
     r"""Return the characters of a file, shape (lines, length); each line ends with its newline.
 
     Raises:
-        ValueError: the lines do not have this length, or the file is empty.
+        ValueError: the file is empty, its size is not a multiple of ``length``, or its first line has another length.
 
     Example:
         >>> import tempfile

@@ -69,7 +69,7 @@ def read_leap_seconds(path: Path) -> LeapSeconds:
     """Read a file in the format of the IERS's Leap_Second.dat.
 
     Raises:
-        ValueError: the format is wrong; the text names the file.
+        ValueError: the format is wrong.
 
     Example:
         >>> table = read_leap_seconds(Path(astropy_iers_data.IERS_LEAP_SECOND_FILE))

@@ -97,7 +97,7 @@ class VectorTrack(SampleTrack[Sample]):
         return InterpolatedVector(*found)
 
     def _change(self, first: int, second: int) -> FloatArray:
-        """Return the change from one sample to another as a sum of steps, each shorter than half a period."""
+        """Return the change from one sample to another; whole periods are removed from each step between neighbours."""
         if second < first:
             return -self._change(second, first)
         change = np.zeros_like(self._samples[first].vector)

@@ -17,7 +17,7 @@ from ship_geometry import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)
-"""Maximum standard deviation about the worst axis, rad; an attitude with a larger one counts as not solved.
+"""Maximum standard deviation about the worst axis, rad; beyond this maximum an attitude counts as not solved.
 
 The covariance is valid for small errors only."""
 
@@ -36,8 +36,8 @@ class WahbaSolution:
         covariance_n: covariance of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN
             if not solved.
         information_n: information matrix Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3), also if not solved.
-        solved: True if the directions determine all three axes, shape (...). One direction, or nearly parallel
-            directions, do not determine the rotation about their line.
+        solved: True if the standard deviation about every axis is below :data:`WORST_SIGMA`, shape (...). One
+            direction, or nearly parallel directions, do not determine the rotation about their line.
     """
 
     rotation_nd: FloatArray
@@ -56,7 +56,7 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
             value for all directions. A direction with infinite sigma is not used.
 
     Raises:
-        numpy.linalg.LinAlgError: directions or sigmas are not finite.
+        numpy.linalg.LinAlgError: a direction is not finite, or a sigma is zero or NaN.
 
     Example:
         Two stars at right angles, each with a sigma of 3″; the deck is rotated by 90° against the horizon:

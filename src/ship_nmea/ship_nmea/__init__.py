@@ -1,4 +1,5 @@
 """NMEA 0183 live: attitude and alerts sent to bridge and logger, instruments' sentences received and published.
 
-The package and the estimators do not depend on each other, and the package cannot delay an estimator.
+The nodes of the package run in their own processes and exchange only messages with the estimators, so they cannot
+delay an estimator.
 """

@@ -15,7 +15,7 @@ class LineSplitter:
         self._is_skipping = False
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the lines that end in the next bytes; a cut line has at most :data:`LONGEST_LINE` + 1 bytes."""
+        """Return the lines that end in ``data``, and the first :data:`LONGEST_LINE` + 1 bytes of a too long line."""
         *ended, rest = _END.split(self._rest + data)
         found: list[bytes] = []
         for line in ended:
@@ -34,7 +34,7 @@ class LineSplitter:
 def _split_long_line(line: bytes, is_skipping: bool) -> tuple[bytes, bytes]:
     """Split a line that is too long into its first part, cut, and the sentence at its end.
 
-    A sentence may follow binary data without a line end.
+    A sentence may follow binary data without a line end. A line that is not too long is returned as the second part.
 
     Args:
         line: the line, or the part of it received so far.

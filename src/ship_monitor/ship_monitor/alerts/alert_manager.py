@@ -22,7 +22,7 @@ from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import AlertEntry, SuiteState
 
 MAX_PAUSE_NS = 5 * NS_PER_S
-"""Maximum time between two updates, ns. After a longer time the computer has slept, and the data are reset."""
+"""Maximum time between two updates, ns. A longer time counts as sleep of the computer, and the data are reset."""
 
 MAX_STATUS_AGE_NS = 5 * NS_PER_S
 """Maximum age of a node's diagnostic status, ns; nodes publish it once a second."""

@@ -98,7 +98,7 @@ def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
 
 
 def default_state(namespace: str) -> Path:
-    """Return the path of the file with the alerts of a namespace, in ROS_HOME."""
+    """Return the path of the file with the alerts of a namespace, in ROS_HOME or, without this variable, ``~/.ros``."""
     home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
     return home / f"{'_'.join(filter(None, ['alerts', *namespace.split('/')]))}.json"
 

@@ -79,7 +79,7 @@ class Client(WebSocketHandler):
         return True
 
     async def open(self, *_: Any) -> None:
-        """Send the server's name and all channels."""
+        """Add the viewer, which then receives the channels; close the connection if the viewer lacks the protocol."""
         if self.selected_subprotocol is None:
             self.close(1002, f"expected the protocol {PROTOCOL}")
             return

@@ -74,7 +74,7 @@ class LiveSuite:
                     self._monitor.process_message(received.topic, received.message, received.arrival_ns)
 
     def _process_suite_state(self, message: Any, arrival_ns: int) -> None:
-        """Process a SuiteState message; an invalid one is dropped, with a warning for the first."""
+        """Process a SuiteState message; an invalid message is dropped, and a warning is logged for the first."""
         try:
             self._monitor.process_suite_state(message, arrival_ns)
         except ValueError as problem:
@@ -120,7 +120,7 @@ class LiveSuite:
 
     @property
     def label(self) -> str:
-        """LIVE; SIMULATED if the truth is on the network; BAG if a bag is played."""
+        """LIVE, or "BAG · played" if a bag is played; with truth on the network "SIMULATED" or "SIMULATED · bag"."""
         if self._reader.is_simulated:
             return "SIMULATED · bag" if self._reader.is_played else "SIMULATED"
         return "BAG · played" if self._reader.is_played else "LIVE"

@@ -42,7 +42,7 @@ _MIN_SLEEP_NS = 5 * NS_PER_S
 _CLOCK_MEMORY_NS = 10 * NS_PER_S
 """Time before an output, ns. The output counts as played or simulated if /clock or a truth topic existed in this time.
 
-The topic may have ended while the output is still displayed."""
+/clock or the truth topic may have ended while the output is still displayed."""
 
 
 def steady_ns() -> int:
@@ -86,8 +86,8 @@ class _SubscribedTopic:
 class TopicReader:
     """Reads the topics of a namespace and discovers new topics.
 
-    The reader has its own context and its own node, which is not spun. After the computer has slept, the reader joins
-    the network again, because the addresses may have changed.
+    The reader has its own context and its own node, which is not spun. After the computer has slept for more than 5 s,
+    the reader joins the network again, because the addresses may have changed.
 
     Attributes:
         domain_id: ROS domain of the reader.
@@ -144,12 +144,12 @@ class TopicReader:
 
     @property
     def is_simulated(self) -> bool:
-        """True if the suite's truth is on the network, or was there at the time of the last output."""
+        """True if the suite's truth is on the network, or was there within 10 s before the last output."""
         return self._output_ns - self._truth_ns < _CLOCK_MEMORY_NS
 
     @property
     def is_played(self) -> bool:
-        """True if a /clock is published, as by a bag player, or was published at the time of the last output."""
+        """True if a /clock is published, as by a bag player, or was published within 10 s before the last output."""
         return self._output_ns - self._clock_ns < _CLOCK_MEMORY_NS
 
     @property
@@ -280,7 +280,10 @@ class TopicReader:
                 yield ReceivedMessage(subscribed.relative_name, message, arrival_ns)
 
     def _jump_ns(self, received: ReceivedMessage) -> int | None:
-        """Return the arrival of a message of /clock or a valid output, ns, if its time went back; otherwise None."""
+        """Return the arrival, ns, of a message of /clock or a valid output whose time went back; otherwise None.
+
+        Steps back within the tolerance of the topic do not count.
+        """
         message = received.message
         if isinstance(message, Clock):
             time_ns, tolerance_ns = ns_from_stamp(message.clock), _CLOCK_BACK_NS

@@ -162,7 +162,7 @@ class BudgetPanel:
         self.box.set_subtitle(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
 
     def _draw_bands(self) -> None:
-        """Draw new bands: the five largest sources, and the sum of the other sources."""
+        """Draw new bands: the sources in ``_bands``, and the sum of the other sources."""
         for renderer in self._band_renderers:
             self._figure.renderers.remove(renderer)
         edges = [[_column(name) for name in self._bands[: count + 1]] for count in range(len(self._bands))]
@@ -204,7 +204,7 @@ def largest_sources(
     Args:
         means: source → mean variance.
         current_bands: current bands; a band is replaced only by a variance that is a quarter larger.
-        required: sources that always have separate bands.
+        required: sources that have separate bands before all others if their mean variance is above 0.
     """
     known = {source: mean for source, mean in means.items() if mean > 0.0}
     weight = {source: mean * (1.25 if source in current_bands else 1.0) for source, mean in known.items()}
@@ -258,6 +258,8 @@ def root_ticks(top: float) -> list[float]:
 
 def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, marked: str = "") -> dict[float, str]:
     """Return the labels of the bands, height → text: each near the middle of its band at the right end, no overlap.
+
+    The result is empty if a variance is unknown.
 
     Args:
         last: source → newest variance, arcsec².

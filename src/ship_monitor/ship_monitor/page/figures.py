@@ -214,7 +214,7 @@ class ResidualBars:
 
 
 class GrowingRows(Generic[Key, Row]):
-    """Plots below each other. Few plots are made in one call, because a plot takes some time on server and browser.
+    """Plots below each other; ``max_new_rows`` limits the plots made in one call, because each plot takes some time.
 
     Args:
         box: panel of the plots.
@@ -234,7 +234,7 @@ class GrowingRows(Generic[Key, Row]):
         self.are_complete = False
 
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
-        """Make plots for keys that have no plot, in the order of the keys; return all plots.
+        """Make plots for at most ``max_new_rows`` keys without a plot, in the order of the keys; return all plots.
 
         If the keys have changed, all plots are made again.
 

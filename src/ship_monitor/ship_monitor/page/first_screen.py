@@ -46,7 +46,7 @@ def first_screen(
     Args:
         suite_state: state of the suite.
         history: history with the safety of the last ten minutes.
-        label: LIVE, BAG or SIMULATED, from the source of the state.
+        label: label of the source of the state, for example LIVE or SIMULATED.
         location: namespace and domain, or bag, for a page that waits for data.
         local: local time, displayed under UTC; empty if only UTC is displayed.
     """
@@ -142,8 +142,8 @@ def _alert(alert: AlertEntry) -> dict[str, str]:
 def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str, Any]:
     """Return the banners of sources that are OUT, and all sources; sources not configured are last and not counted.
 
-    A source that is OUT due to another source or an overloaded node has no banner of its own: the cause has a banner.
-    Such a source is marked in the list.
+    A source that is OUT due to another source that is OUT, or due to an overloaded node, has no banner of its own: the
+    cause has a banner. Such a source is marked in the list.
     """
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]

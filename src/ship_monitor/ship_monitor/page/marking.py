@@ -40,7 +40,7 @@ def is_event_of_source(event: Event, source: str) -> bool:
 
 
 def is_budget_part_of(part: str, source: str) -> bool:
-    """True if a source of error in a budget belongs to a source."""
+    """True if ``part``, an error source of a budget, belongs to the kind of ``source``, a source of the suite."""
     return part.startswith(_BUDGET_PREFIXES.get(source.partition(".")[0], ())) if source else False
 
 

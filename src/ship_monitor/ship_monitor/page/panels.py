@@ -90,7 +90,7 @@ class Panels:
                 self._draw(name, history, suite_state)
 
     def place_next(self, history: History, suite_state: SuiteState) -> bool:
-        """Draw the next part of a visible panel; return False if all visible panels are complete.
+        """Draw the next part of a visible panel; return False if there was nothing left to draw.
 
         The panel is put into its frame after its first part is drawn.
 

@@ -36,7 +36,7 @@ _FIELD_PX = 256.0
 
 
 class SkyPanel:
-    """Panel with the map, and a field of view for each sensor that publishes single stars.
+    """Panel with the map, and the fields of view of up to :data:`MAX_FIELDS` sensors that publish single stars.
 
     Attributes:
         box: the panel.
@@ -242,7 +242,7 @@ def residual_star_mask(exposure: ExposurePoint) -> np.ndarray:
 
 
 def used_star_mask(exposure: ExposurePoint) -> np.ndarray:
-    """Return a mask of the stars drawn as used, shape (n,): stars with a residual, or all if none has one."""
+    """Return a mask of the stars drawn as used, shape (n,): those with a residual, or all if no star has a residual."""
     mask = residual_star_mask(exposure)
     return mask if mask.any() else np.ones(len(exposure.u), bool)
 

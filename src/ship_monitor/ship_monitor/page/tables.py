@@ -82,8 +82,7 @@ def event_row(event: Event, marked: str = "") -> str:
 def input_row(state: InputState, faulty_sources: Mapping[str, SourceDetails], *, is_marked: bool = False) -> str:
     """Return the row of an input topic.
 
-    The row shows the rejections in 60 s. If the source is OUT and its consecutive rejections are more, the row shows
-    these.
+    The row shows the number of rejections in 60 s or, if larger, the consecutive rejections of a source that is OUT.
 
     The row is highlighted if the source is OUT due to its own fault (``because_of`` is empty).
     """

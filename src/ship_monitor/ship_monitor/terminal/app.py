@@ -113,7 +113,7 @@ class TerminalApp(App[int]):
         self.call_after_refresh(self.draw)
 
     def _process_topics(self) -> None:
-        """Process the received messages; an invalid message is skipped with a note."""
+        """Process the received messages; if a message raises, show a note and skip the rest of its batch."""
         try:
             self._suite.tick()
         except Exception as problem:

@@ -51,7 +51,7 @@ class View:
         width: columns of the terminal.
         height: rows of the terminal.
         name: namespace of the suite without slashes, or name of the bag.
-        label: LIVE, BAG or SIMULATED.
+        label: label of the source of the state, for example LIVE.
         location: namespace and domain, or bag, shown while waiting for data.
         paused_s: time since the pause, s; NaN if not paused.
         chosen: name of the selected angle or source; empty without a selection.
@@ -170,7 +170,7 @@ def alert_pieces(alert: AlertEntry, formatter: LineFormatter, text_width: int) -
 
 
 def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
-    """Return the row of a source: presence, age, rate, reason. A source is indented below its cause.
+    """Return the row of a source: presence, age, rate, reason. A source that is OUT due to a faulty source is indented.
 
     If no output is current, the row of a source that is not OUT is struck through and marked "?".
     """

@@ -185,8 +185,7 @@ class LinkReader:
 
     Attributes:
         problem: one line about why the link is not open; empty if it is open.
-        failure: exception raised when the constructor opened the link; None if the link is open, or if the thread opens
-            the link.
+        failure: exception raised when the constructor tried to open the link; otherwise None.
     """
 
     def __init__(self, link: Link, now_ns: Callable[[], int], on_lines: Callable[[], None]) -> None:

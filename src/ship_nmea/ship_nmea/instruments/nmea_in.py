@@ -44,7 +44,7 @@ class NmeaIn:
     """Work of the node, with a reading thread for each link and one publishing thread.
 
     Raises:
-        InputError: no source can be opened, because a port is in use or a device cannot be read.
+        InputError: no link can be opened until the user acts, for example because the ports are in use.
     """
 
     def __init__(self, runtime: NmeaNode) -> None:

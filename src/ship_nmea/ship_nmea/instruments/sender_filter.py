@@ -8,7 +8,7 @@ therefore selected until it times out.
 from ship_bags.stamps import NS_PER_S
 
 SENDER_TIMEOUT_NS = 10 * NS_PER_S
-"""Time without data after which another sender may replace the selected sender, ns."""
+"""Time without a text of the selected sender after which another sender may be selected, ns."""
 
 NOT_LISTED = "sender that is not in 'from'"
 NOT_SELECTED = "sender other than the first (name the instrument's address in 'from')"

@@ -21,13 +21,15 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 NO_TIME = "no time: no /clock yet"
 
 WARNING_NS = 10 * NS_PER_S
-"""Time for which a past problem remains a warning, ns."""
+"""Time for which a past problem remains in the status, ns."""
 
 _BACKWARD_JUMP_NS = NS_PER_S
 """Backward jump of the node's time beyond which the conversion (:class:`Instrument`) is reset, ns."""
 
 _CLOCK_CORRECTED_NS = 3 * NS_PER_S
-"""Time without published messages after which the conversion is reset if the last stamp is in the future, ns."""
+"""Time without a published message, ns; after this time a rejection as NOT_LATER may reset the conversion.
+
+The conversion is reset if the last published stamp is in the future."""
 
 _MAX_CHARACTERS = 60
 _MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
@@ -101,7 +103,7 @@ class Source:
         self._dropped, self._dropped_ns = 0, now_ns - 2 * WARNING_NS
         self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * WARNING_NS
         self._talkers = TalkerComparison()
-        # An INS must provide attitudes; a weather station must provide any of its quantities.
+        # A weather station must provide any of its quantities; another source its first topic, as an INS its attitudes.
         self._required_topics = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
     def convert(self, received: ParsedText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:

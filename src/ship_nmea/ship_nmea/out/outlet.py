@@ -68,6 +68,6 @@ class Outlet(ABC):
 
 
 def command_texts(lines: Iterable[bytes]) -> list[str]:
-    """Return received lines as texts, without empty lines and without lines longer than the longest valid sentence."""
+    """Return received lines as texts, without empty lines and lines longer than :data:`LONGEST_LINE`."""
     texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
     return [text for text in texts if text]

@@ -40,8 +40,8 @@ class _Entry:
 class SentAlerts:
     """All alerts of the suite as sent to the bridge.
 
-    The number of an alert follows from its id, so that the number is the same after a restart and on other ships. After
-    a restart, revisions start at 1 again.
+    The number of an alert follows from its id, so that the number is the same after a restart and on other ships. Only
+    two ids with the same checksum may exchange numbers. After a restart, revisions start at 1 again.
 
     Attributes:
         omitted_count: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.
@@ -92,7 +92,7 @@ class SentAlerts:
         return entry.id, entry.instance if command.instance is None else command.instance
 
     def alert_of(self, command: AlertCommand) -> SentenceAlert | None:
-        """Return the alert of a command as it was sent."""
+        """Return the alert of a command as it was sent; None if there is no such alert."""
         entry = self._entries.get(command.identifier)
         return None if entry is None else entry.sent
 

@@ -125,7 +125,9 @@ def hbt(is_operational: bool, talker: str, period_s: float, sequence: int) -> py
 
 
 def parse_command(text: str, manufacturer: str) -> AlertCommand | None:
-    """Return the command in a sentence; None for another sentence, or a command to another source of alerts.
+    """Return the command in a sentence; None for any other sentence.
+
+    A command to another source of alerts, or without the status flag C, counts as another sentence.
 
     Raises:
         ValueError: the text is not a sentence, its checksum is wrong or absent, or its command cannot be read.

@@ -32,7 +32,7 @@ class AttitudeQuality(Enum):
 
     NORMAL = "A", 0
     ESTIMATED = "E", 1
-    """Reduced set of sources: COASTING, on recent stars, or DEGRADED, without stars."""
+    """Reduced set of sources: COASTING (recent stars) or DEGRADED (no stars)."""
     SIMULATED = "S", 1
     """Played or simulated: the node follows /clock."""
     VOID = "V", 2
@@ -68,7 +68,7 @@ class SentenceAttitude:
 
 
 def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]) -> float:
-    """Return the clockwise rate of the heading, rad/s; NaN if the bow points to the zenith and there is no heading.
+    """Return the clockwise rate of the heading, rad/s; NaN if the pitch is ±89.9° or steeper, or unknown.
 
     Args:
         pitch: pitch, bow up positive, rad.

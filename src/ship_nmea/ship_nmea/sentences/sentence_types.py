@@ -90,8 +90,8 @@ class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
 def text_field(text: str, max_length: int) -> str:
     """Return a text as a field of a sentence: ASCII, reserved characters as codes, at most ``max_length`` characters.
 
-    A character without an equivalent in ASCII becomes ``?``. A text that is too long is cut after a word and ends with
-    ``..``.
+    A character without an equivalent in ASCII becomes ``?``. A text that is too long is cut after a word, or
+    within a first word that is too long, and ends with ``..``.
 
     Example:
         >>> text_field("σ 3.2″, limit 2″", 40)

@@ -66,7 +66,7 @@ class BlackBox:
     """Black box being written.
 
     Attributes:
-        path: path of the file; if there are several files, of the first.
+        path: path of the first file.
 
     Args:
         path: path given by the parameter; see :func:`ship_node.black_box.black_box_files.free_path`.

@@ -102,14 +102,14 @@ class FileUsed:
 
 @dataclass(frozen=True)
 class EntriesLost:
-    """Number of entries missing here because the disk was too slow or full."""
+    """Number of entries missing at this place, for example because the disk was too slow or full."""
 
     count: int
 
 
 @dataclass(frozen=True)
 class Closed:
-    """Regular end of the node; without it the black box ends abruptly."""
+    """Regular end of the node; a black box without this event ended abruptly."""
 
 
 Event = (

@@ -1,4 +1,4 @@
-"""Versions of all software that bit-identical results depend on, for the black box."""
+"""Versions of software that results depend on, for the black box: suite, Python and some libraries."""
 
 import platform
 from collections.abc import Iterable
@@ -6,14 +6,14 @@ from importlib import metadata
 from typing import Any
 
 SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite that compute numbers for every node; ``ship_bags`` only transports numbers."""
+"""Packages of the suite that determine the results of every node; ``ship_bags`` only transports numbers."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"
 """Libraries whose versions a black box contains."""
 
 
 def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
-    """Return the versions of all software that bit-identical results depend on.
+    """Return the versions that a black box contains.
 
     Args:
         own_package: package of the node.

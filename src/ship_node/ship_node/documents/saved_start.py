@@ -128,7 +128,7 @@ class SavedStart(Generic[Prior]):
         return not is_first
 
     def autosave(self) -> None:
-        """Write the core's content if it is newer than the last written and not worse than the file's content.
+        """Write the core's content if its stamp has changed since the last save or start, unless the file is better.
 
         A reason not to save becomes :attr:`autosave_problem`, and a notice when the reason changes.
         """

@@ -31,8 +31,8 @@ class Adapter(Protocol):
 
     - ``receive_ns`` or ``now_ns``: the node's time, with which stamps are compared.
     - ``waiting_ns``: the timeout-clock time, by which timeouts are measured; None if it equals the node's time. The
-      timeout clock never steps. In a live node the timeout clock counts only time in which the node was processing
-      events. With ``use_sim_time`` the timeout clock follows /clock, and in a replay the log time.
+      timeout clock never steps. In a live node, a pause in which the node processes no events counts as at most 0.2 s.
+      With ``use_sim_time`` the timeout clock follows /clock while /clock is published, and in a replay the log time.
 
     The adapter reads and writes files only through ``files``, so that a black box can record the files read. The
     adapter updates ``health`` and publishes it in :meth:`tick`; the node runtime adds information of the middleware to

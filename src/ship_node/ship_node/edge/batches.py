@@ -64,7 +64,7 @@ class BatchCore(Protocol[Batch]):
         ...
 
     def batch_estimates(self, batch: Batch) -> list[tuple[slice, Any]]:
-        """Return slices of samples, each with its estimates from one state, or with the rejection if these failed."""
+        """Return slices of samples, each with its estimates from one state, or with their rejection."""
         ...
 
 

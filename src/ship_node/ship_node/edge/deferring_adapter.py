@@ -37,7 +37,7 @@ class DeferringAdapter(BatchAdapter):
 
     @property
     def pending_count(self) -> int:
-        """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
+        """Number of outputs that :meth:`take_outputs` would return, whether they are computed yet or not."""
         return self._computed_count + len(self.core.pending)
 
     def take_outputs(self) -> list[BatchOutput]:

@@ -88,7 +88,7 @@ class DuplicatePublishers:
         self._publisher_texts: dict[str, str] = {}
 
     def restart(self) -> None:
-        """Reset the value checks: the clock went back or stepped, or the node was reset."""
+        """Reset the value checks, after the clock went back or stepped, or the node was reset."""
         self._streams = {topic: InterleavedStreams(kind.min_distance) for topic, kind in self._quantities.items()}
         # For each topic with two streams: stamp of its newest value, and timeout-clock time at which this stamp was
         # found.

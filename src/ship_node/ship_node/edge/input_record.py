@@ -35,10 +35,10 @@ class InputRecord:
         input: the topic.
         received, accepted, rejected: numbers of messages since the start.
         reasons: number of rejections and remarks by reason, in order of first appearance.
-        note_counts: number of remarks on used messages by reason; ``reasons`` includes them.
+        note_counts: number of remarks by reason; ``reasons`` includes these remarks.
         late_delays: number of late messages per bin of :data:`DELAY_BIN_EDGES_S`; the last bin is above all edges.
         consecutive_rejections: number of rejections since the last accepted message; messages of a source that is
-            switched off do not count.
+            switched off and messages dropped unread do not count.
         consecutive_future_stamps: number of messages in a row that were rejected for a stamp in the future.
         last_rejection_ns: timeout-clock time of the last rejection; None if there was none.
         last_rejection: the last rejection; None if there was none.
@@ -302,7 +302,7 @@ class InputRecords:
         self.records[topic].add_rejected(rejection, waiting_ns, receive_ns, stamp_ns)
 
     def record_note(self, topic: str, reason: Reason) -> None:
-        """Record a remark (such as COVARIANCE_UNKNOWN) on a message that is used."""
+        """Record a remark on a message, for example COVARIANCE_UNKNOWN."""
         self.records[topic].reasons[reason] += 1
         self.records[topic].note_counts[reason] += 1
 
@@ -343,7 +343,7 @@ class InputRecords:
             record.reset_stamps()
 
     def rejection_and_note_counts(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
-        """Return topic → (rejections by reason, remarks on used messages by reason).
+        """Return topic → (rejections by reason, remarks by reason).
 
         Topics without rejections and remarks are left out.
         """

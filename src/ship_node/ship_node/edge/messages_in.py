@@ -304,7 +304,8 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
         accept_unset_covariance: True to use an orientation whose covariance begins with -1.
 
     Raises:
-        MessageRejected: NOT_GIVEN where the covariance begins with -1, NON_FINITE or BAD_QUATERNION.
+        MessageRejected: NOT_GIVEN if the covariance begins with -1 and ``accept_unset_covariance`` is False; NON_FINITE
+            or BAD_QUATERNION as in :func:`unit_quaternion`.
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"

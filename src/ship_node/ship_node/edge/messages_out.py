@@ -90,7 +90,7 @@ def diagnostic_array(
         now_ns: time of the report.
         node: name of the node; each status is named ``"<node>: <name>"``.
         statuses: the statuses.
-        full_name: the node's name with its namespace, used as hardware_id; empty if it has no namespace.
+        full_name: the node's name with its namespace, used as hardware_id; if empty, ``node`` is used.
     """
     stamp, hardware_id = divmod(now_ns, _SECOND_NS), full_name or node
     reported = [_ReportedStatus(status, f"{node}: {status.name}", hardware_id) for status in statuses]

@@ -97,7 +97,7 @@ class RecoveringAdapter(BatchAdapter):
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def _bind(self) -> None:
-        """See :class:`ReportingAdapter`; in trouble each input goes to both estimators."""
+        """See :class:`ReportingAdapter`; while a second estimator runs, each input goes to both estimators."""
         super()._bind()
         candidate = self.recovery.candidate
         if candidate is None:
@@ -161,7 +161,7 @@ class RecoveringAdapter(BatchAdapter):
     # -- once a second --------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`; once a second a second estimator may be started, adopted or ended."""
+        """See :class:`ReportingAdapter`; the second estimator is started, adopted or ended at intervals of 1 s."""
         published = super().tick(now_ns, waiting_ns)
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate

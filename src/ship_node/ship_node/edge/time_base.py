@@ -8,9 +8,9 @@ looks like a clock that is behind. A clock has moved only if no delay explains t
   :data:`_LONGEST_DELAY_NS`.
 - A clock has moved back or forward if the change follows an equal step of the computer's clock within a second.
 
-The time base has stepped if every present input has moved by the same time and no message has contradicted this step
-for 0.3 s. At least two clocks must agree; the computer's clock counts as one of them. A step of one device alone is
-never a step of the time base.
+The time base has stepped if every present input with a mean period up to 1 s has moved by the same time and no message
+has contradicted this step for 0.3 s. At least two clocks must agree; the computer's clock counts as one of them. A step
+of one device alone is never a step of the time base.
 
 A step back of the computer's clock is confirmed by the first input that follows it. The stamps of an input that does
 not follow are ahead of the node's clock, so these stamps are unusable in any case.
@@ -49,7 +49,7 @@ _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
 """Time after which the offset of an input that moved alone becomes its normal offset, ns."""
 
 _TOLERANCE, _LARGEST_TOLERANCE_NS = 0.1, 2 * SECOND_NS
-"""Largest difference of two steps that count as equal: as a ratio of a step, and at most, ns."""
+"""Largest difference of two steps that count as equal: ratio of a step, and upper limit of the difference, ns."""
 
 _SMALL_STEP_NS, _LEAST_MESSAGES = 3 * SECOND_NS, 8
 """Size of a step below which unordered messages may explain it, ns, and number of messages that confirm such a step.
