@@ -112,7 +112,7 @@ def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArr
     information_n.ravel()[_DIAGONAL_OF_3_BY_3] -= information_n.trace()
     left, singular, right, failed = lapack.dgesdd(weighted @ measured_d)
     if failed:
-        raise np.linalg.LinAlgError("SVD did not converge: a direction or a sigma is not finite")
+        raise np.linalg.LinAlgError("SVD did not converge: a direction is not finite, or a sigma is zero or NaN")
     rotation_nd = left @ right
     (a, b, c), (d, e, f), (g, h, i) = rotation_nd.tolist()
     handedness = math.copysign(1.0, a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))

@@ -68,7 +68,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--quality-9-is-fix",
         action="store_true",
-        help="take a GGA of quality 9 as a fix with SBAS, as some makers mean it (default: no fix)",
+        help="take a GGA of quality 9 as a fix with SBAS, as some manufacturers define it (default: no fix)",
     )
     parser.add_argument(
         "--resample", type=float, metavar="HZ", help="resample ins/imu by a rotation spline, with angular velocity [Hz]"

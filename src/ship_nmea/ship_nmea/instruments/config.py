@@ -72,7 +72,7 @@ class NmeaSourceConfig:
         choices=(REQUIRED, OPTIONAL),
     )
     quality_9_is_fix: bool = parameter(
-        False, doc="a GGA of quality 9 is a fix with SBAS, as some makers mean it; otherwise it is not a fix"
+        False, doc="a GGA of quality 9 is a fix with SBAS, as some manufacturers define it; otherwise it is not a fix"
     )
     time: str = parameter(
         INSTRUMENT_TIME,
