@@ -40,7 +40,7 @@ EARTH_ROTATION_RATE = 15.041 * ARCSEC
 
 _MAX_CACHED_TIMES = 256
 _MAX_CACHED_STAR_SETS = 4
-"""Number of star sets cached per time; sensors that expose together share the time."""
+"""Number of star sets cached per time; sensors that expose at the same time share one :class:`LocalSky`."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class LocalSky:
         return rows
 
     def refraction_at(self, elevation: float) -> tuple[float, float]:
-        """Return refraction and its sigma at an elevation without air, rad; NaN outside the model's range."""
+        """Return refraction and its sigma at an elevation without refraction, rad; NaN outside the model's range."""
         found = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
         return float(found.angle), float(found.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
 

@@ -45,8 +45,8 @@ _DECORRELATION_PER_PIXEL = 2.0
 _DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
 """Distances that end a dwell.
 
-A dwell ends if the stars have moved since its start by more than the first distance (root mean square). It also ends if
-most stars are farther than the second distance from all stars at its start.
+A dwell ends if the stars have moved since its start by more than the first distance (root mean square). A dwell also
+ends if most stars are farther than the second distance from all stars at its start.
 """
 
 _MIN_INFORMATION_RATIO = 1e-3
