@@ -57,7 +57,7 @@ class ExportRequest:
 
 @dataclass
 class ExportResult:
-    """Result of an export: number of rows of each file, and one line for each omission."""
+    """Result of an export: number of rows of each file, and one line for each omission or problem of the bag."""
 
     row_counts: dict[Path, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)

@@ -241,5 +241,5 @@ def _fill_missing(column: Column, values: list[Any]) -> list[Any]:
 
 
 def _ascii(text: str) -> str:
-    """Return a text as an attribute can represent it."""
+    """Return a text for an attribute; characters outside ASCII become backslash escapes."""
     return text.encode("ascii", "backslashreplace").decode("ascii")
