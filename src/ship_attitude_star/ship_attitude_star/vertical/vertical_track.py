@@ -128,7 +128,7 @@ class VerticalTrack:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, given: "PositionFix | DeflectionReading") -> Rejection | None:
-        """Return the rejection or a remark for an input, None without either; call this method before :meth:`insert`."""
+        """Return the rejection or a remark for an input, else None; call this method before :meth:`insert`."""
         if isinstance(given, PositionFix):
             return self._place.rejection(given)
         index = bisect.bisect_left(self._stamps, given.time_ns)
