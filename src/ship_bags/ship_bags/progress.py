@@ -1,7 +1,7 @@
 """Progress of long work on stderr: percentage done and time left.
 
-On a terminal one line is rewritten, and erased at the end. There, work of less than two
-seconds shows nothing. Without a terminal a line is written every ten seconds. stdout is not used.
+On a terminal one line is rewritten and erased at the end; work of less than two seconds shows nothing. Without a
+terminal a line is written every ten seconds. stdout is not used.
 """
 
 import sys

@@ -58,7 +58,7 @@ class PlayOptions:
 
 @dataclass(frozen=True)
 class PlaySummary:
-    """Result: number of messages, their largest delay, and topics without all acknowledgements in the last full loop."""
+    """Result: number of messages, their largest delay, and topics not fully acknowledged in the last complete loop."""
 
     message_count: int
     latest_s: float
