@@ -7,7 +7,7 @@ straight in Earth-fixed coordinates, so the date line and the poles need no spec
 
 At the start, and after a time without fixes, there is no such line. The position is then on the line through the
 nearest fix and a neighbour of this fix; both may be later than the requested time. If no neighbour is usable, the
-nearest fix is the position. The first fixes are provisional until ten fixes are consistent
+position is that of the nearest fix. The first fixes are provisional until ten fixes are consistent
 (:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict provisional fixes, there is no position.
 The results do not depend on the order of arrival.
 """

@@ -35,8 +35,8 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     """Return the attitude with ``shared_n``; its noise and common error no longer contain the shared errors.
 
     If the message states noise and total error separately, the shared errors are part of the difference. If the message
-    states one covariance, the shared errors are part of it. If it states no covariance, the noise is the configured
-    noise, and ``shared_n`` contains the errors of the sky model.
+    states one covariance, the shared errors are part of it. If the message states no covariance, the noise is the
+    configured noise, and ``shared_n`` contains the errors of the sky model.
 
     Args:
         solved: attitude computed by the sensor.

@@ -2,9 +2,9 @@
 
 The position is computed by :mod:`ship_attitude_star.sky.position_from_fixes`. The air is the last reading with a stamp
 ``gnss_delay_s`` or more before the requested time. A newer reading is used if no such reading is recent enough, and
-parameters are used if there is no recent reading. A fix or reading that has jumped is
-rejected (:mod:`ship_attitude_star.sky.stamped_values`), and the last accepted fix or reading stays in use with a
-growing error. The results do not depend on the order of arrival.
+parameters are used if there is no recent reading. A fix or reading that has jumped is rejected
+(:mod:`ship_attitude_star.sky.stamped_values`), and the last accepted fix or reading stays in use with a growing error.
+The results do not depend on the order of arrival.
 """
 
 import math
@@ -134,8 +134,8 @@ class Surroundings:
         self._results: dict[int, tuple[ShipPosition, Air]] = {}
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
-        # The error of humidity is neglected. Between dry and saturated air, refraction changes as much as by a change
-        # of temperature of 0.5 K at 10 °C, or 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
+        # The error of humidity is neglected. A change from dry to saturated air changes refraction as much as a change
+        # of temperature by 0.5 K at 10 °C, or by 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
         pressure_limits = JumpLimits(MAX_PRESSURE_STEP_HPA, MAX_PRESSURE_RATE_HPA_PER_H / 3600.0, max_age_s, "hPa")

@@ -36,7 +36,7 @@ MAX_PRIOR_SIGMA = np.deg2rad(5.0)
 """Maximum root of the summed variances of a predicted attitude, rad; beyond this, too many catalogue stars match."""
 
 _MAX_STARS_IN_GATE = 5.0
-"""Maximum expected number of catalogue stars in a gate for which candidates are compared."""
+"""Maximum expected number of catalogue stars in the smallest gate of an exposure for which gates are applied."""
 
 
 @dataclass(frozen=True)
