@@ -244,8 +244,8 @@ class PositionFromFixes:
     def _neighbour_pair_index(self, nearest: int, time_ns: int) -> int | None:
         """Return the index of the first of two successive fixes that define the line; None without such fixes.
 
-        One of them is the nearest fix. The other is its neighbour across the requested time if the two are connected,
-        else its neighbour on the other side.
+        One of the two fixes is the nearest fix. The other is the neighbour of the nearest fix across the requested time
+        if both are connected, else the neighbour on the other side.
         """
         times = self._fixes.times
         left = nearest if times[nearest] <= time_ns else nearest - 1

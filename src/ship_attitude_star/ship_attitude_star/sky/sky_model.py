@@ -5,8 +5,8 @@ computes directions of stars in the horizon frame (North, Up, East), with refrac
 refraction, Earth rotation (UT1) and the ship's position are common to all stars and do not average. Each direction
 therefore has its displacement by one standard deviation of each of these errors (docs/explanation/stars.md).
 
-An error of UTC rotates the sky like an error of UT1. It is a separate term because its cause is different. The term is
-absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
+An error of UTC rotates the sky like an error of UT1, but has another cause and is therefore a separate term. The term
+is absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
 """
 
 import copy

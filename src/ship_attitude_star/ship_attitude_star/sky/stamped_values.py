@@ -3,8 +3,8 @@
 One receiver and one instrument provide the ship's position and the air for all stars. Star residuals do not reveal
 errors of position and air, because all directions change equally, as if the INS tilted. But the speed of a ship is
 limited, and so is the rate of change of the air. A value has jumped if its distance from the last accepted value
-exceeds these limits (:class:`JumpLimits`). It is rejected, with the consistent values after it, until one of two
-conditions is met:
+exceeds these limits (:class:`JumpLimits`). A value that has jumped is rejected, with the consistent values after it,
+until one of two conditions is met:
 
 - A value is again within the limits of the last accepted value. For a value that is consistent with the rejected
   values, the limits do not grow with the time since the last accepted value.

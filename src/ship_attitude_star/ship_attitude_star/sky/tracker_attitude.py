@@ -6,8 +6,8 @@ the rotation by aberration if the tracker does not correct aberration.
 
 Refraction varies over the field. It compresses the image horizontally by ρ tan E and vertically by -dρ/dE, both in
 radians per radian (ρ is the refraction, E the elevation). A rotation cannot correct this compression. The remaining
-error of the attitude depends on the positions of the stars in the field, which the tracker does not report. It is
-constant while the stars stay in place, so each tracker has a correlated error.
+error of the attitude depends on the positions of the stars in the field, which the tracker does not report. This error
+is constant while the stars stay in place, so each tracker has a correlated error.
 """
 
 import numpy as np

@@ -47,7 +47,7 @@ class Candidates:
         rows: catalogue rows of the stars in the field, shape (c,).
         is_match: True if a detection may be a star of the field, shape (k, c).
         nearest: angle from the predicted direction of each unmatched detection to the nearest star in the field, rad,
-            shape (k,). It is infinite without a star in the field, and meaningless for a matched detection.
+            shape (k,). The angle is infinite without a star in the field, and meaningless for a matched detection.
     """
 
     rows: NDArray[np.int64]

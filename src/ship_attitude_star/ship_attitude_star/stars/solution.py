@@ -44,7 +44,7 @@ SOLUTION_TERMS = (
 )
 """Error sources of :attr:`StarSolution.covariance_by_source_n`, in order; only star_noise is independent in time.
 
-The spatial errors at the end are absent for a camera without such errors. UTC is then absent too if it counts as exact.
+The spatial errors at the end are absent for a camera without such errors, and then UTC is absent if taken as exact.
 """
 
 _STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (

@@ -215,8 +215,8 @@ class Player:
     def _wait_for_subscribers(self) -> None:
         """Return when every topic has its subscribers, or no more are expected.
 
-        A topic has its subscribers when it has the requested number and every subscriber in the graph is matched. If no
-        topic is requested by name, the number is one for each topic, but zero for /clock and truth topics. No more
+        A topic has its subscribers when the requested number and every subscriber in the graph are matched. If no topic
+        is requested by name, the number is one for each topic, but zero for /clock and truth topics. No more
         subscribers are expected after the timeout. If no topic is requested by name and at least one topic has
         subscribers, no more are expected either when _SETTLING_TIME_S have passed since the last match.
 

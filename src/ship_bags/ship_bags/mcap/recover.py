@@ -91,7 +91,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
         try:
             recovery, information = _recover_file(part, target / part.name, topics, written)
         except BadInput as problem:
-            # The last file of a folder may have no message; it is left out and reported.
+            # A file that cannot be recovered, such as a last file without messages, is left out and reported.
             whole.problems.append(str(problem))
             continue
         files.append(information)
