@@ -129,7 +129,7 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
         source: path of the file; a ``str`` is the content of the file.
 
     Raises:
-        BadInput: the file cannot be read or is not a parameter file; the error names file, line and key.
+        BadInput: the file cannot be read or is not a parameter file; the error names the file and, if known, the line.
     """
     name, text = _text(source)
     root = compose(name, text)

@@ -51,7 +51,7 @@ class Progress:
         self.end()
 
     def show(self, share: float) -> None:
-        """Show the ratio of work done, 0 to 1, unless the last update was a moment ago."""
+        """Show the ratio of work done, 0 to 1, if the next update is due."""
         now_s = self._clock()
         if now_s < self._next_s:
             return

@@ -125,7 +125,7 @@ class PositionFromFixes:
         self._fixes: StampedValues[_Fix] = StampedValues(limits)
 
     def rejection(self, fix: PositionFix) -> Rejection | None:
-        """Return the rejection of a fix; None if the fix is accepted. Call this method before :meth:`insert`."""
+        """Return the result of :meth:`StampedValues.rejection` for a fix; call this method before :meth:`insert`."""
         return self._fixes.rejection(fix.time_ns, _to_earth_fixed(fix))
 
     def insert(self, fix: PositionFix) -> int | None:

@@ -151,8 +151,8 @@ class StampedValues(Generic[Value]):
     def rejection(self, time_ns: int, value: Value) -> Rejection | None:
         """Return the rejection of a value; None if the value is accepted.
 
-        DUPLICATE or CONFLICT: a value with this stamp exists. LATE: all stored stamps are later. JUMP: the value has
-        jumped.
+        DUPLICATE or CONFLICT: a value with this stamp exists; of two different values, the value whose bytes sort first
+        is kept. LATE: all stored stamps are later. JUMP: the value has jumped.
         """
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:

@@ -83,7 +83,7 @@ class StarSolution:
             (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
-        rejected: rejection of each star that is not used because its identity is wrong, by the row of the star.
+        rejected: rejection of each star that is not consistent with the attitude, by the row of the star.
     """
 
     status: SolutionStatus

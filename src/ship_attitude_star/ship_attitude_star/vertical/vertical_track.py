@@ -167,7 +167,7 @@ class VerticalTrack:
     # -- results --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> LocalVertical:
-        """Return the vertical at a time; within an interval the object is the same until an input changes the result."""
+        """Return the vertical at a time, the same object within an interval until an input changes the vertical."""
         return self._grid_point(time_ns // STEP_NS).vertical
 
     def missing_data_text(self, time_ns: int) -> str:

@@ -79,7 +79,7 @@ class _Topic:
 
 
 def export(order: ExportRequest) -> ExportResult:
-    """Write the topics of a bag as tables; if the export fails, no table is written.
+    """Write the topics of a bag as tables; no table gets its final name before all tables are complete.
 
     Raises:
         BadInput: bag, topics or names of files cannot be used; the text gives the reason.
