@@ -62,13 +62,13 @@ class ApparentStars:
 
 @dataclass(frozen=True)
 class BrightStars:
-    """Candidate stars for detections without an identity, sorted by magnitude.
+    """Candidate stars for detections without an identity.
 
     Attributes:
         catalogue: catalogue of all stars.
-        rows: rows of the candidates in the catalogue, shape (m,).
-        directions_c: ICRS unit vectors of the candidates, shape (m, 3).
-        magnitudes: magnitudes of the candidates in ascending order, shape (m,).
+        rows: rows of the candidates in the catalogue, in ascending order, shape (m,).
+        directions_c: ICRS unit vectors of the candidates, in the order of ``rows``, shape (m, 3).
+        magnitudes: magnitudes of all candidates in ascending order, not in the order of ``rows``, shape (m,).
     """
 
     catalogue: StarCatalogue

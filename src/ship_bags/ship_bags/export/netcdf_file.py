@@ -1,7 +1,8 @@
 """Tables written as NetCDF-3 with the CF conventions: a record per row, a variable per column.
 
-The header is made by scipy. The records follow row by row, as the format defines, so that a table of any length needs
-little memory. The width of a text column is known only after the last row: until then the rows wait in a nameless file.
+A column of 64-bit integers has two variables. The header is made by scipy. The records follow row by row, as the format
+defines, so that a table of any length needs little memory. The width of a text column is known only after the last row;
+until then the rows are in a temporary file.
 """
 
 import io

@@ -65,8 +65,9 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
         force: True to overwrite a file; a folder is never overwritten.
 
     Raises:
-        BadInput: the source is unreadable, the target exists or cannot be written, or the result read back differs from
+        BadInput: the source is unreadable, the target exists or cannot be created, or the result read back differs from
             what was written.
+        OSError: writing fails, for example on a full disk.
     """
     if source.is_dir():
         if os.path.lexists(target):
