@@ -128,6 +128,7 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
     """Read a file in the format of hip2.dat.
 
     Raises:
+        OSError: the file cannot be read.
         ValueError: the file does not have this format; the text states the file and the problem.
     """
     try:
