@@ -156,7 +156,7 @@ class CdrTemplate:
         return rows
 
     def decode_many(self, data: Any) -> np.ndarray:
-        """Return the numbers of many messages, shape (count,), of :attr:`dtype`, as a view of contiguous bytes.
+        """Return the numbers of many messages in contiguous bytes, as a view with :attr:`dtype`, shape (count,).
 
         Raises:
             ValueError: the bytes are not a whole number of messages, or a message has another layout.

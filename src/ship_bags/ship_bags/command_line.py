@@ -1,7 +1,8 @@
 """Common parts of all commands of the suite: arguments, exit codes, interruption.
 
-Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. If the reader of a command's output
-is gone, as with ``head``, the command ends silently with 141. Progress is shown by :mod:`ship_bags.progress`.
+Bad input or an OSError ends a command with one line on stderr and exit code 2, Ctrl-C with 130. If the reader of a
+command's output is gone, as with ``head``, the command ends silently with 141. Progress is shown by
+:mod:`ship_bags.progress`.
 """
 
 import argparse
@@ -98,7 +99,7 @@ def print_text(text: str) -> int:
 def run_command(
     parser: CommandParser, command: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
 ) -> int:
-    """Run a command and return its exit code; bad input or an interruption becomes one line on stderr.
+    """Run a command and return its exit code; bad input, an OSError or an interruption becomes one line on stderr.
 
     Args:
         parser: parser of the command's arguments.

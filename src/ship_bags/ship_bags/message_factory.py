@@ -63,7 +63,7 @@ class MessageFactory(Protocol):
         This takes a fraction of the time of :meth:`make`, because no message object is made.
 
         Raises:
-            TypeError: a field is missing or unknown.
+            TypeError: a field is missing, unknown or of a type without template, or an array has the wrong length.
         """
         ...
 
@@ -75,7 +75,7 @@ class MessageFactory(Protocol):
         messages may be given once.
 
         Raises:
-            TypeError: a field is missing or unknown.
+            TypeError: as for :meth:`encode`.
         """
         ...
 

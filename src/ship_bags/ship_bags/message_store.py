@@ -50,7 +50,7 @@ _REFERENCE_SEPARATOR = "/msg/"
 def message_store() -> Typestore:
     """Return the one store of the process: the types of ROS 2 Jazzy and of ship_msgs.
 
-    :func:`use_installed_definition` adds types to it.
+    :func:`use_installed_definition` adds types to this store.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(ship_message_folder().glob("*.msg")):

@@ -268,7 +268,10 @@ def _os_error(number: int, path: Path) -> OSError:
 
 
 def _text(value: Any) -> Any:
-    """Return a value for a table: a number with five decimals, the same on every computer, or a text."""
+    """Return a value for a table: a float with five decimals, empty for NaN; a text by :func:`csv_text`; else as it is.
+
+    Five decimals are the same on every computer.
+    """
     if not isinstance(value, (float, np.floating)):
         return csv_text(value) if isinstance(value, str) else value
     # Adding zero removes the sign of a negative number rounded to zero.

@@ -129,7 +129,7 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
         source: path of the file; a ``str`` is the content of the file.
 
     Raises:
-        BadInput: the file cannot be read or is not a parameter file; the error names file, line and key.
+        BadInput: the file cannot be read or is not a parameter file; the error names the file and, if known, the line.
     """
     name, text = _text(source)
     root = compose(name, text)
@@ -143,7 +143,7 @@ def read_nested_parameters(source: Path | str) -> ParameterFile:
     """Return a file that has only nested parameters, without sections for nodes.
 
     Raises:
-        BadInput: the file cannot be read or has no parameters.
+        BadInput: the file cannot be read, has no parameters, or has an invalid entry.
     """
     name, text = _text(source)
     root = compose(name, text)
@@ -153,7 +153,11 @@ def read_nested_parameters(source: Path | str) -> ParameterFile:
 
 
 def merge_sections(name: str, sections: Sequence[Section]) -> ParameterFile:
-    """Merge the sections of a file into one; if a parameter has several values, the last value applies."""
+    """Merge the sections of a file into one; if a parameter has several values, the last value applies.
+
+    Raises:
+        BadInput: a name is a parameter in one place and a group in another.
+    """
     file = ParameterFile(name, {}, {})
     for section in sections:
         for parameter, (value, line) in section.parameters.items():

@@ -1,7 +1,7 @@
 """Progress of long work on stderr: percentage done and time left.
 
-On a terminal one line is rewritten, and erased at the end. There, work of less than two
-seconds shows nothing. Without a terminal a line is written every ten seconds. stdout is not used.
+On a terminal one line is rewritten and erased at the end; work of less than two seconds shows nothing. Without a
+terminal a line is written every ten seconds. stdout is not used.
 """
 
 import sys
@@ -51,7 +51,7 @@ class Progress:
         self.end()
 
     def show(self, share: float) -> None:
-        """Show the ratio of work done, 0 to 1, unless the last update was a moment ago."""
+        """Show the ratio of work done, 0 to 1, if the next update is due."""
         now_s = self._clock()
         if now_s < self._next_s:
             return

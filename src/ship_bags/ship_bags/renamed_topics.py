@@ -152,7 +152,7 @@ def remap_advice(
 ) -> str:
     """Return the options that map topics of the right type to a missing input, as ``type on /x: --remap /x:=wanted``.
 
-    The text has three topics at most; it is empty if the bag has none of this type.
+    The text has three topics at most, and is empty without a candidate. Truth topics are not candidates.
 
     Args:
         wanted: the suite's name of the input.

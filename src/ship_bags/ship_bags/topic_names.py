@@ -7,7 +7,7 @@ TRUTH_PREFIX = "truth/"
 
 
 def relative_topic(name: str, namespace: str = "") -> str | None:
-    """Return the suite's relative name of a bag's topic; None if it is outside the namespace.
+    """Return the suite's relative name of a bag's topic; None for a topic outside the namespace.
 
     Args:
         name: name of the topic in the bag, e.g. ``/ship/ins/imu``, ``/ins/imu`` or ``ins/imu``.

@@ -52,7 +52,7 @@ def attitude_from_star(
 def _attitude_from_exposure(
     exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float
 ) -> AttitudeMeasurement | None:
-    """Return the sensor attitude from one exposure; None if the stars do not determine a verified attitude."""
+    """Return the sensor attitude from one exposure; None if the exposure is rejected or has no verified solution."""
     visible = visible_stars(exposure, sky_model, None)
     if isinstance(visible, Rejection):
         return None

@@ -160,8 +160,8 @@ class FilterState:
         unconfirmed_step: INS jump, possible INS jump, reinstatement of the INS or first star measurement that other
             stars have not confirmed; None if all are confirmed.
         rejected_residuals: residual of each source's last rejected measurement.
-        ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None before a
-            jump.
+        ins_jump_ns: INS stamp just before the first sample after the last jump for which the covariance was inflated;
+            None before a jump.
         ins_fault_ns: time of the last reported jump, a later contradiction, or a reinstatement of the INS; None before
             these.
         vertical: vertical at the time of the state; None before the first measurement, or if the filter needs no

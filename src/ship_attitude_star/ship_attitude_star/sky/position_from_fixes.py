@@ -5,10 +5,11 @@ time. A fix that arrives within this delay changes no result, so no exposure has
 acceleration of 0.1 m/s² the error of the extrapolation is half a metre (0.016″) 1.5 s after the later fix. The line is
 straight in Earth-fixed coordinates, so the date line and the poles need no special treatment.
 
-At the start, and after a time without fixes, there is no such line. The position is then on the line through the two
-fixes nearest in time, which may be later than the requested time. The first fixes are provisional until ten fixes are
-consistent (:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict provisional fixes, there is no
-position. The results do not depend on the order of arrival.
+At the start, and after a time without fixes, there is no such line. The position is then on the line through the
+nearest fix and a neighbour of this fix; both may be later than the requested time. If no neighbour is usable, the
+position is that of the nearest fix. The first fixes are provisional until ten fixes are consistent
+(:mod:`ship_attitude_star.sky.stamped_values`). While other fixes contradict provisional fixes, there is no position.
+The results do not depend on the order of arrival.
 """
 
 import bisect
@@ -38,17 +39,17 @@ A ship that turns at 0.6°/s and 10 m/s has this acceleration.
 """
 
 LINE_LENGTH_NS = 5 * SECOND_NS
-"""Time between the two fixes that define the extrapolation line, ns.
+"""Minimum time between the two fixes that define the extrapolation line, if connected fixes are that old, ns.
 
 One second after the later fix, the acceleration of the ship causes an error of 0.3 m. Independent errors of the two
 fixes are multiplied by 1.2. The factor would be 2.2 for fixes one second apart, and 15 for fixes 0.1 s apart.
 """
 
 SPEED_SIGMA_M_PER_S = 10.0
-"""Standard deviation of the ship's speed if only one fix is known, each horizontal axis."""
+"""Standard deviation of the ship's velocity, each horizontal axis, if the position is computed from a single fix."""
 
 JUMP_CONFIRMATION_S = 25.0
-"""Time after which a position that has jumped is accepted, s.
+"""Time after which a position that has jumped is accepted, s; ``fix_max_age_s`` is used instead if it is shorter.
 
 It cannot be decided which of two positions is right; the first one may be wrong.
 """
@@ -124,7 +125,7 @@ class PositionFromFixes:
         self._fixes: StampedValues[_Fix] = StampedValues(limits)
 
     def rejection(self, fix: PositionFix) -> Rejection | None:
-        """Return the rejection of a fix; None if the fix is accepted. Call this method before :meth:`insert`."""
+        """Return the result of :meth:`StampedValues.rejection` for a fix; call this method before :meth:`insert`."""
         return self._fixes.rejection(fix.time_ns, _to_earth_fixed(fix))
 
     def insert(self, fix: PositionFix) -> int | None:
@@ -168,13 +169,13 @@ class PositionFromFixes:
         )
 
     def step_time_base(self, step_ns: int) -> None:
-        """Shift the accepted fixes by a step of the clocks."""
+        """Shift the accepted fixes of the last ten seconds by a step of the clocks; drop all other fixes."""
         self._oldest_ns, self._fixes = None, self._fixes.with_shifted_stamps(step_ns)
 
     def position_at(self, time_ns: int) -> ShipPosition | Rejection:
         """Return the position at a time, or NO_FIX.
 
-        NO_FIX is returned if no fix is near enough in time, or if provisional fixes contradict each other. Errors of
+        NO_FIX is returned if no fix is near enough in time, or if fixes contradict the provisional fixes. Errors of
         successive fixes are assumed to be equal, as they nearly are for GNSS, so averaging does not reduce the errors.
         The error of the straight line grows with the time to its two fixes.
         """
@@ -187,8 +188,8 @@ class PositionFromFixes:
     def _line_fixes(self, time_ns: int) -> tuple[int, int] | None:
         """Return the indices of the two fixes, both older than the delay, that define the line at a time.
 
-        The result is None if the later fix is too old. It is also None if the fixes are less than the delay apart,
-        because the extrapolation would then amplify their errors.
+        The result is None if no fix is older than the delay, or if the later fix is too old. The result is also None
+        if the two fixes are less than the delay apart, because the extrapolation would then amplify their errors.
         """
         times, last = self._fixes.times, self._fixes.last_before(time_ns - self._delay_ns)
         if last < 0 or time_ns - times[last] > self._fix_max_age_ns:
@@ -199,7 +200,8 @@ class PositionFromFixes:
     def _line_start_index(self, last: int) -> int:
         """Return the index of the first fix of the line that ends at fix ``last``.
 
-        It is the last fix at least :data:`LINE_LENGTH_NS` before fix ``last``, or the first fix connected to ``last``.
+        The line starts at the last fix that is at least :data:`LINE_LENGTH_NS` before fix ``last``. If the fixes
+        connected to fix ``last`` span less time, the line starts at the first of them.
         """
         times, first = self._fixes.times, last
         while first > 0 and times[last] - times[first] < LINE_LENGTH_NS and self._is_connected(first - 1):
@@ -242,8 +244,8 @@ class PositionFromFixes:
     def _neighbour_pair_index(self, nearest: int, time_ns: int) -> int | None:
         """Return the index of the first of two successive fixes that define the line; None without such fixes.
 
-        One of them is the nearest fix. The other is its neighbour across the requested time if the two are connected,
-        else its neighbour on the other side.
+        One of the two fixes is the nearest fix. The other is the neighbour of the nearest fix across the requested time
+        if both are connected, else the neighbour on the other side.
         """
         times = self._fixes.times
         left = nearest if times[nearest] <= time_ns else nearest - 1

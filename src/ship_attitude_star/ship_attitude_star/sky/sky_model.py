@@ -5,8 +5,8 @@ computes directions of stars in the horizon frame (North, Up, East), with refrac
 refraction, Earth rotation (UT1) and the ship's position are common to all stars and do not average. Each direction
 therefore has its displacement by one standard deviation of each of these errors (docs/explanation/stars.md).
 
-An error of UTC rotates the sky like an error of UT1. It is a separate term because its cause is different. The term is
-absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
+An error of UTC rotates the sky like an error of UT1, but has another cause and is therefore a separate term. The term
+is absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
 """
 
 import copy
@@ -40,7 +40,7 @@ EARTH_ROTATION_RATE = 15.041 * ARCSEC
 
 _MAX_CACHED_TIMES = 256
 _MAX_CACHED_STAR_SETS = 4
-"""Number of star sets cached per time; sensors that expose together share the time."""
+"""Number of star sets cached per time; sensors that expose at the same time share one :class:`LocalSky`."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class ApparentStars:
 
 @dataclass(frozen=True)
 class BrightStars:
-    """Candidate stars for detections without an identity, sorted by magnitude.
+    """Candidate stars for detections without an identity.
 
     Attributes:
         catalogue: catalogue of all stars.
-        rows: rows of the candidates in the catalogue, shape (m,).
-        directions_c: ICRS unit vectors of the candidates, shape (m, 3).
-        magnitudes: magnitudes of the candidates in ascending order, shape (m,).
+        rows: rows of the candidates in the catalogue, in ascending order, shape (m,).
+        directions_c: ICRS unit vectors of the candidates, in the order of ``rows``, shape (m, 3).
+        magnitudes: magnitudes of all candidates in ascending order, not in the order of ``rows``, shape (m,).
     """
 
     catalogue: StarCatalogue
@@ -159,7 +159,7 @@ class LocalSky:
         return rows
 
     def refraction_at(self, elevation: float) -> tuple[float, float]:
-        """Return refraction and its sigma at an elevation without air, rad; NaN outside the model's range."""
+        """Return refraction and its sigma at an elevation without refraction, rad; NaN outside the model's range."""
         found = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
         return float(found.angle), float(found.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
 

@@ -1,8 +1,8 @@
 """Separation of the errors of refraction, UT1 and ship's position from a horizon attitude computed by a sensor.
 
 Such a sensor computes the directions of its stars with the same fix, UT1 and air data as all other sensors on board.
-The errors of these data are part of the covariance in its message. As errors of the sensor, they would seem to average
-over the sensors. Here they become errors common to all sensors:
+The errors of these data are part of the covariance in its message. As errors of the sensor, these errors would seem to
+average over the sensors. Here they become errors common to all sensors:
 
 - An error of UT1 or of the position rotates the whole sky, whatever stars were observed
   (:meth:`LocalSky.sky_rotations`).
@@ -22,7 +22,7 @@ from ship_geometry.refraction import elevation_of, raising_axis
 from ship_geometry.rotations import FloatArray
 
 _ROUNDING_RATIO = 1e-9
-"""Ratio of a variance to the total variance below which it counts as rounding error and is set to zero."""
+"""Ratio of a variance to the total variance below which the variance is set to zero as a rounding error."""
 
 _LOW_STARS_FACTOR = 1.5
 """Maximum ratio of the mean refraction error of a field's stars to the refraction error at the boresight.
@@ -35,8 +35,8 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     """Return the attitude with ``shared_n``; its noise and common error no longer contain the shared errors.
 
     If the message states noise and total error separately, the shared errors are part of the difference. If the message
-    states one covariance, the shared errors are part of it. If it states no covariance, the noise is the configured
-    noise, and ``shared_n`` contains the errors of the sky model.
+    states one covariance, the shared errors are part of it. If the message states no covariance, the noise is the
+    configured noise, and ``shared_n`` contains the errors of the sky model.
 
     Args:
         solved: attitude computed by the sensor.

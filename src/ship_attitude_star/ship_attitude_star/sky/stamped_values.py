@@ -3,19 +3,19 @@
 One receiver and one instrument provide the ship's position and the air for all stars. Star residuals do not reveal
 errors of position and air, because all directions change equally, as if the INS tilted. But the speed of a ship is
 limited, and so is the rate of change of the air. A value has jumped if its distance from the last accepted value
-exceeds these limits (:class:`JumpLimits`). It is rejected, with the consistent values after it, until one of two
-conditions is met:
+exceeds these limits (:class:`JumpLimits`). A value that has jumped is rejected, with the consistent values after it,
+until one of two conditions is met:
 
 - A value is again within the limits of the last accepted value. For a value that is consistent with the rejected
   values, the limits do not grow with the time since the last accepted value.
-- The rejected values have been consistent for the confirmation time. Then the next consistent value is accepted, and
-  older values are no longer valid.
+- The rejected values have been consistent for the confirmation time. Then the next consistent value is accepted; it is
+  not connected to the values accepted before.
 
 No earlier value confirms the first value; if the second value contradicts the first, the third value decides. With
 ``JumpLimits.min_consistent``, values without a predecessor are provisional until this number of different values are
-consistent. Until then, the same number of consistent rejected values replace the provisional values. If a value is
-bit-identical to the last value, the source may be frozen while the ship moves. Such a value does not count as a
-different value, and the limits grow with the time during which the value is constant.
+consistent. Until then, the same number of consistent rejected values replace the provisional values. If the distance
+of a value from the last accepted value is 0, the source may be frozen while the ship moves. Such a value does not count
+as a different value, and the limits grow with the time during which the value is constant.
 
 The decision on a value depends only on values with earlier stamps. A late value is evaluated in the order of stamps,
 and the values after it are evaluated again.
@@ -151,8 +151,8 @@ class StampedValues(Generic[Value]):
     def rejection(self, time_ns: int, value: Value) -> Rejection | None:
         """Return the rejection of a value; None if the value is accepted.
 
-        DUPLICATE or CONFLICT: a value with this stamp exists. LATE: all stored stamps are later. JUMP: the value has
-        jumped.
+        DUPLICATE or CONFLICT: a value with this stamp exists; of two different values, the value whose bytes sort first
+        is kept. LATE: all stored stamps are later. JUMP: the value has jumped.
         """
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:

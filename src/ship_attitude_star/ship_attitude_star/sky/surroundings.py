@@ -1,9 +1,10 @@
 """The ship's position and the air at the ship at any time, from position fixes and readings of the air.
 
 The position is computed by :mod:`ship_attitude_star.sky.position_from_fixes`. The air is the last reading with a stamp
-``gnss_delay_s`` or more before the time; parameters replace missing readings. A fix or reading that has jumped is
-rejected (:mod:`ship_attitude_star.sky.stamped_values`), and the last accepted fix or reading stays in use with a
-growing error. The results do not depend on the order of arrival.
+``gnss_delay_s`` or more before the requested time. A newer reading is used if no such reading is recent enough, and
+parameters are used if there is no recent reading. A fix or reading that has jumped is rejected
+(:mod:`ship_attitude_star.sky.stamped_values`), and the last accepted fix or reading stays in use with a growing error.
+The results do not depend on the order of arrival.
 """
 
 import math
@@ -117,7 +118,7 @@ class _Quantity:
 
 
 _MAX_CACHED_RESULTS = 256
-"""Number of cached results; exposures that are applied again need results at up to 28 times in each of the last 2 s."""
+"""Number of cached results; exposures that are applied again need up to 28 results per second of the last 2 s."""
 
 
 class Surroundings:
@@ -133,8 +134,8 @@ class Surroundings:
         self._results: dict[int, tuple[ShipPosition, Air]] = {}
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
-        # The error of humidity is neglected. Dry and saturated air differ in refraction as much as a difference in
-        # temperature of 0.5 K at 10 °C, and of 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
+        # The error of humidity is neglected. A change from dry to saturated air changes refraction as much as a change
+        # of temperature by 0.5 K at 10 °C, or by 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
         pressure_limits = JumpLimits(MAX_PRESSURE_STEP_HPA, MAX_PRESSURE_RATE_HPA_PER_H / 3600.0, max_age_s, "hPa")
@@ -182,7 +183,7 @@ class Surroundings:
             quantity.drop_before(time_ns)
 
     def step_time_base(self, step_ns: int) -> None:
-        """Shift the stamps of the accepted inputs by a step of the clocks."""
+        """Shift the accepted inputs of the last ten seconds by a step of the clocks; drop all other inputs."""
         self._results.clear()
         self._position.step_time_base(step_ns)
         for quantity in self._air.values():
@@ -191,9 +192,9 @@ class Surroundings:
     # -- results --------------------------------------------------------------------------------------------
 
     def position_and_air_at(self, time_ns: int) -> tuple[ShipPosition, Air] | Rejection:
-        """Return position and air at a time, or NO_FIX if no fix is near enough in time.
+        """Return position and air at a time, or the rejection NO_FIX of :meth:`PositionFromFixes.position_at`.
 
-        The returned object is the same until an input changes the result.
+        The returned object is the same while it is cached and no input changes the result.
         """
         known = self._results.get(time_ns)
         if known is not None:

@@ -6,8 +6,8 @@ the rotation by aberration if the tracker does not correct aberration.
 
 Refraction varies over the field. It compresses the image horizontally by ρ tan E and vertically by -dρ/dE, both in
 radians per radian (ρ is the refraction, E the elevation). A rotation cannot correct this compression. The remaining
-error of the attitude depends on the positions of the stars in the field, which the tracker does not report. It is
-constant while the stars stay in place, so each tracker has a correlated error.
+error of the attitude depends on the positions of the stars in the field, which the tracker does not report. This error
+is constant while the stars stay in place, so each tracker has a correlated error.
 """
 
 import numpy as np
@@ -36,8 +36,8 @@ def to_horizon_attitude(
         sky_model: the sky model.
 
     Returns:
-        The attitude, or a rejection if the sky model gives no directions at the time of the attitude, or if the
-        boresight is below the elevation range of the refraction model.
+        The attitude, or a rejection if the sky model gives no directions at the time of the attitude. An attitude in
+        the ICRS is also rejected if its boresight is below the elevation range of the refraction model.
     """
     local_sky = sky_model.sky_at(attitude.time_ns)
     if isinstance(local_sky, Rejection):
@@ -87,7 +87,8 @@ def _field_refraction(
 
     Returns:
         Mean additional lift due to the second derivative of refraction, rad.
-        Covariance of the remaining error, rotation vector in the horizon frame, rad², shape (3, 3).
+        Covariance of the remaining error, rotation vector in the horizon frame, rad², shape (3, 3). The covariance
+            includes the variation of aberration over the field if the tracker does not correct aberration.
     """
     if field.radius == 0.0:
         return 0.0, np.zeros((3, 3))

@@ -228,7 +228,10 @@ class SmoothingCore(ShipAttitudeCore):
 
 
 def _copy_without_state(estimate: AttitudeEstimate) -> AttitudeEstimate:
-    """Return a copy of an attitude that shares no arrays with other attitudes and has no filter state."""
+    """Return a copy without filter state and covariance by error source, which shares no arrays with other attitudes.
+
+    In the copy, ``covariance_without_separation_n`` is equal to ``covariance_n``.
+    """
     covariance_n = estimate.covariance_n.copy()
     return replace(
         estimate,

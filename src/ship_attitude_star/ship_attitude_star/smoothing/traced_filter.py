@@ -25,7 +25,7 @@ class TracedState(FilterState):
     """Filter state with its last update.
 
     Attributes:
-        last_update: update by the last accepted measurement or jump; None before the first update.
+        last_update: update by the last accepted measurement or INS change; None before the first update.
     """
 
     last_update: StateUpdate | None = None

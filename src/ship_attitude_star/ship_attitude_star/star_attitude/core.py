@@ -86,7 +86,7 @@ class JointWindow:
         self._last_ns: int | None = None
 
     def add(self, item: PlacedExposure, arrival_ns: int | None = None) -> bool:
-        """Add an exposure, in place of one of the same sensor and stamp; return False if it is too late to be added.
+        """Add an exposure, or replace the exposure with its sensor and stamp; return False if the exposure is too late.
 
         Args:
             item: the exposure.
@@ -126,7 +126,10 @@ class JointWindow:
             yield group
 
     def _group(self, is_turn_known: Callable[[int, int], bool]) -> list[PlacedExposure]:
-        """Return the earliest exposure, with the next exposure of each other sensor that is near enough in time."""
+        """Return the earliest exposure, and the first exposure of each other sensor that can be joined with it.
+
+        Exposures can be joined within ``simultaneous_s``, or within ``window_s`` if the rotation is known.
+        """
         first_ns = self._items[0].time_ns
         group: dict[str, PlacedExposure] = {}
         for item in self._items:
@@ -348,7 +351,7 @@ class StarCore:
             outcome.solved.append(joint)
 
     def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, AttitudeSolution]:
-        """Solve the attitude of a sensor from one exposure, and add it as motion reference for the checks."""
+        """Solve the attitude of a sensor from one exposure; a solved attitude becomes a motion reference of checks."""
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
             return rejected_exposure(waiting.exposure, waiting.rejected_stars, contradiction)

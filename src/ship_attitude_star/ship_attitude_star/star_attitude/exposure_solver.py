@@ -94,8 +94,8 @@ class PlacedExposure:
         source: name of the sensor, ``star.<id>``.
         time_ns: stamp of the exposure.
         exposure: the usable stars.
-        stars: the usable stars with measured and apparent directions; None if no apparent direction is known.
-        rejected_stars: stars rejected in the solution of the sensor.
+        stars: the usable stars with measured and apparent directions; None if the exposure is rejected as a whole.
+        rejected_stars: stars rejected before the solution of the sensor or by this solution.
         turn_variance: variance of an error that rotates all directions equally, each axis, rad². This error remains
             after the correction for the motion during the exposure; the INS noise is not included.
     """

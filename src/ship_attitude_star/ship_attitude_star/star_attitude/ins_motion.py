@@ -153,7 +153,7 @@ class InsMotion:
         return None if batch.checked.last is None else self._use(batch.checked.last)
 
     def _use(self, checked: CheckedInsSample) -> Rejection | None:
-        """Apply the results of the check of a sample, and insert the sample; the result is as for :meth:`add`."""
+        """Apply the results of a sample's check, and insert an accepted sample; the result is as for :meth:`add`."""
         if checked.rates_wrong_after_ns is not None:
             self.track.drop_rates(checked.rates_wrong_after_ns)
         for jump in checked.jumps:

@@ -36,7 +36,7 @@ def camera_blocks(name: str, camera: CameraConfig, has_focal_length: bool = True
 
 
 def camera_state_indices(slices: Mapping[str, slice], name: str, focal_length: str = "") -> NDArray[np.intp] | None:
-    """Return the state indices of a camera's correlated errors, focal length first; None if the filter has none.
+    """Return the state indices of a camera's correlated errors, focal length first; None without such states.
 
     Args:
         slices: slice of the filter's states for each block.

@@ -39,7 +39,7 @@ def linearise_stars(
     time_transfer_b: cython.const[cython.double][:, :, :],
     rotation_nb: cython.const[cython.double][:, :],
 ):
-    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a star fit; streaks and camera errors are left out.
+    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a star fit without smear and field errors.
 
     Args:
         measured_b: as in :class:`ship_attitude_star.stars.fit.MatchedStars`, shape (k, 3).

@@ -1,4 +1,4 @@
-"""Parameters of one star sensor, camera and mounting, which both nodes of the package share."""
+"""Camera and mounting parameters of a star sensor, which ``ship_attitude`` and ``star_attitude`` share."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ _FIELD_POINTS = 21
 
 
 class StarSensorsById:
-    """Parameters that both nodes have in common: star sensors by id.
+    """Star sensors by id, which are parameters of both ``ship_attitude`` and ``star_attitude``.
 
     A sensor with the id JOINT would publish on the topic of the joint solution, and its stars would count twice.
     """

@@ -1,7 +1,7 @@
 """Expected number of false matches: sets of stars that are consistent with a prior by chance.
 
 A false detection, or a star with a wrong identity, fits the prior if a catalogue star happens to be in its gate. With n
-detections, ρ catalogue stars per steradian of a matching magnitude, and gates of area a, this occurs n ρ a times on
+detections, ρ catalogue stars of a matching magnitude per steradian, and gates of area a, this occurs n ρ a times on
 average. n ρ is :attr:`MatchedStars.false_match_density`. A second star must fit both the prior and the first star, so
 its gate is smaller; each further star has a still smaller gate. The expected number of false sets is the product over
 the stars.
@@ -28,8 +28,8 @@ WRONG_IDENTITY_RATIO = 0.01
 def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
     """True if the expected number of false matches of a single star is at most :data:`MAX_FALSE_MATCHES`.
 
-    A set of several stars has fewer false matches, so a larger set needs no further test. The result is also True for
-    stars without false match densities, and without stars.
+    A set of several stars has fewer false matches, so a larger set needs no further test. The result is also True if
+    there are no stars, or if the stars have no false match densities.
 
     Args:
         stars: matched stars with their false match densities.

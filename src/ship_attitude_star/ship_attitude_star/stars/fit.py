@@ -12,9 +12,9 @@ displacement d_i of the star is linear in small unknowns:
   sensor by one sigma of each of these errors; sensors may share these errors.
 - f are the coefficients of the cameras' errors (:mod:`ship_attitude_star.stars.optics_errors`,
   :mod:`ship_attitude_star.stars.spatial_errors`). The columns of F_i are the displacements of the measured direction by
-  one sigma of each.
+  one sigma of each coefficient.
 - z are the errors that all stars share (refraction, Earth rotation, position). The columns of G_i are the displacements
-  of the sky direction by one sigma of each.
+  of the sky direction by one sigma of each error.
 
 The unknowns m, t, f and z are in units of their standard deviations, so that their prior information is the identity.
 """

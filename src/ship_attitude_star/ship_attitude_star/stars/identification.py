@@ -36,7 +36,7 @@ MAX_PRIOR_SIGMA = np.deg2rad(5.0)
 """Maximum root of the summed variances of a predicted attitude, rad; beyond this, too many catalogue stars match."""
 
 _MAX_STARS_IN_GATE = 5.0
-"""Maximum expected number of catalogue stars in a gate for which candidates are compared."""
+"""Maximum expected number of catalogue stars in the smallest gate of an exposure for which gates are applied."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Candidates:
         rows: catalogue rows of the stars in the field, shape (c,).
         is_match: True if a detection may be a star of the field, shape (k, c).
         nearest: angle from the predicted direction of each unmatched detection to the nearest star in the field, rad,
-            shape (k,). It is infinite without a star in the field, and meaningless for a matched detection.
+            shape (k,). The angle is infinite without a star in the field, and meaningless for a matched detection.
     """
 
     rows: NDArray[np.int64]

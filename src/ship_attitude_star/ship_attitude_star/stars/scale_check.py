@@ -33,7 +33,9 @@ With a wrong focal length fewer stars would be consistent.
 def check_focal_length(
     exposure: StarExposure, sky_model: SkyModel, prior: StarPrior | None, used_count: int
 ) -> Rejection | None:
-    """Return the rejection of an exposure whose stars contradict the focal length; None if they do not.
+    """Return the rejection of an exposure whose stars contradict the focal length; None without a contradiction.
+
+    The result is also None if too few stars are consistent with one attitude.
 
     Args:
         exposure: all detections.

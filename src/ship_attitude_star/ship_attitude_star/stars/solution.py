@@ -44,7 +44,7 @@ SOLUTION_TERMS = (
 )
 """Error sources of :attr:`StarSolution.covariance_by_source_n`, in order; only star_noise is independent in time.
 
-The spatial errors at the end are absent for a camera without such errors. UTC is then absent too if it counts as exact.
+The spatial errors at the end are absent for a camera without such errors, and then UTC is absent if taken as exact.
 """
 
 _STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (
@@ -83,7 +83,7 @@ class StarSolution:
             (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
-        rejected: rejection of each star that is not used because its identity is wrong, by the row of the star.
+        rejected: rejection of each star that is not consistent with the attitude, by the row of the star.
     """
 
     status: SolutionStatus

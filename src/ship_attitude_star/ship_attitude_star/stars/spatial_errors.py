@@ -1,7 +1,7 @@
 """Errors of a centroid that depend on its position on the detector, and are constant while the star stays there.
 
 ECSS-E-ST-60-20C classifies the errors of a star sensor by their variation. Noise is new in each exposure. A
-*field-spatial* error varies smoothly over the field of view; it remains after the calibration of focal length,
+*field-spatial* error varies smoothly over the field of view, and remains after the calibration of focal length,
 distortion and shape of the stars' images. A *pixel-spatial* error changes from pixel to pixel, due to sensitivity, dark
 current and interpolation of the centroid. Neither error averages over exposures in which the stars stay in place.
 
@@ -45,8 +45,8 @@ _DECORRELATION_PER_PIXEL = 2.0
 _DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
 """Distances that end a dwell.
 
-A dwell ends if the stars have moved since its start by more than the first distance (root mean square). It also ends if
-most stars are farther than the second distance from all stars at its start.
+A dwell ends if the stars have moved since its start by more than the first distance (root mean square). A dwell also
+ends if most stars are farther than the second distance from all stars at its start.
 """
 
 _MIN_INFORMATION_RATIO = 1e-3

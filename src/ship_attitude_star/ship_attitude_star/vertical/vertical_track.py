@@ -128,7 +128,7 @@ class VerticalTrack:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def rejection(self, given: "PositionFix | DeflectionReading") -> Rejection | None:
-        """Return why an input is rejected or contradicts a stored input, or None; call it before :meth:`insert`."""
+        """Return the rejection or a remark for an input, else None; call this method before :meth:`insert`."""
         if isinstance(given, PositionFix):
             return self._place.rejection(given)
         index = bisect.bisect_left(self._stamps, given.time_ns)
@@ -167,7 +167,7 @@ class VerticalTrack:
     # -- results --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> LocalVertical:
-        """Return the vertical at a time; the object is the same within an interval until an input changes it."""
+        """Return the vertical at a time, the same object within an interval until an input changes the vertical."""
         return self._grid_point(time_ns // STEP_NS).vertical
 
     def missing_data_text(self, time_ns: int) -> str:

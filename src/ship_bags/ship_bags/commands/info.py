@@ -29,7 +29,7 @@ _ROLES = {SUITE_ATTACHMENT: "the suite's configuration", SCENARIO_ATTACHMENT: "t
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point."""
+    """Run ``info`` and return the exit code."""
     return run_command(_parser(), _run, arguments)
 
 

@@ -31,7 +31,7 @@ _BYTES_PER_MB = 1_000_000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``record``; returns the exit code."""
+    """Run ``record`` and return the exit code."""
     parser = _parser()
     return run_ros_command(parser, lambda parsed, ros: _run(parser, parsed, ros), arguments)
 

@@ -57,7 +57,7 @@ class ExportRequest:
 
 @dataclass
 class ExportResult:
-    """Result of an export: number of rows of each file, and one line for each omission."""
+    """Result of an export: number of rows of each file, and one line for each omission or problem of the bag."""
 
     row_counts: dict[Path, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -79,7 +79,7 @@ class _Topic:
 
 
 def export(order: ExportRequest) -> ExportResult:
-    """Write the topics of a bag as tables; if the export fails, no table is written.
+    """Write the topics of a bag as tables; no table gets its final name before all tables are complete.
 
     Raises:
         BadInput: bag, topics or names of files cannot be used; the text gives the reason.

@@ -1,7 +1,8 @@
 """Tables written as NetCDF-3 with the CF conventions: a record per row, a variable per column.
 
-The header is made by scipy. The records follow row by row, as the format defines, so that a table of any length needs
-little memory. The width of a text column is known only after the last row: until then the rows wait in a nameless file.
+A column of 64-bit integers has two variables. The header is made by scipy. The records follow row by row, as the format
+defines, so that a table of any length needs little memory. The width of a text column is known only after the last row;
+until then the rows are in a temporary file.
 """
 
 import io
@@ -241,5 +242,5 @@ def _fill_missing(column: Column, values: list[Any]) -> list[Any]:
 
 
 def _ascii(text: str) -> str:
-    """Return a text as an attribute can represent it."""
+    """Return a text for an attribute; characters outside ASCII become backslash escapes."""
     return text.encode("ascii", "backslashreplace").decode("ascii")

@@ -2,7 +2,7 @@
 
 A nested message becomes columns with its name as prefix; a short array of fixed length becomes numbered columns. Other
 arrays of bytes become a column of hexadecimal text. Any other array of variable or great length becomes a table of its
-own with a row per element: index of the message, index of the element, values. The table of the messages has the
+own with a row per element: log time, stamp, indices of message and element, values. The table of the messages has the
 lengths of the arrays. Arrays whose elements belong together share a table; beyond the end of a shorter array the values
 are None.
 """

@@ -34,8 +34,9 @@ def installed_definition(type_name: str) -> TypeDefinition:
     """Return the definition of a message type with all types that it refers to, as rosbag2 embeds it.
 
     Raises:
-        LookupError: the type's package is not installed.
-        OSError: the files of the type are not installed.
+        ImportError: the class of a type is not installed.
+        LookupError: a type's package has no share folder, or the hash of the type is missing.
+        OSError: the files of a type are not installed.
     """
     own, *others = _nested_types(type_name)
     parts = [_text(own)]

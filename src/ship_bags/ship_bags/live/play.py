@@ -58,7 +58,7 @@ class PlayOptions:
 
 @dataclass(frozen=True)
 class PlaySummary:
-    """Result: number of messages, their largest delay, and topics with missing acknowledgements."""
+    """Result: number of messages, their largest delay, and topics not fully acknowledged in the last complete loop."""
 
     message_count: int
     latest_s: float
@@ -75,7 +75,8 @@ class Player:
         clock: bag time; other threads pause, step and stop it.
 
     Raises:
-        BadInput: the bag cannot be read, a named topic is not in it, or nothing in it can be played.
+        BadInput: the bag cannot be read, a named topic is not in it, the start offset is past its end, or nothing in it
+            can be played.
     """
 
     def __init__(self, node: Node, bag_path: Path, options: PlayOptions, clock: PlaybackClock) -> None:
@@ -130,7 +131,7 @@ class Player:
             self._send_clock(self.clock_ns)
 
     def _records_from_start(self, bag: Bag) -> Iterator[BagRecord]:
-        """Yield messages from the start on; before them the last earlier messages of latched topics."""
+        """Yield messages from the start on; before them the last earlier message of each latched topic."""
         earlier: dict[str, BagRecord] = {}
         for record in bag.records(self._publishers):
             if record.log_time_ns >= self.start_ns:
@@ -170,7 +171,11 @@ class Player:
         self._publishers[record.topic].publish(bytes(record.data))
 
     def _wait_for_acknowledgements(self) -> tuple[str, ...]:
-        """Wait until every reliable subscriber has acknowledged; return the topics without all acknowledgements."""
+        """Wait until every reliable subscriber has acknowledged, at most ``_ACKNOWLEDGE_S``.
+
+        Returns:
+            The topics without all acknowledgements.
+        """
         deadline_s = time.monotonic() + _ACKNOWLEDGE_S
         late = []
         for topic, publisher in {"/clock": self._clock_publisher, **self._publishers}.items():
@@ -210,8 +215,8 @@ class Player:
     def _wait_for_subscribers(self) -> None:
         """Return when every topic has its subscribers, or no more are expected.
 
-        A topic has its subscribers when it has the requested number and every subscriber in the graph is matched. If no
-        topic is requested by name, the number is one for each topic, but zero for /clock and truth topics. No more
+        A topic has its subscribers when the requested number and every subscriber in the graph are matched. If no topic
+        is requested by name, the number is one for each topic, but zero for /clock and truth topics. No more
         subscribers are expected after the timeout. If no topic is requested by name and at least one topic has
         subscribers, no more are expected either when _SETTLING_TIME_S have passed since the last match.
 

@@ -1,6 +1,6 @@
 """Clock of a playback and its control: services of the playing node, and keys on a terminal.
 
-The clock determines when the next event is due; it has a rate, can be paused, stepped and stopped.
+The clock determines when the next event is due. The clock has a rate, and can be paused, stepped and stopped.
 """
 
 import contextlib

@@ -39,7 +39,7 @@ def run_ros_command(
 
 
 def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the command's own arguments, and those between ``--ros-args`` and ``--`` (or the end) for rclpy.init.
+    """Return the command's own arguments, and for rclpy.init those from ``--ros-args`` up to ``--`` (or the end).
 
     rclpy's function would also remove arguments that look like a remap rule, as ``--remap OLD:=NEW`` of `play`.
     """

@@ -46,7 +46,7 @@ class BagContent:
         topics: name → content, sorted by name.
         attachments: name → content.
         metadata: name → entries.
-        problems: one line per problem; empty if footer, index and checksums are valid.
+        problems: one line per problem; if empty, footer, index and checksums are valid.
     """
 
     files: dict[str, int]

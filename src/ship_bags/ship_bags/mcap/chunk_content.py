@@ -71,7 +71,10 @@ def _decompressed_content(chunk: Chunk) -> bytes:
 
 
 def decompress(compression: str, data: bytes) -> bytes:
-    """Return the content of compressed bytes, up to one byte more than the limit of a chunk."""
+    """Return the content of compressed bytes, up to one byte more than the limit of a chunk.
+
+    Bytes without compression are returned unchanged.
+    """
     unfolded: bytes = data
     if compression == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as stream:

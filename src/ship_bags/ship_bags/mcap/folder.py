@@ -1,6 +1,6 @@
 """rosbag2 folders: several MCAP files and an information file (metadata.yaml), as ROS 2 Jazzy writes them.
 
-Every value of the information file is checked when it is read. The file is written atomically. :class:`FolderWriter`
+Each value that is used from an information file is checked. The file is written atomically. :class:`FolderWriter`
 splits a recording by size and time.
 """
 
@@ -145,7 +145,7 @@ class FolderWriter:
         self._bag.add_metadata(name, entries)
 
     def add_attachment(self, name: str, content: str | bytes) -> None:
-        """Add an attachment to the current file; a later attachment of the same name replaces it for readers."""
+        """Add an attachment to the current file; readers use the last attachment of each name."""
         self._bag.add_attachment(name, content)
 
     def flush(self) -> None:
@@ -163,7 +163,7 @@ class FolderWriter:
         self._write_information()
 
     def truncate(self) -> None:
-        """Give up after a failed write, and truncate the file to the last :meth:`flush`."""
+        """Give up after a failed write, and truncate the current file to the last :meth:`flush`."""
         self._bag.truncate()
 
     def _open_file(self) -> None:

@@ -61,7 +61,7 @@ _INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
-# The index takes a hundred bytes per chunk. It is in memory up to this size; a larger index is in a file.
+# The index takes a hundred bytes per chunk. An index up to this size is in memory; a larger index is in a file.
 _INDEX_IN_MEMORY_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20
 

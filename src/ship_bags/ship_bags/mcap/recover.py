@@ -65,8 +65,9 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
         force: True to overwrite a file; a folder is never overwritten.
 
     Raises:
-        BadInput: the source is unreadable, the target exists or cannot be written, or the result read back differs from
+        BadInput: the source is unreadable, the target exists or cannot be created, or the result read back differs from
             what was written.
+        OSError: writing fails, for example on a full disk.
     """
     if source.is_dir():
         if os.path.lexists(target):
@@ -91,7 +92,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
         try:
             recovery, information = _recover_file(part, target / part.name, topics, written)
         except BadInput as problem:
-            # The last file of a folder may have no message; it is left out and reported.
+            # A file that cannot be recovered, such as a last file without messages, is left out and reported.
             whole.problems.append(str(problem))
             continue
         files.append(information)

@@ -176,7 +176,7 @@ class Instrument:
         return np.array([0.0, 0.0, -rate]), np.diag(variances).ravel()
 
     def _fix(self, line: InstrumentLine) -> Iterator[TimedMessage]:
-        """Yield GGA as sensor_msgs/NavSatFix; the altitude is NaN if the sentence lacks the geoid height."""
+        """Yield GGA as sensor_msgs/NavSatFix; the altitude is NaN if the sentence lacks altitude or geoid height."""
         if line.kind != "GGA":
             return
         gga, stamp_ns = line.content, line.receive_ns
@@ -226,7 +226,7 @@ class Instrument:
                 yield line.receive_ns, topic, self._factory.make(type_name, **fields, **{name: value})
 
     def _transducer_reading(self, line: InstrumentLine) -> MetReading:
-        """Return the air data of an XDR: of the named transducers, or of the only one of each kind."""
+        """Return the air data of an XDR: of the named transducers, or of the only transducer of each kind."""
         readings: dict[str, list[float]] = {}
         for index in range(line.content.num_transducers):
             transducer = line.content.get_transducer(index)
@@ -254,8 +254,8 @@ def imu_topic(becomes: str, name: str) -> str:
 def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: LoggedAttitude) -> TimedMessage:
     """Return a sensor_msgs/Imu (orientation: ENU from FLU) with its log time and topic.
 
-    The covariance of the orientation is unknown unless an INS states it. The rate is "not given" if the instrument does
-    not state it; otherwise its covariance is unknown.
+    The covariance of the orientation is unknown unless an INS states it. The rate is "not given" unless the attitude is
+    resampled; the covariance of a resampled rate is unknown.
     """
     rate_flu, rate_covariance = np.zeros(3), _NOT_GIVEN
     if attitude.rate_d is not None:

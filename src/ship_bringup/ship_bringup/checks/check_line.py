@@ -75,7 +75,7 @@ def worst_first(checks: Iterable[Iterable[CheckLine]]) -> list[CheckLine]:
 
 
 def format_number(value: float) -> str:
-    """Return a number with three significant digits, never with an exponent.
+    """Return a number rounded to three significant digits, or to an integer from 1000 on, never with an exponent.
 
     Example:
         >>> format_number(0.00150123), format_number(4.0), format_number(1623.4)

@@ -1,8 +1,8 @@
 """Check of the disk space for a voyage: a record of all topics and a black box of each node.
 
-Bytes per hour = 3600 s × (sum of the inputs from outside and the outputs of all nodes; with black boxes, also the sum
-of inputs and outputs of each node). An input has rate × (message length + 31) bytes/s. Rate and length are those of the
-received messages, or typical values if none were received. The outputs of a node are at most twice its inputs, plus
+The record contains the inputs from outside and the outputs of all nodes. A black box contains the inputs, outputs and
+ticks of its node. An input has rate × (message length + 31) bytes/s. Rate and length are those of the received
+messages, or typical values if none were received. The outputs of a node are assumed to be twice its inputs, plus
 :data:`REPORTS_BYTES_PER_S` of reports. Compression, which saves a quarter to two thirds, is not assumed.
 """
 

@@ -31,7 +31,8 @@ class PathState:
         exists: True if the path exists.
         readable: True if this user can read the file.
         writable: True if this user can write the file, or create it if it does not exist.
-        is_wrong_kind: True for a path of the wrong kind: not a device, or a folder instead of a file.
+        is_wrong_kind: True for a path that must be a serial device and is not, or for a folder in place of a file to
+            which ``nmea_out`` appends.
     """
 
     path: Path
@@ -44,7 +45,7 @@ class PathState:
 
 
 def read_path_states(suite_path: Path, box: Path | None) -> list[PathState]:
-    """Return all paths in a suite file, and the folder of the black boxes."""
+    """Return the states of the devices and written files in a suite file, and of the folder of the black boxes."""
     found = [] if box is None else [_state(box, "--box", creates_parents=True)]
     for section in read_sections(suite_path)[1]:
         for name, (value, line) in section.parameters.items():

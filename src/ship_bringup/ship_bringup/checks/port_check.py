@@ -48,7 +48,9 @@ class PlaceState:
 
 
 def read_place_states(path: Path, namespace: str, companions: Mapping[str, Any]) -> Iterator[PlaceState]:
-    """Yield the states of a suite's NMEA ports, and of its devices in use. Files may be shared and are not checked.
+    """Yield the states of a suite's NMEA ports and own addresses, and of its devices in use.
+
+    Files may be shared and are not checked.
 
     Args:
         path: the suite file.
