@@ -365,7 +365,7 @@ def test_suite_configuration_is_attached(tmp_path):
     [
         ([], "", "ins.log: the file is empty"),
         ([], "nothing\n", "ins.log: no line could be read"),
-        ([], GYR1, "ins.log: no usable attitude: expected PSXN,23 with ZDA, or PASHR"),
+        ([], GYR1, "ins.log: no usable attitude: expected PSXN,23 with ZDA, PASHR, PRDID, PTNTHPR or PSAT,HPR"),
         (["--resample", "0"], S330, "--resample 0: expected a rate above 0"),
         (["--resample", "10"], S330, "no two attitudes within 3 s"),
         (["--reference", "b"], S330, "--reference b: expected NAME=FILE"),

@@ -76,7 +76,7 @@ def _parser() -> CommandParser:
         help="end S seconds after the last measurement or valid result (never); messages that nodes publish without "
         "input (diagnostics, health, budgets, INVALID, /rosout) count only if no others are recorded",
     )
-    parser.add_argument("--use-sim-time", action="store_true", help="log time is that of /clock")
+    parser.add_argument("--use-sim-time", action="store_true", help="take the log time from /clock")
     return parser
 
 

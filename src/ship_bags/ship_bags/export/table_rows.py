@@ -101,7 +101,7 @@ class MessageTable:
         made: "list[MessageTable]",
     ) -> None:
         if len(made) >= MAX_TABLES:
-            raise BadInput(f"it would be more than {MAX_TABLES} tables")
+            raise BadInput(f"the topic would have more than {MAX_TABLES} tables")
         made.append(self)
         self.name = name
         self.columns = list(keys)
@@ -110,7 +110,7 @@ class MessageTable:
         varying = []
         for number, field in enumerate(fields):
             if max(number, len(self.columns)) >= MAX_COLUMNS:
-                raise BadInput(f"a table of it would have more than {MAX_COLUMNS} columns")
+                raise BadInput(f"a table of the topic would have more than {MAX_COLUMNS} columns")
             if field.path[-1:] != (NO_FIELD,) and not self._add_field(field):
                 varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]

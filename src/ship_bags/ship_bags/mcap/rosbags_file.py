@@ -101,7 +101,7 @@ def _check_disk_space(path: Path) -> None:
     free = shutil.disk_usage(folder).free
     if needed > free:
         needed_mb, free_mb = (round(size / 1e6) for size in (needed, free))
-        raise BadInput(f"needs {needed_mb} MB: {folder} has {free_mb} MB free; name another by TMPDIR", file=path)
+        raise BadInput(f"needs {needed_mb} MB: {folder} has {free_mb} MB free; set TMPDIR to another folder", file=path)
 
 
 def _decompress_message(data: bytes) -> bytes:

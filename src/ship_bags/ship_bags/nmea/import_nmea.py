@@ -133,7 +133,8 @@ def _attitudes(lines: list[InstrumentLine], report: LogReport, by_instrument: bo
         example = next(text for text in report.examples if WRONG_TIME in text)
         raise BadInput(f"no usable attitude: {example}; --time receive stamps by the receive time", file=report.path)
     if not found:
-        raise BadInput(f"no usable attitude: expected PSXN,23 with ZDA, or PASHR; {report.text()}", file=report.path)
+        expected = "PSXN,23 with ZDA, PASHR, PRDID, PTNTHPR or PSAT,HPR"
+        raise BadInput(f"no usable attitude: expected {expected}; {report.text()}", file=report.path)
     if lost := report.rejected[WITHOUT_TIME]:
         report.remarks.append(f"{lost} of {lost + len(found)} attitudes have no ZDA of their own: --time receive")
     _remark_on_clock(report, [(attitude.log_time_ns, attitude.stamp_ns) for attitude in found])

@@ -76,7 +76,7 @@ def check_domain(state: NetworkState, own: Collection[str], companions: Collecti
         yield CheckLine(_CHECK, Result.WARN, "/clock is published, as by the player of a bag", advice)
     for name, count in Counter(state.nodes).items():
         if count > 1:
-            yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
+            yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each node a different name")
     drivers = {publisher.node for topic in state.inputs for publisher in topic.publishers}
     unknown_nodes = sorted(set(state.nodes) - drivers - set(own) - set(companions) - others)
     if unknown_nodes:
