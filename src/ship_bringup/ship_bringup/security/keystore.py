@@ -71,7 +71,9 @@ class KeystoreUse:
 
 
 def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
-    """Return all faults of a keystore; the list may be empty.
+    """Return the faults of the parts of a keystore that a suite uses; the list may be empty.
+
+    If the folder is no keystore, or has only enclaves of another suite, this fault is the only one.
 
     Raises:
         LookupError: signatures cannot be checked because the program ``openssl`` is missing.
@@ -103,10 +105,10 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
 
 
 def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
-    """Raise an error if the suite cannot start with a keystore; return its other faults, one line each.
+    """Raise an error if the suite cannot start with a keystore; else return the keystore's faults, one line each.
 
-    Faults of policies and weaknesses are only returned, so that they do not prevent a restart at sea. If the
-    program ``openssl`` is needed but missing, no fault is returned, only a line about this.
+    Policy faults, weaknesses and warnings are only returned, so that they do not prevent a restart at sea. If the
+    program ``openssl`` is needed but missing, no fault is raised or returned, only a line about ``openssl``.
 
     Raises:
         BadInput: the suite cannot start; the text contains the file, the line and what was expected.
@@ -151,7 +153,7 @@ def _date_faults(
 
 
 def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) -> Iterator[KeystoreFault]:
-    """Yield the folders with the identity authority of another ship.
+    """Yield a fault for each folder with the identity authority of another ship.
 
     All folders must contain the configured authority or, if none is configured, the authority of the first folder.
     """

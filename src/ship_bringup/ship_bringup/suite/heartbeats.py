@@ -65,7 +65,7 @@ class HeartbeatAge:
         self.time_s, self.has_heartbeat, self.is_reported = 0.0, has_heartbeat, False
 
     def add(self, step_s: float) -> None:
-        """Add the time since the last check, without the time for which the process waited for a processor."""
+        """Add the time since the last check, at most 1 s, without the process's wait for a processor."""
         before_s, waited_s, waiting_s = self._waited_s, self._processor_wait_s(), 0.0
         if waited_s is not None:
             self._waited_s = waited_s
