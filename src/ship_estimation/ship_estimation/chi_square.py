@@ -99,7 +99,7 @@ def value_below(probability: float, degrees: int) -> float:
 
 
 def normal_value_above(probability: float) -> float:
-    """Return the value that a normal error of sigma 1 exceeds, one-sided, with a ``probability`` of at most 0.5.
+    """Return the value that a normal error of sigma 1 exceeds, one-sided, with ``probability`` (at most 0.5).
 
     Example:
         >>> print(round(normal_value_above(0.025), 2))

@@ -132,7 +132,7 @@ class InsStepDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Start a new line with the next sample, after a step of the attitude or a gap."""
+        """Start a new line with the next sample, for example after a step of the attitude or a gap."""
         self._end = self._newest = 0
         self._to_line = None
         self._plan: StepPlan | None = None
@@ -162,7 +162,7 @@ class InsStepDetector:
         first_rad: float,
         coarseness_rad: float,
     ) -> bool | None:
-        """Return True if a sample is on the line of the accepted samples, None if unknown; False for NaN.
+        """Return True if a sample is on the line of the accepted samples, False if not or for NaN, None if unknown.
 
         A sample also counts as on the line if the step was before it; then :meth:`accept` returns the step.
 
