@@ -181,7 +181,8 @@ Terms of estimation
         Innovation divided by its standard deviation.
         Unit: sigmas; module: ship_estimation.innovations.
     Whitened innovation
-        Innovation multiplied by the inverse Cholesky factor of its covariance; its covariance is the unit matrix.
+        Innovation multiplied by an inverse square root of its covariance; the covariance of the product is the unit
+        matrix.
         Unit: sigmas; module: ship_estimation.compiled_innovations.
     NIS, NEES
         Normalised innovation squared and normalised estimation error squared: e^T P^-1 e; the mean is the number of

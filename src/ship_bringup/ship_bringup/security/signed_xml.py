@@ -37,7 +37,7 @@ class SignedFile:
     text: str
 
     def line_of(self, words: str) -> int | None:
-        """Return the number, from 1, of the first line of the file that contains ``words``; None without such a line."""
+        """Return the number, from 1, of the first line of the file that contains ``words``; None if no line does."""
         whole = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
         return next((number for number, line in enumerate(whole, 1) if words in line), None)
 

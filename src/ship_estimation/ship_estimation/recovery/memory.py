@@ -13,7 +13,7 @@ LEAST_AGE_NS = 10 * SECOND_NS
 """Minimum time from the stored state to the first sign of trouble, ns; a fault may act before it is detected."""
 
 BEFORE_STEP_NS = 2 * SECOND_NS
-"""Minimum time from the state from which a step is measured to the first sign of trouble, ns.
+"""Minimum time from the state with which a step is compared to the first sign of trouble, ns.
 
 The time is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
 seconds."""
@@ -53,7 +53,8 @@ class StateMemory(Generic[State]):
     def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
         """Return the newest state that is old enough at the first sign of trouble, or None.
 
-        The result is None if the estimator has not been consistent for :data:`MIN_CONSISTENT_NS`.
+        The result is None if no state is old enough, or if states have been stored for less than
+        :data:`MIN_CONSISTENT_NS`.
         """
         if first_sign_ns - self._consistent_since_ns < MIN_CONSISTENT_NS:
             return None
