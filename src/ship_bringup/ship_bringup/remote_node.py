@@ -206,7 +206,7 @@ def parse_value(text: str, like: ParameterValue) -> ParameterValue:
 
 
 def value_text(value: ParameterValue) -> str:
-    """Return a value as text, as typed in a shell for :func:`parse_value`: '' for an empty text."""
+    """Return a value as text in the notation of :func:`parse_value`; an empty text is shown as ``''``."""
     plain = parameter_value_to_python(value)
     if isinstance(plain, bool):
         return str(plain).lower()

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled checks of streams, for example of an INS against its own rates, for single values and blocks of values.
+"""Compiled checks of single values and of blocks of values of a stream, for example of an INS against its own rates.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
 are documented where they are called, in :mod:`ship_estimation.integrated_rates`,

@@ -183,7 +183,9 @@ def coverage(
     most_growth: cython.double,
     tiny: cython.double,
 ):
-    """Return the coverage of an output by published levels, and their limits for later outputs from the same state.
+    """Return the coverage of an output by published levels, and the bounds of later outputs that the levels cover.
+
+    The later outputs are from the same filter state.
 
     Args:
         level: protection levels of the output, shape (3,).

@@ -6,10 +6,10 @@ attitude; the noise of the rates cancels. Noise about the axis of rotation alone
 all axes is noise of the attitude itself, for example due to coarse resolution. At rest jitter has no effect and is not
 reported.
 
-A small excess shows in the samples that pass the step check. A large excess makes samples fail this check. From the
-first failed sample on, and at the start, all samples are collected, including rejected samples, until the median
-difference distinguishes noise from a step. Samples are also collected during an excess, so that its changes and its end
-are detected within seconds.
+A small excess shows in the samples that pass the step check. A large excess makes samples fail this check. All samples,
+including rejected samples, are collected at the start and after a failed check, each time for two seconds. The median
+difference of these samples distinguishes noise from a step. Samples are also collected during an excess, so that
+changes and the end of the excess are detected within seconds.
 """
 
 import math

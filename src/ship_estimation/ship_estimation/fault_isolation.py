@@ -87,7 +87,7 @@ class FaultIsolation:
         is_detected: True if a fault is detected.
         subfilter: index of the subfilter that isolates the fault; None if no subfilter explains the fault, or none of
             several is clearly the best.
-        explaining_subfilters: all subfilters that explain the fault, the best first.
+        explaining_subfilters: all tested subfilters that explain the fault, the best first.
     """
 
     is_detected: bool

@@ -60,8 +60,8 @@ class InnovationMeans:
             for the source that this subfilter excludes.
         rejection_counts: number of successive rejections, shape (h, s).
         last_measured_ns: stamp of the last measurement of each source, shape (s,).
-        inconsistent_since_ns: stamp since which the main filter is inconsistent with each source, shape (s,);
-            :data:`NEVER_NS` if the main filter is consistent.
+        inconsistent_since_ns: stamp since which the excess of each source in the main filter exceeds
+            :data:`CONSISTENT_RATIO`, or its measurements are rejected, shape (s,); :data:`NEVER_NS` otherwise.
     """
 
     running: FloatArray

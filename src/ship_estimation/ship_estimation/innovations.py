@@ -82,7 +82,7 @@ class Innovation(NamedTuple):
 def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
     """Return the innovation of a measurement decision; None without a valid comparison with a prediction.
 
-    A measurement rejected for a reason in ``_MISFIT`` has an innovation even without a comparison.
+    A measurement without a residual has an innovation only if the reason of the decision is in ``_MISFIT``.
 
     Example:
         An innovation of 6″ with a predicted sigma of 3″:

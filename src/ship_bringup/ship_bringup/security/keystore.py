@@ -127,7 +127,7 @@ def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
     """Return path → certificate of the authorities in some folders; for equal certificates, only the first path."""
     found: dict[x509.Certificate, Path] = {}
     for path in (folder / name for folder in folders for name in (_IDENTITY_CA, _PERMISSIONS_CA)):
-        with suppress(BadInput):  # an error is reported with its enclave
+        with suppress(BadInput):  # an unreadable file of an enclave is reported by _Enclave
             found.setdefault(read_certificate(path), path)
     return {path: certificate for certificate, path in found.items()}
 
@@ -163,7 +163,7 @@ def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) ->
         try:
             digest = read_certificate(path).fingerprint(SHA256()).hex()
         except BadInput:
-            continue  # the error is reported with its enclave
+            continue  # an unreadable file of an enclave is reported by _Enclave
         if not expected:
             expected, by = digest, str(path)
         if digest != expected:

@@ -46,7 +46,7 @@ class HeartbeatAge:
 
     Attributes:
         time_s: time since the last heartbeat, s.
-        has_heartbeat: True if the process has sent a heartbeat since it began its work.
+        has_heartbeat: True if the process has sent a heartbeat since its start or, later, since it began its work.
         is_reported: True if the time was reported as too long.
         is_killed: True if the process was killed because the time was too long.
 
