@@ -71,7 +71,7 @@ def innovation_statistics(
         axes: number of axes.
 
     Returns:
-        Normalised square of each part, own share, and mean along each axis divided by its sigma and in rad, as in
+        Normalised square of each part, own share, and mean along each axis, in sigmas and in rad, as in
         :class:`ship_estimation.innovations.Innovation`. None if residual or covariance is not finite, or if the
         covariance is not positive definite.
     """

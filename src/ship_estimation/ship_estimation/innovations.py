@@ -66,7 +66,7 @@ class Innovation(NamedTuple):
         components: number of components of the innovation.
         own_share: share of the measurement noise in the innovation covariance.
         is_used: True if the filter uses the source; False if the source is excluded and only monitored.
-        axes: mean innovation of all parts along each axis, divided by its sigma and in rad.
+        axes: mean innovation of all parts along each axis, in sigmas and in rad.
     """
 
     time_ns: int

@@ -37,9 +37,9 @@ class Supervisor:
     """Runs programs until a signal, or until the end of a bag.
 
     Args:
-        programs: programs in the order of their start. First, monitoring programs are ended, which would report the
-            end of other programs as a fault; then programs that play a bag or read instruments; then nodes. Programs
-            of one kind are ended in the opposite order of their start.
+        programs: programs in the order of their start. Programs are ended in the order watchers, player, feeders,
+            nodes (:class:`Role`), because watchers would report the end of other programs as a fault. Programs of one
+            role are ended in the opposite order of their start.
         write: function that writes a line, given without a newline, and raises no error.
         frozen_report_s: time without a heartbeat after which a program is reported, s.
         frozen_restart_s: time without a heartbeat after which a program is killed and started again, s.

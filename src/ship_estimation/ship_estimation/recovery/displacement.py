@@ -21,8 +21,8 @@ _FALSE_STEP = 5.733e-7
 _BY_NOISE = 0.001
 """Probability that a source that has moved back still counts as displaced, due to its noise."""
 _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
-"""Maximum share of the largest displacement that remains when a source has moved back, and the maximum share if the
-measurements do not determine the displacement more precisely."""
+"""Maximum shares of the largest displacement that may remain when a source has moved back: the first in any case, the
+second if noise explains the remaining displacement and no step is recent."""
 _DECISIVE_SIGMAS = 5.0
 """Minimum size of a return, in standard deviations of the stored state, for this state alone to show the return."""
 _STEP_LASTS = 4
