@@ -76,7 +76,7 @@ def rotation_steps(
     twice_drift: cython.const[cython.double][:],
     longest_ns: cython.longlong,
 ):
-    """Return the rotation up to each of N samples from the sample before: the mean of both rates minus the drift.
+    """Return the rotation from the sample before to each of N samples, by the mean of both rates minus the drift.
 
     Args:
         times_ns: stamps of the samples, shape (N,).
@@ -89,8 +89,8 @@ def rotation_steps(
 
     Returns:
         Rotation vectors about the axes of the deck, rad, shape (N, 3), and bounds of the integration error up to each
-        sample, rad, shape (N,). The bounds are infinite from the first gap, stamp that is not later, or non-finite rate
-        on.
+        sample, rad, shape (N,). A gap, a stamp that is not later, or a rate that is not finite makes the bound at this
+        sample and all later bounds infinite.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)

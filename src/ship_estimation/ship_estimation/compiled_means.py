@@ -199,9 +199,9 @@ def updated_mean(
     innovation: cython.const[cython.double][:],
     weights: cython.const[cython.double][::1],
 ):
-    """Return the means of one filter and source after one more innovation, shape (w, 5), and their largest ratio.
+    """Return the means after one more innovation, shape (w, 5), and their largest component in sigmas.
 
-    The ratio is that of a component of a mean to its sigma; the largest ratio is NaN if one component is NaN.
+    The largest component is NaN if one component is NaN.
     """
     check(
         "averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and innovation.shape[0] == 3

@@ -7,9 +7,9 @@ all axes is noise of the attitude itself, for example due to coarse resolution. 
 reported.
 
 A small excess shows in the samples that pass the step check. A large excess makes samples fail this check. All samples,
-including rejected samples, are collected at the start and after a failed check, each time for two seconds. The median
-difference of these samples distinguishes noise from a step. Samples are also collected during an excess, so that
-changes and the end of the excess are detected within seconds.
+including rejected samples, are collected at the start and after a failed check or a detected step, each time for two
+seconds. The median difference of these samples distinguishes noise from a step. Samples are also collected during an
+excess, so that changes and the end of the excess are detected within seconds.
 """
 
 import math
@@ -250,7 +250,7 @@ class ExcessNoise:
         return self._initial_excess(steps) if self.found is None else self._changed_excess(self.found, steps)
 
     def _initial_excess(self, steps: "_Steps") -> ExtraNoise | None:
-        """Return the excess of the collected samples; None if their differences or noise are not clearly too large."""
+        """Return the excess of the collected samples; None if median difference or measured noise is within a limit."""
         usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0), steps.error_rad)
         ratio = _MEDIAN_RATIO if self._usual_rad else _START_RATIO
         if not steps.median_sigma_rad >= ratio * usual_sigma_rad:

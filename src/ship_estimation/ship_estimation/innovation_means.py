@@ -160,9 +160,9 @@ def updated_means(
 
 
 def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
-    """Return the windowed means of one filter and source after one more innovation, and their largest ratio.
+    """Return the windowed means of one filter and source after one more innovation, and the largest, in sigmas.
 
-    The ratio is that of a component of a mean to its sigma.
+    The largest is taken over all components and window lengths.
 
     Args:
         running: means of that filter and source before the innovation, as in :attr:`InnovationMeans.running`,

@@ -14,7 +14,7 @@ from ship_watch.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
-"""Variable with the enclave of a process with any nodes; without this variable ROS uses the enclave ``/``."""
+"""Environment variable with the enclave of a process; without this variable ROS uses the enclave ``/``."""
 
 DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
 

@@ -108,7 +108,7 @@ def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
     """Raise an error if the suite cannot start with a keystore; else return the keystore's faults, one line each.
 
     Policy faults, weaknesses and warnings are only returned, so that they do not prevent a restart at sea. If the
-    program ``openssl`` is needed but missing, no fault is raised or returned, only a line about ``openssl``.
+    program ``openssl`` is needed but missing, only a line about ``openssl`` is returned.
 
     Raises:
         BadInput: the suite cannot start; the text contains the file, the line and what was expected.
