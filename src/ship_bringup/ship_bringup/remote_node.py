@@ -88,8 +88,8 @@ class RemoteNode:
     Args:
         own_node: our own node, which calls the services.
         name: name of the node, with its namespace if it is in a namespace.
-        timeout_s: timeout for the node and for each of its responses, s.
-        wait: handles callbacks of the own node for the given number of seconds.
+        timeout_s: timeout for the discovery of the node and for each of its responses, s.
+        wait: handles callbacks of the own node for at most the given number of seconds.
 
     Raises:
         BadInput: there is no such node; the text contains the nearest name, or the existing nodes, or both.
@@ -120,7 +120,7 @@ class RemoteNode:
             fields: fields of the request.
 
         Raises:
-            BadInput: the service does not respond.
+            BadInput: the service does not exist, or does not respond within the timeout.
         """
         client = self._own_node.create_client(kind, f"{self.name}/{service}")
         if not self._wait_until(client.service_is_ready):
@@ -167,7 +167,7 @@ class RemoteNode:
 
 
 def unknown_name_text(kind: str, name: str, known: Collection[str]) -> str:
-    """Return the error text for an unknown name, with the nearest name and the existing names."""
+    """Return the error text for an unknown name, with the nearest name, the existing names or both."""
     bare = {each.rpartition("/")[2]: each for each in known}
     nearest = difflib.get_close_matches(name, known, 1) or [
         bare[each] for each in difflib.get_close_matches(name.rpartition("/")[2], bare, 1)
@@ -182,7 +182,8 @@ def parse_value(text: str, like: ParameterValue) -> ParameterValue:
     """Return a value with the type of another value. Lists are comma-separated; an empty list is [] or an empty text.
 
     Raises:
-        ValueError: the text is not a value of this type; the error text contains what was expected.
+        ValueError: the text is not a value of this type, or this type cannot be set. The error text contains what was
+            expected.
     """
     kind, value = like.type, ParameterValue(type=like.type)
     if kind == ParameterType.PARAMETER_BOOL:
@@ -205,7 +206,7 @@ def parse_value(text: str, like: ParameterValue) -> ParameterValue:
 
 
 def value_text(value: ParameterValue) -> str:
-    """Return a value as text, as typed in a shell for :func:`parse_value`: '' for an empty text."""
+    """Return a value as text in the notation of :func:`parse_value`; an empty text is shown as ``''``."""
     plain = parameter_value_to_python(value)
     if isinstance(plain, bool):
         return str(plain).lower()

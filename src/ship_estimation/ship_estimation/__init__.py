@@ -11,6 +11,6 @@
 - Diagnosis of sources from their innovations: :mod:`ship_estimation.innovation_diagnosis`.
 - Recovery by a second estimator: :mod:`ship_estimation.recovery`.
 
-Names, frames and units: :mod:`ship_geometry`. State vectors hold errors of named blocks. A covariance is a stack of
-parts, one for each error source, whose sum is the covariance (:mod:`ship_estimation.kalman`).
+Names, frames and units: :mod:`ship_geometry`. State vectors hold errors of named blocks. The main filter's covariance
+is stored as a stack of parts, one for each error source; their sum is the covariance (:mod:`ship_estimation.kalman`).
 """

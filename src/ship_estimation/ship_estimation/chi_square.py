@@ -13,7 +13,7 @@ from functools import cache
 _EPSILON = 2.0**-53
 
 _LEAST = 1e-300
-"""Smallest probability above zero; also the least denominator of the continued fraction."""
+"""Probability below which a quantile is returned as for zero; also the least denominator of the continued fraction."""
 
 _LAST_STEP = 1e-9
 """Relative size of Newton's last step. The relative error after this step is about the square of its size."""
@@ -99,7 +99,7 @@ def value_below(probability: float, degrees: int) -> float:
 
 
 def normal_value_above(probability: float) -> float:
-    """Return the value that a normal error of sigma 1 exceeds, one-sided, with a ``probability`` of at most 0.5.
+    """Return the value that a normal error of sigma 1 exceeds, one-sided, with ``probability`` (at most 0.5).
 
     Example:
         >>> print(round(normal_value_above(0.025), 2))
@@ -156,6 +156,6 @@ def _power(x: float, a: float) -> float:
 
 
 def _first_guess(sigmas: float, degrees: int) -> float:
-    """Return the approximate χ² value that is as probable as a normal value of ``sigmas`` (Wilson, Hilferty 1931)."""
+    """Return the approximate χ² quantile that corresponds to the normal quantile ``sigmas`` (Wilson, Hilferty 1931)."""
     variance = 2.0 / (9.0 * degrees)
     return float(degrees * max(1.0 - variance + sigmas * math.sqrt(variance), 0.0) ** 3)

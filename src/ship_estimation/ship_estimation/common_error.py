@@ -8,7 +8,7 @@ Without such an error the corrections by successive measurements are independent
 decrease of the state covariance due to its measurement. The sum of the corrections over a window is the solution
 separation from a filter without the stars of that window (see :mod:`ship_estimation.protection_levels`). The
 covariances of the corrections add up to the covariance of the separation. The window is two time constants of the
-filter long. Within it the filter absorbs 78 to 86 % of a common error, and the drift of the INS is small.
+filter long. Within this window the filter absorbs 78 to 86 % of a common error, and the drift of the INS is small.
 """
 
 import math
@@ -28,7 +28,7 @@ COMMON_ERROR_START_SIGMAS = 4.5
 
 _BLOCKS = 4
 _BLOCK_LEFT = math.exp(-0.5)
-"""Share of a common error that remains after the corrections of one block, half a time constant of the filter."""
+"""Share of a common error that remains at the end of a block, which is half a time constant of the filter long."""
 
 _COMPONENTS = 3
 
@@ -52,7 +52,7 @@ class CorrectionSums(NamedTuple):
         sums: sums over each block of measurements, the newest block first, shape (b, 3, 3). The second axis holds the
             sum of the corrections, rad, the sum of their variances, rad², and the share of a common error that remains
             after the block.
-        sigmas: largest component of the sum over all blocks, divided by its sigma.
+        sigmas: largest ratio of a component of the sum over all blocks to the sigma of this component.
         unresolved: common error that the published covariance contains; None without such an error.
     """
 

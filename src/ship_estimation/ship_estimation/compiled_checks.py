@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled checks of streams, for example of an INS against its own rates, for single values and blocks of values.
+"""Compiled checks of single values and of blocks of values of a stream, for example of an INS against its own rates.
 
 This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
 are documented where they are called, in :mod:`ship_estimation.integrated_rates`,
@@ -76,20 +76,21 @@ def rotation_steps(
     twice_drift: cython.const[cython.double][:],
     longest_ns: cython.longlong,
 ):
-    """Return the rotation of N samples, each from the sample before, by the mean of both rates minus the drift.
+    """Return the rotation from the sample before to each of N samples, by the mean of both rates minus the drift.
 
     Args:
         times_ns: stamps of the samples, shape (N,).
         rates: angular velocities, rad/s, shape (N, 3).
         last_ns: stamp of the sample before the first sample.
-        last_rate: rate of the sample before, shape (3,).
-        error_rad: bound of the integration error up to the sample before.
-        twice_drift: twice the error of each rate, rad/s, shape (3,).
+        last_rate: rate of the sample before the first sample, rad/s, shape (3,).
+        error_rad: bound of the integration error up to the sample before the first sample.
+        twice_drift: twice the drift of the rates, rad/s, shape (3,).
         longest_ns: maximum interval between two rates.
 
     Returns:
         Rotation vectors about the axes of the deck, rad, shape (N, 3), and bounds of the integration error up to each
-        sample, rad, shape (N,). The bounds are infinite from the first gap or non-finite number on.
+        sample, rad, shape (N,). A gap, a stamp that is not later, or a rate that is not finite makes the bound at this
+        sample and all later bounds infinite.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)
@@ -367,7 +368,7 @@ def accepted_on_line(
 
 
 def changes(before: cython.const[cython.double][:, :], values: cython.const[cython.double][:, :, :]):
-    """Return a list of N changes, each from the value before; a change is the largest length of a row's change.
+    """Return the changes of N values, each from the value before: the largest length of the differences of the rows.
 
     Args:
         before: value before the first value, shape (k, l).

@@ -71,9 +71,9 @@ def innovation_statistics(
         axes: number of axes.
 
     Returns:
-        Normalised square of each part, own share, and mean along each axis in its sigma and in rad, as in
-        :class:`ship_estimation.innovations.Innovation`. None for a number that is not finite, or a covariance that is
-        not positive definite.
+        Normalised square of each part, own share, and mean along each axis, in sigmas and in rad, as in
+        :class:`ship_estimation.innovations.Innovation`. None if residual or covariance is not finite, or if the
+        covariance is not positive definite.
     """
     m: cython.Py_ssize_t = residual.shape[0]
     check("covariance", covariance.shape[0] == covariance.shape[1] == m)
@@ -161,9 +161,9 @@ def part_sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssiz
         least_own_share: least own share of an innovation that is used.
 
     Returns:
-        Five values. The squares of the used innovations are in ascending order, shape (k,). The largest number of
-        degrees and the mean own share are those of the used innovations; without used innovations the share is NaN. The
-        last values are the sums of NIS and of components of all innovations.
+        Five values. The first three describe the used innovations: squares in ascending order, shape (k,), largest
+        number of degrees of freedom, and mean own share (NaN without used innovations). The last two are the sums of
+        NIS and of components of all innovations.
     """
     check("columns", 5 <= first <= numbers.shape[1])
     of_squares = np.empty(numbers.shape[0] * (numbers.shape[1] - first))
@@ -216,7 +216,7 @@ def axis_statistics(
         axes: number of axes.
         least: minimum number of innovations along an axis.
         sigma_of_spread: ratio of the sigma of normal values to their median absolute deviation.
-        clipped_at: bound of the distance from the median, in sigmas of the spread.
+        clipped_at: bound of the distance from the median, as a multiple of the spread.
 
     Returns:
         Count, bias, spread and correlation of each axis as in :class:`ship_estimation.innovations.AxisStatistics`, NaN

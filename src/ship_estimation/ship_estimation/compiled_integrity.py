@@ -144,7 +144,7 @@ def separation_sigmas(
     share: cython.double,
     tiny: cython.double,
 ):
-    """Return the sigmas; see :func:`ship_estimation.protection_levels.separation_sigma`.
+    """Return the sigmas of solution separations; see :func:`ship_estimation.protection_levels.separation_sigma`.
 
     Args:
         variance: variance in each subfilter, shape (h, n).
@@ -183,7 +183,9 @@ def coverage(
     most_growth: cython.double,
     tiny: cython.double,
 ):
-    """Return the coverage of an output by published levels, and their limits for later outputs from the same state.
+    """Return the coverage of an output by published levels, and the bounds of later outputs that the levels cover.
+
+    The later outputs are from the same filter state.
 
     Args:
         level: protection levels of the output, shape (3,).
@@ -220,8 +222,8 @@ def coverage(
         growth = -_larger(-growth, -most_growth * published[i] / level[i])
     room = 0.5 * (growth - 1.0)
     trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
-    # A term added to a covariance adds at most its trace to the variance of any angle, and a level grows no faster than
-    # the sigma. A rotation mixes errors of all angles into the angle with the smallest level.
+    # A term added to a covariance adds at most the trace of this term to the variance of any angle, and a level grows
+    # no faster than the sigma. A rotation mixes errors of all angles into the angle with the smallest level.
     return (
         covers,
         trace + least_eigenvalue(covariance) * ((1.0 + room) * (1.0 + room) - 1.0),

@@ -29,7 +29,7 @@ _LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
 def _average(
     mean: cython.p_double, innovation: cython.p_double, weights: cython.const[cython.double][::1]
 ) -> cython.void:
-    """Update the means with one innovation, in place, shape (w, 5)."""
+    """Update the means, shape (w, 5), in place with one innovation."""
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
     weight: cython.double
@@ -115,7 +115,7 @@ def updated_means(
         inconsistent_since_ns: as in the same class, shape (s,).
         sources: indices of the l measuring sources.
         innovation: whitened innovation in every filter, shape (h, l, 3).
-        accepted: true if the measurement passed the gate of each filter, shape (h, l).
+        accepted: true for each filter whose gate the measurement passed, shape (h, l).
         time_ns: stamp of the measurement.
         weights: weight of one measurement in each mean, shape (w,).
         limit: limit of chi².
@@ -199,9 +199,9 @@ def updated_mean(
     innovation: cython.const[cython.double][:],
     weights: cython.const[cython.double][::1],
 ):
-    """Return the means of one filter and source after one more innovation, shape (w, 5), and their largest component.
+    """Return the means after one more innovation, shape (w, 5), and their largest component in sigmas.
 
-    The largest component is divided by its sigma; it is NaN if one component is NaN.
+    The largest component is NaN if one component is NaN.
     """
     check(
         "averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and innovation.shape[0] == 3

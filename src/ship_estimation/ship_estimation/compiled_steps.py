@@ -26,7 +26,7 @@ from cython.cimports.libc.math import exp, fabs, sqrt
 from cython.cimports.libc.string import memcpy, memset
 
 _JACOBI_SWEEPS = 12
-"""Maximum number of Jacobi sweeps; five make the off-diagonal elements of a 3 × 3 matrix vanish to the last bit."""
+"""Maximum number of Jacobi sweeps; the off-diagonal elements of a 3 × 3 matrix vanish to the last bit after five."""
 
 
 @cython.cfunc
@@ -191,7 +191,10 @@ def predicted_covariances(
     noise: cython.const[cython.double][::1],
     source_of: cython.const[cython.Py_ssize_t][::1],
 ):
-    """Return the predicted covariances of several stacks; each state's process noise is added to its error source."""
+    """Return the predicted covariances of several stacks.
+
+    The process noise of a state is added to the part of its error source and to every subfilter.
+    """
     matrices: cython.Py_ssize_t = stacks.shape[1]
     n: cython.Py_ssize_t = stacks.shape[2]
     check("stacks", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])

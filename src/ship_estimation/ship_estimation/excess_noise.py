@@ -6,10 +6,10 @@ attitude; the noise of the rates cancels. Noise about the axis of rotation alone
 all axes is noise of the attitude itself, for example due to coarse resolution. At rest jitter has no effect and is not
 reported.
 
-A small excess shows in the samples that pass the step check. A large excess makes samples fail this check. From the
-first failed sample on, and at the start, all samples are collected, including rejected samples, until the median
-difference distinguishes noise from a step. Samples are also collected during an excess, so that its changes and its end
-are detected within seconds.
+A small excess shows in the samples that pass the step check. A large excess makes samples fail this check. All samples,
+including rejected samples, are collected at the start and after a failed check or a detected step, each time for two
+seconds. The median difference of these samples distinguishes noise from a step. Samples are also collected during an
+excess, so that changes and the end of the excess are detected within seconds.
 """
 
 import math
@@ -26,7 +26,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 _LONG_NS, _MEMORY_NS, _SHORT_NS = 30 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS
 """Averaging times for the detection of a small excess, for the noise during an excess, and for the detection of a large
-excess or of its end."""
+excess or of the end of an excess."""
 _SETTLED_NS = _MEMORY_NS - SECOND_NS
 """Minimum duration of the data of a mean over the averaging time ``_MEMORY_NS``."""
 _LEAST_RATIO2 = 1.25**2
@@ -38,12 +38,14 @@ _MEDIAN_RATIO, _START_RATIO = 2.0, 4.0
 """Ratio of the median difference to the usual difference from which rejected samples indicate noise and not a step. The
 second value applies at the start, when the usual difference is unknown and the rates may be noisy."""
 _LARGER, _OTHER, _MORE_STEPS = 1.5, 1.25, 3
-"""Ratios of standard deviations from which a new estimate replaces the present estimate: a larger one over the short
-time, a larger or smaller one over the long time. Unless the data last ``_SETTLED_NS``, the estimate over the long time
-also needs a number of steps: the third value times the number of steps of the present estimate."""
+"""Ratios of standard deviations from which a new estimate replaces the present estimate: the first for a larger
+estimate over the short time, the second for a larger or smaller estimate over the long time. Unless the data last
+``_SETTLED_NS``, the estimate over the long time also needs a number of steps: the third value times the number of steps
+of the present estimate."""
 _OVER_SHORT, _OVER_LONG, _WOULD_SHOW = 1.5, 1.2, 1.4
 """Ratios of measured to stated noise below which an excess ends, over the short time and over the long time. The ratio
-during the excess must be at least twice the first value for the short time, or the third value for the long time."""
+of the present estimate must be at least twice the first value for the short time, or the third value for the long time.
+"""
 _FIRST_NS, _EVERY_NS, _LEAST_STEPS = SECOND_NS // 2, SECOND_NS // 4, 10
 """Delay of the first evaluation of collected samples, period of further evaluations, and least number of steps."""
 _MEDIAN_OF_DIFFERENCE = 1.538 * math.sqrt(2.0)
@@ -171,7 +173,7 @@ class ExcessNoise:
         return self._end_excess(found, newest_ns)
 
     def reset(self) -> None:
-        """Drop all samples, because the rates have changed or are not measured; :attr:`found` stays."""
+        """Drop all samples, for example because the rates have changed or are not measured; :attr:`found` stays."""
         self._sums.clear()
         self._collected.clear()
         self._last_failure_ns = None
@@ -221,7 +223,7 @@ class ExcessNoise:
     def observe(
         self, sample: AttitudeSample, integrated: IntegratedAttitude, rates_proven: bool = True
     ) -> ExtraNoise | None:
-        """Collect a sample; return a newly detected or changed excess.
+        """Collect a sample; return a newly detected or changed excess, or an excess of zero at the end of an excess.
 
         Args:
             sample: sample with a rate.
@@ -248,7 +250,7 @@ class ExcessNoise:
         return self._initial_excess(steps) if self.found is None else self._changed_excess(self.found, steps)
 
     def _initial_excess(self, steps: "_Steps") -> ExtraNoise | None:
-        """Return the excess of the collected samples; None if their median difference is not larger than usual."""
+        """Return the excess of the collected samples; None if median difference or measured noise is within a limit."""
         usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0), steps.error_rad)
         ratio = _MEDIAN_RATIO if self._usual_rad else _START_RATIO
         if not steps.median_sigma_rad >= ratio * usual_sigma_rad:

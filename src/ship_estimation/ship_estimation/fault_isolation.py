@@ -5,8 +5,8 @@ innovation means (:mod:`ship_estimation.innovation_means`) show how consistent a
 detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold. A source
 is isolated as faulty if the subfilter without this source is consistent with all sources that the subfilter uses.
 
-An excluded source is monitored by the subfilter without it. The source is reinstated after a time of consistency. By
-then the mounting is known, because it is unchanged or was estimated again after a mounting shift.
+The main filter does not use an excluded source, but monitors this source. The source is reinstated after a time of
+consistency. By then the mounting is known, because it is unchanged or was estimated again after a mounting shift.
 """
 
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ class FaultIsolation:
         is_detected: True if a fault is detected.
         subfilter: index of the subfilter that isolates the fault; None if no subfilter explains the fault, or none of
             several is clearly the best.
-        explaining_subfilters: all subfilters that explain the fault, the best first.
+        explaining_subfilters: all tested subfilters that explain the fault, the best first.
     """
 
     is_detected: bool

@@ -124,7 +124,7 @@ class InnovationHistory:
         self._newest_ns = 0
 
     def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
-        """Add the innovation of a decision; it replaces an earlier innovation of the same measurement."""
+        """Add the innovation of a decision; it replaces an earlier innovation of the source with the same stamp."""
         innovation = innovation_of(decision)
         if innovation is not None:
             self._pending.setdefault(source, []).append(innovation)

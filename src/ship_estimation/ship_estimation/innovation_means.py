@@ -60,8 +60,8 @@ class InnovationMeans:
             for the source that this subfilter excludes.
         rejection_counts: number of successive rejections, shape (h, s).
         last_measured_ns: stamp of the last measurement of each source, shape (s,).
-        inconsistent_since_ns: stamp since which the main filter is inconsistent with each source, shape (s,);
-            :data:`NEVER_NS` if the main filter is consistent.
+        inconsistent_since_ns: stamp since which the excess of each source in the main filter exceeds
+            :data:`CONSISTENT_RATIO`, or its measurements are rejected, shape (s,); :data:`NEVER_NS` otherwise.
     """
 
     running: FloatArray
@@ -160,9 +160,9 @@ def updated_means(
 
 
 def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
-    """Return the windowed means of one filter and source after one more innovation, and their largest component.
+    """Return the windowed means of one filter and source after one more innovation, and the largest, in sigmas.
 
-    The largest component over all window lengths is divided by its sigma.
+    The largest is taken over all components and window lengths.
 
     Args:
         running: means of that filter and source before the innovation, as in :attr:`InnovationMeans.running`,

@@ -66,7 +66,7 @@ class Innovation(NamedTuple):
         components: number of components of the innovation.
         own_share: share of the measurement noise in the innovation covariance.
         is_used: True if the filter uses the source; False if the source is excluded and only monitored.
-        axes: mean innovation of all parts along each axis, in its sigma and in rad.
+        axes: mean innovation of all parts along each axis, in sigmas and in rad.
     """
 
     time_ns: int
@@ -80,7 +80,9 @@ class Innovation(NamedTuple):
 
 
 def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
-    """Return the innovation of a measurement decision; None if the measurement was not compared with a prediction.
+    """Return the innovation of a measurement decision; None without a valid comparison with a prediction.
+
+    A measurement without a residual has an innovation only if the reason of the decision is in ``_MISFIT``.
 
     Example:
         An innovation of 6″ with a predicted sigma of 3″:
@@ -306,7 +308,7 @@ class PartStatistics:
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
     def _excess(self, count: int) -> float:
-        """Return the number of squares above the predicted median minus half of all squares, in sigmas of this number.
+        """Return the number of counted squares above the predicted median minus half of the counted squares, in sigmas.
 
         Args:
             count: number of smallest squares that are counted.
@@ -329,7 +331,7 @@ class AxisStatistics:
         name: name of the axis.
         count: number of innovations.
         common_variance: variance of the prediction error that all innovations share, in squared sigmas of the
-            innovations.
+            innovations; 0 if the filter uses the source.
         bias_sigma: median of the innovations, in their sigmas.
         spread: sigma of the innovations about their median, in predicted sigmas; at least 1.
         correlation: correlation of successive innovations, outliers clipped; 0 if all are equal.

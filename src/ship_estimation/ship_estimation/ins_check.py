@@ -38,11 +38,11 @@ class CheckedInsSample(NamedTuple):
     """Result of the checks of a sample.
 
     Attributes:
-        sample: sample to use, without its rate if the rates are not measured.
+        sample: sample to use, without its rate if the rates are not usable.
         rejection: reason not to use ``sample``, for example a step or drift detected with the sample; None if the
             sample is to be used.
-        jumps: jump or drift of the attitude that is found with this sample. A jump is given at each end of the interval
-            in which it may have happened. Empty without a jump.
+        jumps: jump or drift of the attitude that is found with this sample; empty without one. A step against the rates
+            is given at each end of the interval in which the step may have happened.
         rates_wrong_after_ns: stamp after which the rates of earlier samples were wrong; None without new information.
         noise: excess noise of the samples as estimated with this sample; None without new information.
     """

@@ -27,7 +27,7 @@ A small craft that rolls with an amplitude of 30° and a period of 5 s reaches 4
 FASTEST_RAD_PER_S = math.radians(60.0)
 """Maximum angular rate of a hull, rad/s.
 
-It bounds the next attitude if neither rates nor continued motion predict it.
+This rate bounds the next attitude if neither rates nor continued motion predict the attitude.
 """
 _LONGEST_STEP_S = 1.0
 _PIECES, _LEARNT_RAD_PER_S, _FORGET = 12, 5.0 * ARCSEC, 0.95
@@ -122,7 +122,7 @@ class InsPredictions:
         self._stuck_check = stuck
 
     def match(self, start: NumberedSample, end: NumberedSample, rates_measured: bool) -> PredictionMatch:
-        """Compare two samples by the rates between them or, without an unbroken run of rates, by continued motion."""
+        """Compare two samples by the rates between them or, without measured rates in one run, by continued motion."""
         if rates_measured and are_in_one_run(start.integrated, end.integrated):
             return self.match_by_rates(start, end)
         return self.match_by_motion(start, end)
@@ -137,7 +137,7 @@ class InsPredictions:
         return self.rate_bound.match(log_rotation(end.sample.rotation_nd @ predicted_nd.T), step)
 
     def match_by_motion(self, start: NumberedSample, end: NumberedSample) -> PredictionMatch:
-        """Compare two samples by continued motion; over too long a time by the elapsed time only."""
+        """Compare two samples by continued motion; if motion is unknown or intervals exceed 1 s, by elapsed time."""
         seconds, before = seconds_between(start.sample, end.sample), start.before
         turned_s = 0.0 if before is None else seconds_between(before, start.sample)
         if before is None or max(seconds, turned_s) > _LONGEST_STEP_S:
@@ -148,7 +148,7 @@ class InsPredictions:
         return self.motion_bound.match(difference_n, step)
 
     def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> PredictionMatch:
-        """Compare two samples by the rates of these two samples; over too long a time by the elapsed time only."""
+        """Compare two samples by their two rates; without measured rates or over more than 1 s, by elapsed time."""
         seconds = seconds_between(start, end)
         if not rates_measured or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
             return self.match_by_time(start, end)
@@ -185,8 +185,9 @@ class InsPredictions:
 def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> AttitudeSample | None:
     """Return the attitude at the time of the last accepted sample, extrapolated back from a new sample.
 
-    The motion is assumed to be the same as before the last accepted sample. The sample after ``sample`` is predicted
-    from both, so that a jump before ``sample`` does not count as motion.
+    The motion is assumed to be the same as before the last accepted sample; None if this motion is unknown. The sample
+    after ``sample`` is predicted from the result and ``sample``, so that a jump before ``sample`` is not taken as
+    motion.
 
     Example:
         >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))

@@ -26,9 +26,9 @@ _BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
 _LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
 """Least number of samples before the step, and maximum period. Below 5 Hz wave motion hides small steps."""
 _MISSING, _IRREGULAR = 1.8, 0.35
-"""Interval, in periods, from which a sample is missing, and scatter of intervals, as a share of their mean, from which
-stamps are irregular. One lost message in ten gives a scatter of 0.27. Stamps at 20 Hz that are late by 0 to 12 ms give
-a scatter of 0.1."""
+"""Interval, in periods, above which a sample is missing; standard deviation of the intervals, as a share of their mean,
+above which stamps are irregular. One lost message in ten gives a share of 0.27. Stamps at 20 Hz that are late by 0 to
+12 ms give a share of 0.1."""
 _GAP = 8
 """Maximum gap that a line spans, periods."""
 _SIGMAS = 7.3
@@ -132,7 +132,7 @@ class InsStepDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Start a new line with the next sample, after a step of the attitude or a gap."""
+        """Start a new line with the next sample, for example after a step of the attitude or a gap."""
         self._end = self._newest = 0
         self._to_line = None
         self._plan: StepPlan | None = None
@@ -162,7 +162,7 @@ class InsStepDetector:
         first_rad: float,
         coarseness_rad: float,
     ) -> bool | None:
-        """Return True if a sample is on the line of the accepted samples, None if unknown; False for NaN.
+        """Return True if a sample is on the line of the accepted samples, False if not or for NaN, None if unknown.
 
         A sample also counts as on the line if the step was before it; then :meth:`accept` returns the step.
 

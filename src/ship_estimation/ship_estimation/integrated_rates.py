@@ -23,7 +23,7 @@ class IntegratedAttitude(NamedTuple):
 
     Attributes:
         rotation: attitude with respect to an arbitrary start, shape (3, 3).
-        run: number of the unbroken run of rates to which it belongs; attitudes of two runs must not be compared.
+        run: number of the unbroken run of rates; attitudes of two runs must not be compared.
         error_rad: bound of the integration error since the run began.
     """
 
@@ -80,7 +80,7 @@ class RateIntegrator:
             rate_d: angular velocity of the sample in the deck frame, rad/s, shape (3,); None if the sample has no rate.
 
         Returns:
-            The attitude by integrated rates; None without a rate or with a rate of NaN.
+            The attitude by integrated rates; None without a rate or with a rate that is not finite.
         """
         if rate_d is None:
             return None

@@ -18,7 +18,8 @@ WINDOW = 32
 """Number of values of a window."""
 
 _EVERY_NS = SECOND_NS // 2
-"""Time from the first value of a window to the first value of the next window. Slower streams use each value."""
+"""Least time from the first value of a window to the first value of the next window. No value is skipped if a window
+lasts longer."""
 
 _FEWEST, _FEWEST_CHANGES = 3, 4
 """Least number of values in the smaller group, and of changes between the two groups."""

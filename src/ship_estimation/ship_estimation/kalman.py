@@ -28,7 +28,8 @@ _NO_TIME_S = 1e-200
 class StateBlock:
     """One named block of the state with the process that drives it.
 
-    Every element is a first-order Gauss–Markov process x' = -x / T + noise with steady standard deviation ``sigma``.
+    Every element is a first-order Gauss–Markov process x' = -x / T + noise with T = ``time_s`` and steady standard
+    deviation ``sigma``, except in two cases.
     An element with infinite ``time_s`` is a constant with prior ``sigma``, plus a random walk if ``walk`` is not zero.
     An element with ``time_s`` = 0 is white noise: independent at every time.
 

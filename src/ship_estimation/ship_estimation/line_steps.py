@@ -8,7 +8,7 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _CHI2_MARGIN = 9.0
-"""Chi² difference to the most likely position of a step from which a position is ruled out (three sigma)."""
+"""Chi² difference from the most likely position of a step; a larger difference rules a position out (three sigma)."""
 _INTERVALS = 9
 """Number of successive intervals whose median is the period of the samples."""
 

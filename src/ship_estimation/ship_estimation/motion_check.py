@@ -9,7 +9,8 @@ import numpy as np
 from ship_geometry.rotations import FloatArray, log_rotation
 
 HISTORY_NS = 2_000_000_000
-"""Duration of the recent attitudes with which a reference attitude is compared, in addition to the first, ns."""
+"""Duration of the recent attitudes of a reference with which its current attitude is compared, ns. The current attitude
+is also compared with the first attitude."""
 _SPACING_NS = 250_000_000
 """Spacing of the attitudes in a history, ns."""
 _SIGMAS = 5.0

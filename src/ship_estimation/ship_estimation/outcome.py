@@ -63,7 +63,7 @@ class MeasurementDecision(Generic[MeasurementT]):
         measurement: the measurement itself.
         reason: reason of the rejection, or of the remark in ``text`` on an accepted measurement; otherwise NONE.
         accepted: True if the measurement updated the estimate.
-        components: names of the residuals.
+        components: names of the components of the residual.
         residual: measured minus predicted, rad, shape (m,); empty if no residual was computed.
         sigma: predicted standard deviation of each component of the residual, rad, shape (m,).
         nis: normalised innovation squared, chi² with m degrees of freedom.

@@ -62,8 +62,8 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
         placeholder: text that is accepted as an id and stands for all ids in a help text.
 
     Raises:
-        ParameterError: a value is not allowed; the text names the parameter, its value, its unit and the allowed
-            values.
+        ParameterError: a parameter is unknown or missing, or its value is not allowed. The text names the parameter and
+            what was expected.
 
     Example:
         >>> from ship_estimation.gates import GateConfig

@@ -269,9 +269,9 @@ def separation_inflation(separations: FloatArray, statistic: FloatArray) -> Floa
     """Return the covariance that is added to an output because of its solution separations.
 
     A drifting source separates the main filter from the subfilter without this source long before the separation
-    exceeds the threshold.
-    Until then the published covariance covers both solutions. Each subfilter whose separation d exceeds three sigmas
-    adds d dᵀ (1 - 9 / s²), where s is the separation in sigmas. The term is continuous, because it is zero at s = 3.
+    exceeds the threshold. Until then the published covariance covers both solutions. Each subfilter whose separation d
+    exceeds three sigmas adds d dᵀ (1 - 9 / s²), where s is the largest component of d in sigmas. The term is
+    continuous, because it is zero at s = 3.
 
     The term is added to published covariances only. States, separations and protection levels do not contain the term.
 

@@ -44,7 +44,7 @@ class RateConsistencyCheck:
     within 30 %. Before the first right piece a single wrong piece, which may be shorter, makes the rates unusable;
     later two successive wrong pieces do. Twenty successive right pieces make the rates usable again. Twenty pieces in
     which the rotations by rates and by attitude have a ratio of 57.3 or 1/57.3 show a wrong unit. Four successive
-    pieces with another ratio end that status.
+    pieces with another ratio end the status WRONG_UNITS.
 
     Attributes:
         status: status of the rates.
@@ -150,7 +150,7 @@ class RateConsistencyCheck:
         self.due_ns = start.time_ns + self._SHORTEST_NS if self.status is not RateStatus.UNPROVEN else 0
 
     def _evaluate(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray, size_known: bool) -> None:
-        """Evaluate a piece with clear rotation; ``size_known`` is true if the rotation exceeds the attitude noise."""
+        """Evaluate a piece with clear rotation; ``size_known`` is true if the attitude alone shows a clear rotation."""
         self._right, self._wrong = (self._right + 1, 0) if right else (0, self._wrong + 1)
         if size_known:
             self._turns.append((attitude, rate))

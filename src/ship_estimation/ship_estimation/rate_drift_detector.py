@@ -19,9 +19,9 @@ _LIMIT, _LIMIT_EARLY = 36.0, 25.0
 seconds, which is once in thousands of hours. The second value gives a wider limit, as for Student's distribution, while
 few pieces determine the spread."""
 _LEAST, _MEMORY = 8, 500
-"""Number of pieces from which the spread of slopes is known, and number over which the spread is averaged."""
+"""Number of pieces from which the spread of the drifts is known, and number over which the spread is averaged."""
 _FARTHEST = 3.0
-"""Bound of a slope in the estimate of the spread, sigmas, so that a drifting piece does not enlarge the spread."""
+"""Bound of a drift in the estimate of the spread, sigmas, so that a piece with a fault does not enlarge the spread."""
 
 _FASTER = 1.5
 """Ratio to the fastest earlier rotation above which a piece is not tested, because the piece shows new scale errors."""
@@ -57,7 +57,7 @@ class RateDriftDetector:
         self._fresh = -1
 
     def reset(self) -> None:
-        """Reset the spread of slopes, because the rates or their calibration have changed."""
+        """Reset the spread of the drifts, because the rates or their calibration have changed."""
         self._square, self._known, self._fresh = np.zeros(3), 0, -1
         self._fastest = 0.0
         self._slopes_n.clear()

@@ -167,7 +167,7 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
 
 
 class StampConflicts:
-    """Sources that recently sent conflicting data with the same stamp.
+    """Sources that sent conflicting data with the same stamp, or that have two publishers.
 
     One of two conflicting inputs is kept, perhaps the wrong one, so results from such a source are not VALID. Results
     from a source with two publishers are not VALID either.
@@ -237,7 +237,8 @@ class StampConflicts:
         if rejection is not None and rejection.reason is Reason.CONFLICT:
             latest_ns = self.latest_ns.get(source, time_ns)
             since_ns = self.since_ns.get(source, time_ns)
-            # A conflict long after the last conflict, or shortly before the first, starts a new series.
+            # A conflict long after the last conflict starts a series; a conflict shortly before the first becomes the
+            # first.
             is_new = time_ns - latest_ns > _CONFLICT_HOLD_NS
             if is_new or since_ns - _CONFLICT_HOLD_NS <= time_ns < since_ns:
                 since_ns = time_ns
@@ -270,7 +271,7 @@ class StampConflicts:
         return " and ".join(words)
 
     def common_interval(self, sources: Set[str]) -> tuple[int, int] | None:
-        """Return the interval in which all sources have conflicts, each from its first conflict on, or None."""
+        """Return the interval in which all sources have conflicts, each from :attr:`since_ns` on, or None."""
         if not sources <= self.latest_ns.keys():
             return None
         first_ns = max(self.since_ns[source] for source in sources)

@@ -40,8 +40,8 @@ class StateUpdate:
         estimate: estimate after the measurement.
         is_update: True if ``estimate`` is the full update of ``predicted``. False if only some states were updated, or
             if another filter replaced the estimate; then there is no backward step.
-        jumped_ns: stamp of the last sample before a jump of a source, which may be later than the state; None for a
-            measurement.
+        jumped_ns: stamp of the last sample before a jump of a source; this stamp may be later than the state. None for
+            a measurement.
     """
 
     predicted: GaussianEstimate

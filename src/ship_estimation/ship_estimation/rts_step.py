@@ -6,9 +6,9 @@ Gaussian errors,
 
     x = (mean + C Q^-1 (y - p)) + error of covariance (P - C Q^-1 C^T)
 
-independent of later measurements. Applied from the last state to the first, this relation is the smoother of Rauch,
-Tung and Striebel (AIAA Journal 3 (1965) 1445). The estimate of y by all measurements gives the estimate of x by all
-measurements.
+where the error is independent of later measurements. Applied from the last state to the first, this relation is the
+smoother of Rauch, Tung and Striebel (AIAA Journal 3 (1965) 1445). The estimate of y by all measurements gives the
+estimate of x by all measurements.
 """
 
 from typing import NamedTuple

@@ -100,8 +100,8 @@ def is_within_lag(
 MOST_REPEATS_PER_S = 400
 """Maximum number of measurements applied again in a second.
 
-Ordinary data need ten repetitions. Inputs of a ship that all arrive out of order by up to two seconds need two to three
-hundred repetitions. A flood of data out of order would need thousands, and delay the outputs."""
+Ordinary data need ten repetitions in a second. Inputs of a ship that all arrive out of order by up to two seconds need
+two to three hundred repetitions. A flood of data out of order would need thousands, and delay the outputs."""
 MOST_REPEATS_AT_ONCE = 50
 """Maximum number of measurements applied again for one input, which limits the delay of the next output."""
 MOST_OVERTAKEN_PER_S = 200
@@ -596,10 +596,10 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     def report_invalid(
         self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, make_invalid: Callable[[], Estimate]
     ) -> None:
-        """Add an INVALID output, once a second, if no estimate was published for the timeout.
+        """Add an INVALID output, once a second, if no estimate was published yet or within the timeout.
 
-        The INVALID output has the time of a tick. It does not count for the order of outputs, so an older valid
-        estimate may follow.
+        The INVALID output has the time of a tick. This output does not count for the order of outputs, so an older
+        valid estimate may follow.
         """
         if self._output_timeout_ns is not None and waiting_ns <= self._output_timeout_ns:
             return

@@ -1,8 +1,8 @@
-"""A step of a source is unconfirmed until other sources are consistent with it at two different times.
+"""A step of a source is unconfirmed until other sources are consistent with this source at two different times.
 
-The covariance is inflated for a step, so that the first measurement after it determines the new value in any case. Only
-a measurement at another time can confirm the step. A source that is frozen while the ship or the telescope rotates, or
-whose axis does not follow, is consistent with the first measurement only.
+The covariance is inflated for a step, so that the first measurement after the step determines the new value in any
+case. Only a measurement at another time can confirm the step. A source that is frozen while the ship or the telescope
+rotates, or whose axis does not follow, is consistent with the first measurement only.
 
 The very first measurement is used with a prior that may be wide. This measurement is confirmed by the next consistent
 measurement at another time or of another source.

@@ -181,7 +181,8 @@ Terms of estimation
         Innovation divided by its standard deviation.
         Unit: sigmas; module: ship_estimation.innovations.
     Whitened innovation
-        Innovation multiplied by the inverse Cholesky factor of its covariance; its covariance is the unit matrix.
+        Innovation multiplied by an inverse square root of its covariance; the covariance of the product is the unit
+        matrix.
         Unit: sigmas; module: ship_estimation.compiled_innovations.
     NIS, NEES
         Normalised innovation squared and normalised estimation error squared: e^T P^-1 e; the mean is the number of
@@ -203,7 +204,8 @@ Terms of estimation
         A measurement is accepted or rejected.
         Module: ship_estimation.outcome.
     Rejection, conflict
-        A measurement that is not used, with its reason; a series of rejections of one source.
+        A measurement that is not used, with its reason; a series of rejections of one source, or different data with
+        one stamp.
         Module: ship_estimation.rejections.
     Innovation diagnosis
         Statistical test of a source's innovations: are sigma, alignment and clock as configured?
@@ -250,8 +252,8 @@ Terms of integrity
         Bound of an error under an undetected fault; largest acceptable protection level.
         Unit: rad; module: ship_estimation.protection_levels.
     VALID, COASTING, DEGRADED, UNVERIFIED, INVALID
-        The value rests on stars or lights; on recent stars or lights; on neither; on unconfirmed stars; there is no
-        value (NaN).
+        The value rests on stars or lights; on recent stars or lights; on neither; on too few stars to detect a
+        misidentified star; there is no value (NaN).
         Module: ship_estimation.outcome.
     SAFE, CAUTION, UNSAFE
         An angle is within the limits of the ship; usable with care; not usable.
@@ -259,7 +261,7 @@ Terms of integrity
 
 Terms of running
     Stamp, log time, timeout clock
-        Time at which a measurement was valid; time at which a recorder wrote it; monotonic time for timeouts.
+        Time of a measurement in its message; time at which a recorder wrote the message; monotonic time for timeouts.
         Unit: ns; module: ship_node.live.node_clock.
     Lag
         Maximum delay of a measurement that is still applied at its own time.

@@ -1,7 +1,7 @@
 """Attitudes of one source between its samples, by cubic interpolation, with the noise of the samples.
 
 Between two samples the rotation vector relative to the earlier sample is a cubic with the attitudes and the rates of
-both samples. If the source measures no rates, the rates are differences of neighbouring samples.
+both samples. If the source measures no rates, mean rates between neighbouring samples are used.
 docs/explanation/interpolation.md states the interpolation error for a rolling ship.
 """
 

@@ -42,7 +42,8 @@ def check_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterat
     Args:
         keystore: folder of the keystore; empty if the environment names no keystore.
         use: requirements of the suite on the keystore.
-        is_required: True if the ship's limits or the environment demand security; an impossible check is then a FAIL.
+        is_required: True if the ship's limits or the environment demand security. A check that cannot be made is then a
+            FAIL, otherwise NOT_CHECKED.
     """
     unchecked = Result.FAIL if is_required else Result.NOT_CHECKED
     if not keystore:

@@ -17,20 +17,22 @@ _NOT_TIME_ORDERED = "gnss", "weather"
 """Inputs whose values are used on arrival, not in order of time."""
 _OLD = "old"
 _UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
-"""Units of ages and their lengths, s. An age of at least two units is given in this unit."""
+"""Units of ages and their lengths, s. An age is given in the largest unit of which it has at least two."""
 _OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
 def find_requested_qos(
     path: Path, topics: Iterable[str], namespace: str, reliable_inputs: bool = False
 ) -> dict[str, dict[str, str]]:
-    """Return relative topic → quality of service that a setting requires beyond a node's default → this setting.
+    """Return the qualities of service that settings require beyond a node's default.
+
+    The result is relative topic → quality → setting that requires this quality.
 
     Args:
         path: the suite file.
         topics: relative names of inputs.
         namespace: namespace of the suite.
-        reliable_inputs: True if ``suite`` will be started with the option of this name.
+        reliable_inputs: True if ``suite`` will be started with ``--reliable-inputs``.
     """
     on_ship = ship_names(path)
     names = {topic: resolve_topic(on_ship.get(topic, topic), namespace) for topic in topics}
@@ -68,14 +70,14 @@ def check_sensors(
         own_command: command that starts this ``nmea_in`` now.
     """
     if state.failure:
-        # A suite whose sensors were not received is not ready, for any reason.
+        # Whatever the failure is, a suite whose sensors were not received is not ready.
         found = f"nothing could be received: {state.failure}"
         yield CheckLine(_CHECK, Result.FAIL, found, "correct the failures in the other rows, then run preflight again")
         return
     for observed in state.inputs:
         if not observed.publishers and observed.input.topic in own:
             found = f"{observed.input.topic}: no publisher yet: the suite starts nmea_in, which may publish it"
-            # A configured instrument may be switched off.
+            # Without a publisher, a configured instrument may be switched off, so this is a failure too.
             is_needed = observed.input.required or observed.input.is_configured
             advice = f"start {own_command} and run preflight again; end nmea_in before you start the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)

@@ -132,7 +132,7 @@ def _preflight(options: argparse.Namespace) -> int:
     findings = Findings()
     nodes = check_file(options.file, ADAPTERS, findings, options.namespace)
     suite = _Suite(options, limits, nodes, findings, AdapterChain([node.adapter for node in nodes]))
-    # Checked before a node is created: creation would fail if security is demanded but not available.
+    # Security is checked before a node is created: creation would fail if security is demanded but not available.
     security = list(_security(suite))
     settings = list(check_settings(os.environ))
     network = _network(suite, settings)
@@ -188,7 +188,7 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
             return NetworkState(failure=line.finding)
     if sys.stderr.isatty():
         print(f"preflight: receives each sensor for {suite.options.listen:g} s", file=sys.stderr)
-    # Global topics, for example /diagnostics, are published by any node.
+    # Global topics, for example /diagnostics, may be published by nodes outside the suite.
     given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
     options = suite.options
     return observe_network(suite.chain.inputs, given, options.namespace, options.listen, ship_names(options.file))
@@ -230,7 +230,7 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    """Check the load at the received rates; return no row if no input was received."""
+    """Check the load at the received rates; yield no line if no input has a rate."""
     rates_hz = {observed.input.topic: observed.rate_hz for observed in network.inputs if observed.rate_hz > 0.0}
     if not rates_hz:
         return

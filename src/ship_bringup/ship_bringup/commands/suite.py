@@ -167,7 +167,7 @@ def _make_folder(box: Path) -> None:
     """Create the folder of the black boxes if it does not exist.
 
     Raises:
-        BadInput: the folder is not writable.
+        BadInput: the folder cannot be created or is not writable.
     """
     try:
         box.mkdir(parents=True, exist_ok=True)

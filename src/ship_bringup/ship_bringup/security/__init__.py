@@ -1,4 +1,4 @@
 """DDS security of a suite: permissions of its programs, policies with these permissions, and the ship's keystore.
 
-The folder may import the adapters and ``ship_bags``. It imports no other folder of this package and creates no node.
+The folder imports no other folder of this package and creates no node.
 """

@@ -14,7 +14,7 @@ from ship_watch.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
-"""Variable with the enclave of a process, for any node names; without this variable ROS uses the enclave ``/``."""
+"""Environment variable with the enclave of a process; without this variable ROS uses the enclave ``/``."""
 
 DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
 
@@ -26,7 +26,8 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
 
     Args:
         environment: environment of the process.
-        has_security: True if DDS was built with security (:func:`ship_bags.live.dds.dds_has_security`).
+        has_security: True if DDS was built with security (:func:`ship_bags.live.dds.dds_has_security`); None if
+            unknown.
     """
     found = []
     if has_security is not True:
@@ -48,7 +49,7 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
 
 
 def require_profile(limits: Limits, limits_path: Path | None, has_security: bool | None) -> None:
-    """Refuse to start if the ship's profile demands DDS security and this security is not available.
+    """Refuse to start if the ship's profile demands DDS security and this security is not available and enforced.
 
     Args:
         limits: limits of the ship.
@@ -56,7 +57,7 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
         has_security: see :func:`security_problems`.
 
     Raises:
-        BadInput: security is demanded and not available; the text contains file, key and first missing item.
+        BadInput: security is demanded, but an item is missing; the text contains file, key and first missing item.
     """
     if not limits.machine.require_security:
         return

@@ -71,7 +71,9 @@ class KeystoreUse:
 
 
 def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
-    """Return all faults of a keystore; the list may be empty.
+    """Return the faults of the parts of a keystore that a suite uses; the list may be empty.
+
+    If the folder is no keystore, or has only enclaves of another suite, this fault is the only one.
 
     Raises:
         LookupError: signatures cannot be checked because the program ``openssl`` is missing.
@@ -103,10 +105,10 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
 
 
 def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
-    """Raise an error if the suite cannot start with a keystore; return its other faults, one line each.
+    """Raise an error if the suite cannot start with a keystore; else return the keystore's faults, one line each.
 
-    Faults of policies and weaknesses are only returned, so that they do not prevent a restart at sea. If the
-    program ``openssl`` is needed but missing, no fault is returned, only a line about this.
+    Policy faults, weaknesses and warnings are only returned, so that they do not prevent a restart at sea. If the
+    program ``openssl`` is needed but missing, only a line about ``openssl`` is returned.
 
     Raises:
         BadInput: the suite cannot start; the text contains the file, the line and what was expected.
@@ -125,7 +127,7 @@ def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
     """Return path → certificate of the authorities in some folders; for equal certificates, only the first path."""
     found: dict[x509.Certificate, Path] = {}
     for path in (folder / name for folder in folders for name in (_IDENTITY_CA, _PERMISSIONS_CA)):
-        with suppress(BadInput):  # an error is reported with its enclave
+        with suppress(BadInput):  # an unreadable file of an enclave is reported by _Enclave
             found.setdefault(read_certificate(path), path)
     return {path: certificate for certificate, path in found.items()}
 
@@ -151,7 +153,7 @@ def _date_faults(
 
 
 def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) -> Iterator[KeystoreFault]:
-    """Yield the folders with the identity authority of another ship.
+    """Yield a fault for each folder with the identity authority of another ship.
 
     All folders must contain the configured authority or, if none is configured, the authority of the first folder.
     """
@@ -161,7 +163,7 @@ def _foreign_authority_faults(folders: Sequence[Path], authority_sha256: str) ->
         try:
             digest = read_certificate(path).fingerprint(SHA256()).hex()
         except BadInput:
-            continue  # the error is reported with its enclave
+            continue  # an unreadable file of an enclave is reported by _Enclave
         if not expected:
             expected, by = digest, str(path)
         if digest != expected:
@@ -266,7 +268,7 @@ def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:
-    """Yield the faults of permissions that allow less or more than the code declares, or are out of date."""
+    """Yield the faults of permissions: another domain, fewer or more rights than the code declares, or out of date."""
     if not permissions.is_for(domain_id):
         yield f"domains: no rule for domain {domain_id}, in which the suite runs"
         return

@@ -42,7 +42,7 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
 
 
 def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]) -> Iterator[KeystoreFault]:
-    """Yield faults about keys that can sign certificates: the key of an authority, or any key outside a key.pem."""
+    """Yield faults about private keys that belong to an authority, or are in a file not named ``key.pem``."""
     names = {certificate_key(each): common_name(each.subject) for each in authorities}
     for path in _private_keys(keystore):
         name = names.get(_public_key(path))

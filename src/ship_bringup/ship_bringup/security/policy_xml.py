@@ -1,8 +1,8 @@
 """Policies as files: the policy of SROS2, and governance and permissions of OMG DDS Security 1.1.
 
-Names are the names of ROS 2 in DDS: ``rt/`` before a topic; ``rq/`` and ``Request``, or ``rr/`` and ``Reply``, around a
-service. The files equal the files that ``ros2 security`` makes from the policy. Without ROS, governance and permissions
-are signed by hand.
+The policy contains ROS names. Permissions contain the names of ROS 2 in DDS: ``rt/`` before a topic; ``rq/`` and
+``Request``, or ``rr/`` and ``Reply``, around a service. Governance and permissions equal the files that ``ros2
+security`` makes from the policy. Without ROS, governance and permissions are signed by hand.
 """
 
 import datetime
@@ -13,7 +13,7 @@ from ship_bringup.security.rights import Rights
 
 POLICY_VERSION = "0.2.0"
 FINGERPRINT = "fingerprint"
-"""Attribute of a policy's metadata, and word in a comment of permissions, with :attr:`Rights.fingerprint`."""
+"""Name of :attr:`Rights.fingerprint` as an attribute of a policy's metadata and in a comment of permissions."""
 
 DISCOVERY_TOPIC = "ros_discovery_info"
 """Topic by which participants of rmw_fastrtps exchange their nodes; every enclave needs it."""

@@ -1,7 +1,7 @@
 """Rights of each program of a suite (publish, subscribe, serve, request): least privilege, as declared in the code.
 
-An enclave is the identity of one process in SROS2: its name is the full name of its node. Sensors have an enclave for
-each device, named by the first words of its topics, for example ``sensors/star_fore``.
+An enclave is the identity of one process in SROS2, named by the full name of the process's node. Sensors have an
+enclave for each device, named by the first words of the device's topics, for example ``sensors/star_fore``.
 """
 
 import hashlib
@@ -52,7 +52,7 @@ class Rights:
         requests: services that it may call.
         declarations: further declarations in the code of the node (types and parameters). They grant nothing, but
             after a change of these declarations a policy is out of date.
-        is_needed: True if the enclave must be on this computer, as the enclaves of the nodes.
+        is_needed: True if the enclave must be on this computer, for example the enclave of an estimator.
     """
 
     enclave: str
@@ -126,7 +126,7 @@ def device_of(topic: str) -> str:
 
 
 def parameter_services(node: str, names: Iterable[str] = (*_GET, *_SET)) -> frozenset[str]:
-    """Return the services of a node's parameters, by the node's full name."""
+    """Return the full names of the parameter services of a node, which is given by its full name."""
     return frozenset(f"{node}/{name}" for name in names)
 
 
@@ -218,7 +218,7 @@ class _SuiteRights:
             yield replace(self._tool_rights("nmea_in", self._clock, (), self._topics(given)), is_needed=True)
 
     def _sensor_rights(self) -> Iterator[Rights]:
-        """Yield an enclave for each device; the node of its driver is expected to have the device's name."""
+        """Yield the rights of each device; the node of the driver is expected to have the device's name."""
         # An instrument read by nmea_in has no driver: a certificate for its driver could only be misused.
         with_driver = set(self._external_inputs) - set(nmea_in_topics(self._companions))
         for device in sorted({device_of(topic) for topic in with_driver}):
@@ -249,7 +249,7 @@ class _SuiteRights:
         )
 
     def _callable_services(self) -> frozenset[str]:
-        """Return the services of the nodes that users call."""
+        """Return the services that users may call with ``call``."""
         own = [
             self._full_name(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services
         ]

@@ -37,7 +37,7 @@ class SignedFile:
     text: str
 
     def line_of(self, words: str) -> int | None:
-        """Return the line of the file, from 1, that contains a text; None if no line contains it."""
+        """Return the number, from 1, of the first line of the file that contains ``words``; None if no line does."""
         whole = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
         return next((number for number, line in enumerate(whole, 1) if words in line), None)
 
@@ -75,7 +75,7 @@ class Permissions:
         not_before: begin of the validity, UTC.
         not_after: end of the validity, UTC.
         fingerprint: fingerprint of the rights in the permissions; empty if another program has made the permissions.
-        rules: rules in order, of which the first that applies to a topic is decisive.
+        rules: rules in order; the first rule that applies to a topic is decisive.
         allows_by_default: True if a topic without a rule is allowed.
     """
 
@@ -93,7 +93,7 @@ class Permissions:
         )
 
     def allowed_topics(self, action: str) -> frozenset[str]:
-        """Return the texts of all topics that any rule allows, which may contain wildcards."""
+        """Return the topic expressions of all allow rules, which may contain wildcards."""
         return frozenset(topic for rule in self.rules if rule.allows for topic in rule.topics[action])
 
     def is_for(self, domain_id: int) -> bool:
@@ -105,7 +105,7 @@ def read_signed(path: Path) -> SignedFile:
     """Return the text of a signed file; its signature is checked by :func:`signature_fault`.
 
     Raises:
-        BadInput: the file cannot be read, or is not in the format S/MIME.
+        BadInput: the file cannot be read, is too large, or is not in the format S/MIME.
     """
     try:
         if path.stat().st_size > _LARGEST_BYTES:
@@ -180,7 +180,10 @@ def read_permissions(file: SignedFile) -> Permissions:
 
 
 def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
-    """Yield the entries of a governance that make the policies of the domain ineffective."""
+    """Yield a fault for each entry of a governance that makes the policies of a domain ineffective.
+
+    If no rule applies in the domain, this fault is the only one.
+    """
     rules = [rule for rule in file.root().iter("domain_rule") if is_in_domains(rule.find("domains"), domain_id)]
     if not rules:
         line = file.line_of("<domains>")

@@ -25,7 +25,7 @@ _FIRST_EPHEMERAL = 32768
 
 
 class ReservedPorts:
-    """UDP ports that no other process can take, each for the time of a lease."""
+    """UDP ports that no other process can take, each for the default lease of DDS plus 5 s."""
 
     def __init__(self) -> None:
         self._reserved: list[tuple[float, list[socket.socket]]] = []

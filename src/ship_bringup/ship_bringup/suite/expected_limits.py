@@ -25,7 +25,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
         limits: limits of the ship.
 
     Raises:
-        BadInput: bag or suite file cannot be used, or no output with a limit is published.
+        BadInput: bag or suite file cannot be used, or the outputs are not sufficient to propose a limit.
     """
     record = AvailabilityRecord(limits)
     with tempfile.TemporaryDirectory(prefix="ship_limits_") as folder:

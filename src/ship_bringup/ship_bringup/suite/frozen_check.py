@@ -1,4 +1,4 @@
-"""Check for programs of a suite that run without sending heartbeats, which are reported and later killed."""
+"""Check for frozen programs of a suite: a program without heartbeats is reported, and later killed."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -29,8 +29,8 @@ class FrozenCheck:
         heartbeats: socket that receives the heartbeats.
 
     Args:
-        report_s: time without a heartbeat after which a program is reported, s.
-        restart_s: time without a heartbeat after which a program is killed, s.
+        report_s: time since the last heartbeat after which a program is reported, s.
+        restart_s: time without a heartbeat after which a program is killed, s; at least 60 s for the first heartbeat.
         log: function that logs a line.
     """
 

@@ -46,7 +46,7 @@ class HeartbeatAge:
 
     Attributes:
         time_s: time since the last heartbeat, s.
-        has_heartbeat: True if the process has sent a heartbeat since it began its work.
+        has_heartbeat: True if the process has sent a heartbeat since its start or, later, since it began its work.
         is_reported: True if the time was reported as too long.
         is_killed: True if the process was killed because the time was too long.
 
@@ -65,7 +65,7 @@ class HeartbeatAge:
         self.time_s, self.has_heartbeat, self.is_reported = 0.0, has_heartbeat, False
 
     def add(self, step_s: float) -> None:
-        """Add the time since the last check, without the time for which the process waited for a processor."""
+        """Add the time since the last check, at most 1 s, without the process's wait for a processor."""
         before_s, waited_s, waiting_s = self._waited_s, self._processor_wait_s(), 0.0
         if waited_s is not None:
             self._waited_s = waited_s

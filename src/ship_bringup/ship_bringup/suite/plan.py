@@ -57,7 +57,7 @@ class SuiteOptions:
     monitor_arguments: tuple[str, ...] = ()
 
     def topic(self, name: str) -> str:
-        """Return the full name of a topic of the suite, or of the ship."""
+        """Return the full name of a topic; a name with a leading slash is not in the namespace of the suite."""
         return resolve_topic(name, self.namespace)
 
 
@@ -84,7 +84,7 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
     """Return the programs of a suite file.
 
     Raises:
-        BadInput: file or bag is bad, or a program is not installed. The text contains the file, the line, the
+        BadInput: file, bag or keystore is bad, or a program is not installed. The text contains the file, the line, the
             parameter or section, and what was expected; or the item that the bag lacks; or the program.
     """
     nodes, warnings = check_nodes(path, options.namespace)
@@ -167,7 +167,7 @@ def _playback_warnings(companions: Sequence[Companion], options: SuiteOptions) -
 
 
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
-    """Return the names and clock of a node of the suite, as arguments."""
+    """Return the ROS arguments of a node of the suite for namespace, topic names and clock."""
     has_clock = options.bag is not None or options.use_sim_time
     return (*_namespace_arguments(options), *(("-p", "use_sim_time:=true") if has_clock else ()))
 
@@ -196,7 +196,7 @@ def _monitor_programs(options: SuiteOptions, ros: tuple[str, ...]) -> list[Progr
 
 
 def _player_program(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
-    """Return the player of the suite's inputs from outside, and of the truth, under the names that the nodes use."""
+    """Return the player of a bag; it plays the suite's external inputs and the truth under the names in the suite."""
     names = replace(current_names(), is_by_suite=True, suite_file=suite_file)
     with topic_names(names), read_bag(path) as bag:
         required = [topic.topic for topic in chain.inputs if topic.required]

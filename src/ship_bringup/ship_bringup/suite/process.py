@@ -102,7 +102,10 @@ class Process:
                 self._process.stdin.flush()
 
     def read_lines(self) -> tuple[list[str], bool]:
-        """Return the complete lines written since the last call, and True if there may be more to read."""
+        """Return the lines completed by the next 64 KiB of output at most, and True if there may be more to read.
+
+        An incomplete line is returned if it is longer than 64 KiB, or at the end of the output.
+        """
         try:
             data = os.read(self.output.fileno(), _LONGEST_LINE)
         except BlockingIOError:

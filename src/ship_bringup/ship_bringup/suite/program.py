@@ -8,9 +8,9 @@ class Role(Enum):
     """Role of a program, which determines the consequence of its end for the other programs."""
 
     NODE = "node"
-    """A node for which the suite is run."""
+    """An estimator; in a suite without estimators, also ``nmea_in`` or ``nmea_out``."""
     WATCHER = "watcher"
-    """A program that monitors the nodes; the nodes do not need it."""
+    """A program that monitors the nodes or sends their outputs; the nodes do not need this program."""
     FEEDER = "feeder"
     """A program that publishes the instruments' data; the nodes run without it, but not for long."""
     PLAYER = "player"

@@ -40,7 +40,10 @@ class Restarts:
 
 
 def exit_code_of(code: int) -> int:
-    """Return the suite's exit code from a program's: 0 after a normal end, 128 + n after signal n, else the same."""
+    """Return the suite's exit code from a program's.
+
+    The result is 0 after a normal end (SIGINT and SIGTERM included), 128 + n after another signal n, else the same.
+    """
     if code in _NORMAL_EXIT_CODES:
         return EXIT_DONE
     return code if code > 0 else _SIGNAL_BASE - code

@@ -20,7 +20,7 @@ class SuiteLog:
 
     Args:
         path: path of the file for lines that stdout does not accept.
-        descriptor: file descriptor of stdout.
+        descriptor: file descriptor of stdout; that of stderr for the log of warnings.
     """
 
     def __init__(self, path: Path, descriptor: int = 1) -> None:
@@ -28,7 +28,7 @@ class SuiteLog:
         self._missed_count = 0
 
     def write(self, line: str) -> None:
-        """Write a line, without its end, to stdout or else to the file."""
+        """Write a line, given without a newline, to stdout or else to the file."""
         try:
             if self._missed_count:
                 self._write_to_stdout(
@@ -47,7 +47,7 @@ class SuiteLog:
         """Write a line to stdout.
 
         Raises:
-            OSError: stdout does not accept it.
+            OSError: stdout does not accept the line.
         """
         data = _bytes(line)
         poll = select.poll()
@@ -59,7 +59,7 @@ class SuiteLog:
             data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
 
     def _append_to_file(self, line: str) -> None:
-        """Append a line to the file, which stdout and stderr may share; on failure the line is lost."""
+        """Append a line to the file, which the logs of stdout and stderr may share; on failure the line is lost."""
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         with contextlib.suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -37,10 +37,10 @@ class Supervisor:
     """Runs programs until a signal, or until the end of a bag.
 
     Args:
-        programs: programs in the order of their start. First, monitoring programs are ended, which would report the
-            end of other programs as a fault; then programs that play a bag or read instruments; then nodes. Programs
-            of one kind are ended in the opposite order of their start.
-        write: function that writes a line, given without its end, and does not raise an error.
+        programs: programs in the order of their start. Programs are ended in the order watchers, player, feeders,
+            nodes (:class:`Role`), because watchers would report the end of other programs as a fault. Programs of one
+            role are ended in the opposite order of their start.
+        write: function that writes a line, given without a newline, and raises no error.
         frozen_report_s: time without a heartbeat after which a program is reported, s.
         frozen_restart_s: time without a heartbeat after which a program is killed and started again, s.
     """
@@ -62,9 +62,10 @@ class Supervisor:
         self._frozen_check = FrozenCheck(frozen_report_s, frozen_restart_s, partial(self._log, _SUITE))
 
     def run(self) -> int:
-        """Run the programs; return the exit code of the player or of the first program that was down at the end, or 0.
+        """Run the programs; return the exit code of the suite.
 
-        If no node has run yet and all nodes end with bad input, the suite ends.
+        The exit code is that of the player, or of the first failed program that was down at the end or never sent a
+        heartbeat, or 0. If no node has run yet and all nodes end with bad input, the suite ends.
         """
         heartbeats = self._frozen_check.heartbeats
         self._selector.register(
@@ -163,7 +164,7 @@ class Supervisor:
         return may_be_more
 
     def _handle_end(self, entry: SupervisedProgram, process: Process) -> None:
-        """Handle the end of a process: its program is started again unless the suite ends."""
+        """Handle the end of a process: schedule another reserve process, or see :meth:`_handle_unrequested_end`."""
         while not process.is_output_complete and self._read(entry, process):
             pass
         self._unregister(process)

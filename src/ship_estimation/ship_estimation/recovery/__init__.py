@@ -1,7 +1,7 @@
 """Recovery after a fault by a second estimator, which runs while the first is in trouble and may replace the first.
 
-- ``trouble`` detects that the status of an estimator is worse than its inputs allow.
-- ``memory`` keeps the last consistent state.
+- ``trouble`` detects that the status of an estimator is worse than its inputs allow, or that a source is excluded.
+- ``memory`` keeps the last consistent states.
 - ``displacement`` and ``displacements`` show whether a source, or all sources together, have moved and moved back.
 - ``recovery`` starts the second estimator and decides on its adoption.
 

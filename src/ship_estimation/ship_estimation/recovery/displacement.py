@@ -21,8 +21,8 @@ _FALSE_STEP = 5.733e-7
 _BY_NOISE = 0.001
 """Probability that a source that has moved back still counts as displaced, due to its noise."""
 _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
-"""Maximum share of the largest displacement that remains when a source has moved back, and the maximum share if the
-measurements do not determine the displacement more precisely."""
+"""Maximum shares of the largest displacement that may remain when a source has moved back: the first in any case, the
+second if noise explains the remaining displacement and no step is recent."""
 _DECISIVE_SIGMAS = 5.0
 """Minimum size of a return, in standard deviations of the stored state, for this state alone to show the return."""
 _STEP_LASTS = 4
@@ -87,15 +87,15 @@ class Displacement:
         return 0.0 if self._newest is None else float(np.linalg.norm(self._largest_until_now(self._newest)))
 
     def add(self, residual: MemoryResidual) -> None:
-        """Add a measurement; a measurement with NaN is ignored."""
+        """Add a measurement; a measurement that is not finite is ignored."""
         if all(np.all(np.isfinite(part)) for part in residual):
             self._pending.append(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Add the covariance of an INS jump that the INS's own rates showed in this second, rad², shape (k, k).
+        """Add the covariance of a jump that a source (for example the INS) itself showed in this second, rad², (k, k).
 
         The measurements of this second, before and after the jump, are dropped. A displacement that is not larger than
-        the jump may be a displacement of the INS, so the displacement is reset to zero.
+        the jump may be the jump itself, so the displacement is reset to zero.
         """
         self._pending.clear()
         if self._newest is None:
@@ -228,7 +228,7 @@ class Displacement:
 
     @property
     def is_beyond_memory(self) -> bool:
-        """True if the stored state, propagated until now, is too uncertain to show a displacement of this size."""
+        """True if the stored state, propagated until now, is too uncertain to show the largest displacement."""
         newest = self._newest
         if newest is None or not self.largest_rad:
             return False

@@ -24,7 +24,7 @@ class Displacements:
             displacement.add(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Add the covariance of an INS jump that the INS's own rates showed, rad², shape (k, k)."""
+        """Add the covariance of a jump that a source (for example the INS) itself showed, rad², shape (k, k)."""
         for displacement in (*self._by_source.values(), self._together):
             displacement.inflate(covariance)
 

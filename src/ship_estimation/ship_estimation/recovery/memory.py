@@ -10,12 +10,12 @@ from ship_geometry.time_scales import SECOND_NS
 State = TypeVar("State")
 
 LEAST_AGE_NS = 10 * SECOND_NS
-"""Minimum time from the stored state to the first sign of trouble, ns; a fault may act before it is detected."""
+"""Minimum age, at the first sign of trouble, of a stored state, ns; a fault may act before its detection."""
 
 BEFORE_STEP_NS = 2 * SECOND_NS
-"""Minimum time from the state from which a step is measured to the first sign of trouble, ns.
+"""Minimum age, at the first sign of trouble, of the state against which displacements are measured, ns.
 
-The time is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
+This age is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
 seconds."""
 
 MIN_CONSISTENT_NS = ENDS_AFTER_NS
@@ -53,7 +53,8 @@ class StateMemory(Generic[State]):
     def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
         """Return the newest state that is old enough at the first sign of trouble, or None.
 
-        The result is None if the estimator has not been consistent for :data:`MIN_CONSISTENT_NS`.
+        The result is None if no state is old enough, or if states have been stored for less than
+        :data:`MIN_CONSISTENT_NS`.
         """
         if first_sign_ns - self._consistent_since_ns < MIN_CONSISTENT_NS:
             return None

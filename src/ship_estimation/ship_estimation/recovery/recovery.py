@@ -4,8 +4,7 @@ In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the s
 starts from the stored state, or from the prior, and restarts whenever an inconsistency of the inputs begins or ends.
 While the first estimator shows a sign of trouble, the second is adopted on three conditions:
 
-1. For ``confirm_s`` it has been VALID with every available source. It may exclude a source if two other sources are
-   consistent.
+1. For ``confirm_s`` it has been VALID. It uses every available source that it does not exclude, at least two sources.
 2. It is consistent with the stored state within :data:`MEMORY_SIGMAS`, which excludes a common rotation of all sources.
 3. If the INS may have drifted so far that the stored state cannot show a common displacement of all sources, the
    sources must have moved back (:mod:`ship_estimation.recovery.displacement`).
@@ -34,7 +33,7 @@ MEMORY_SIGMAS = 3.0
 """Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""
 
 _LEAST_IN_AGREEMENT = 2
-"""Minimum number of consistent sources, the INS included, if the second estimator excludes another source."""
+"""Minimum number of available sources, the INS included, that the second estimator does not exclude."""
 
 
 class Jump(Protocol):
@@ -262,7 +261,11 @@ class EstimatorRecovery:
         self.candidate = None
 
     def _choose_candidate(self, live: RecoverableCore) -> None:
-        """Start the second estimator if none runs, or restart it if its conditions have changed."""
+        """Start the second estimator if none runs, or restart it.
+
+        It restarts if the displaced sources change. It restarts from the other start (memory or prior) if it fails, has
+        an unresolved fault, or excludes a source that is not displaced.
+        """
         displaced = frozenset(self.displaced)
         candidate = self.candidate
         if candidate is None or displaced != self._displaced_before:
