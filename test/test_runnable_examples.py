@@ -13,7 +13,7 @@ import ship_geometry
 MODULES = [
     module.name
     for package in (ship_geometry, ship_estimation)
-    for module in pkgutil.iter_modules(package.__path__, package.__name__ + ".")
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + ".")
     if not module.name.rpartition(".")[2].startswith("compiled_")
 ]
 """Modules with examples; the examples of compiled modules are in the modules that call the compiled modules."""

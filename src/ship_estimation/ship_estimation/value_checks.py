@@ -344,9 +344,9 @@ class JumpCheck:
         rejected_count: number of successive values that were rejected and are mutually consistent.
         since_ns: stamp of the first of these values.
 
-    >>> guard = JumpCheck(samples=2)
-    >>> [guard.check(n, continues=False, is_consistent=n > 0).value for n in range(3)]
-    ['refused', 'refused', 'jumped']
+    >>> check = JumpCheck(samples=2)
+    >>> [check.check(n, continues=False, is_consistent=n > 0).value for n in range(3)]
+    ['rejected', 'rejected', 'jumped']
     """
 
     def __init__(self, samples: int = JUMP_SAMPLES) -> None:
