@@ -46,7 +46,7 @@ def node_command_parser(prog: str, example: str, description: str, epilog: str) 
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
+    parser.add_argument("node", metavar="NODE", help="name of the node, with its namespace: /demo/ship_attitude")
     parser.add_argument(
         "--timeout",
         type=positive_number,

@@ -534,7 +534,7 @@ class InsCheck:
 
     def _units_rejection(self) -> Rejection:
         slope = self._rate_check.slope
-        text = f"angular velocity turns {slope:.3g} times as fast as the orientation: degrees for radians?"
+        text = f"angular velocity turns {slope:.3g} times as fast as the orientation: degrees instead of radians?"
         return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
 
 

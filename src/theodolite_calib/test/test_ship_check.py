@@ -191,7 +191,7 @@ def test_invalid_rates_change_no_pointing(factor: float) -> None:
 def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
     run = run_adapter(adapter(), change_where(session_with_ins_only(10.0), of_topic(INS), scale_rates(DEGREES)))
     assert run.reasons(INS).keys() == {"units"}
-    assert "degrees for radians?" in run.innovations(Reason.UNITS)[0].reason_text
+    assert "degrees instead of radians?" in run.innovations(Reason.UNITS)[0].reason_text
     detected_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
     assert 5.0 < detected_s < 7.0
     assert {m.status for m in run.pointings if seconds(m) > detected_s + 0.1} == {Status.INVALID}

@@ -75,7 +75,7 @@ def security_environment(environment: Mapping[str, str], has_security: bool | No
     demand, enforced = environment[ENABLE], environment.get(STRATEGY, "").strip().lower() == "enforce"
     if has_security is False:
         raise BadInput(
-            f"{ENABLE}={demand} requests DDS security, and the DDS of this installation was built without it: "
+            f"{ENABLE}={demand} requests DDS security, and this installation's DDS was built without security: "
             "not started, because it would run unprotected"
         )
     if has_security is None and not enforced:

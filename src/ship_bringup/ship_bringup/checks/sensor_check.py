@@ -112,12 +112,12 @@ def _evaluate_input(
         return (
             missing_result,
             f"{publishers} publishes it, but no message arrived",
-            "switch the device on; if slow: a longer --listen",
+            "switch the device on; for a slow device use a longer --listen",
         )
     found = f"{observed.rate_hz:.3g} Hz from {publishers}" if observed.count > 1 else f"one message from {publishers}"
     least_hz = limits.input_limits(source_of_topic(topic)).rate_hz
     if not observed.rate_hz >= least_hz:
-        advice = "check the device and the network; for slow ones: a longer --listen"
+        advice = "check the device and the network; for a slow device use a longer --listen"
         return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", advice
     if observed.age_s is not None:
         found += f", stamps {_age_text(observed.age_s)}"
@@ -129,7 +129,7 @@ def _evaluate_input(
         return (
             Result.WARN,
             f"{found}: {len(observed.publishers)} publishers",
-            "one device, one publisher: end the others",
+            "end all publishers of this topic but one",
         )
     return Result.OK, found, ""
 

@@ -95,7 +95,7 @@ def _parser() -> CommandParser:
         help="start nothing: replay --bag, print the share of time within the limits, and propose limits",
     )
     parser.add_argument(
-        "--port", type=_port, metavar="PORT", help="with --monitor: port of the page (that of 'monitor')"
+        "--port", type=_port, metavar="PORT", help="with --monitor: port of the page (default as for 'monitor')"
     )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="folder for a black box of each node")
     parser.add_argument(
@@ -110,7 +110,7 @@ def _parser() -> CommandParser:
         type=positive_number,
         default=FROZEN_RESTART_S,
         metavar="S",
-        help=f"kill it after S seconds without one, and start it again ({FROZEN_RESTART_S:.0f})",
+        help=f"kill a program without heartbeat for S seconds, and start it again ({FROZEN_RESTART_S:.0f})",
     )
     return parser
 

@@ -31,7 +31,8 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
     """
     found = []
     if has_security is not True:
-        why = "the DDS of this installation was built without it" if has_security is False else "unknown for this DDS"
+        is_missing = has_security is False
+        why = "this installation's DDS was built without security" if is_missing else "unknown for this DDS"
         found.append((f"no DDS security: {why}", "use ROS 2 Jazzy of Ubuntu's packages: they have it"))
     if not is_security_requested(environment):
         given = environment.get(ENABLE)
