@@ -84,7 +84,7 @@ class CalibrationPrior:
     names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations, rad or m, shape (1,), by name with serial number and, if needed, telescope id."""
+        """Return standard deviations, rad or m, shape (1,), by name with serial number (telescope: and its id)."""
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {
@@ -136,7 +136,7 @@ class _CalibrationValue(NamedTuple):
 def _star_values(
     filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
 ) -> list[_CalibrationValue]:
-    """Return the estimated values that only stars determine: N' and the parallelism of each camera."""
+    """Return N' and the parallelism of each camera if they are estimated; no values without star cameras."""
     if not config.telescopes:
         return []
     model, telescope = filter_.model, config.telescope

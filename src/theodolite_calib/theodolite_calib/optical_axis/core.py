@@ -163,7 +163,7 @@ class OpticalAxisCore:
         self._start_without_samples()
 
     def _start_without_samples(self) -> None:
-        """Discard all samples, checks of streams and pending outputs."""
+        """Discard all samples, waiting readings and images, and the states of the stream checks."""
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._encoder_check = EncoderCheck(*_encoder_limits(self.config))
@@ -298,7 +298,7 @@ class OpticalAxisCore:
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add an image of a target; its direction follows at once, or when a pointing after it has been published.
+        """Add an image of a target; :meth:`TargetProcessor.publish_ready` gives the conditions for its direction.
 
         Images of targets do not affect the pointings.
         """
@@ -317,7 +317,7 @@ class OpticalAxisCore:
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Publish a pointing from recent stars if an input has timed out.
+        """Publish a pointing from recent stars if encoders or ship have timed out, and directions of overdue images.
 
         If no output was published for a second, publish INVALID once a second.
 
@@ -366,7 +366,7 @@ class OpticalAxisCore:
         return self._pointing.integrity(estimate)
 
     def escort(self, estimate: PointingEstimate) -> "EscortAdvice | None":
-        """Return the advised positions of the drones for the latest pointing; None if disabled or not yet due."""
+        """Return the advised positions of the drones for the latest pointing; None if there is no new advice."""
         return None if self._escort is None else self._escort.advice(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
@@ -430,7 +430,7 @@ class OpticalAxisCore:
         return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
-        """Return the residuals of the beacons of an exposure against a stored state, by source, or no residuals."""
+        """Return the residuals of the beacons of an exposure against a stored state; empty without a sighting."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
@@ -449,7 +449,7 @@ class OpticalAxisCore:
         return largest_difference_sigmas(self.filter, state, memory, ship, encoder, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return the beacons among some sources whose measurements were not accepted recently."""
+        """Return those beacons among ``sources`` from which no recent measurement was accepted."""
         means, since_ns = (
             self.state.fault_state.innovation_means,
             self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS,
@@ -576,7 +576,7 @@ class OpticalAxisCore:
         self._is_stuck = is_stuck
 
     def _stream_faults(self, time_ns: int) -> set[str]:
-        """Return which of the encoder and ship streams had a fault shortly before a time."""
+        """Return which of the encoder and ship streams had a fault since ``integrity.return_after_s`` before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
         return {source for source, fault_ns in self._stream_fault_ns.items() if fault_ns >= since_ns}
 
@@ -668,7 +668,7 @@ class OpticalAxisCore:
         self._estimator.add_output(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _check_repeated_time(self) -> None:
-        """Compare beacons again if rejections show that encoders and ship both repeat a range of stamps."""
+        """Apply exposures again if rejections show that encoders and ship both repeat a range of stamps."""
         before = self._repeated_time_ns
         together = self._estimator.stamp_conflicts.common_interval({ENCODER, self.config.ship.source})
         if together is None:
