@@ -148,7 +148,7 @@ FACTORS = (
 
 
 def random_attitudes(count: int, seed: int = 14) -> FloatArray:
-    """Return angles of a sensor and of its installation over their full ranges, shape (count, 6)."""
+    """Return random angles of a sensor and of its installation, with elevations within 80°, shape (count, 6)."""
     degrees = np.array([180.0, 80.0, 180.0])
     return np.deg2rad(np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 6)) * np.tile(degrees, 2))
 
