@@ -105,7 +105,8 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         files: reads and writes the saved calibration.
 
     Raises:
-        BadInput: the calibration file cannot be read.
+        BadInput: the path of the calibration file is not that of a file (:class:`SavedStart`).
+        ParameterError: the parameters of a star camera are incomplete.
     """
 
     node_name: ClassVar[str] = "optical_axis"

@@ -21,7 +21,7 @@ from theodolite_calib.target.triangulation import Station, StationDirection, Tri
 
 @dataclass(frozen=True)
 class DirectionSample(VectorSample):
-    """Direction published by a theodolite: a unit vector in the local horizon, ``vector``, shape (3,).
+    """Direction published by a theodolite: a unit vector in the local horizon, ``vector``, shape (3,), NaN if INVALID.
 
     Attributes:
         source: ``station.<name>`` of the theodolite.
