@@ -1,9 +1,9 @@
 """Distribution of the tests over workers, where several run at once (``make test``).
 
-The tests of one file share their bags, runs and browsers, so a file runs on one worker. Tests over DDS wait for most of
-their time, so there are more workers than cores. Only one DDS test runs at a time, on a worker of its own, because the
-programs of two suites overload two cores and would answer too late. The DDS tests come first, because together they
-take nearly as long as all others. Tests that only compute run at a lower priority.
+The tests of one file share their bags, runs and browsers, so a file runs on one worker. Live tests, over DDS, wait for
+most of their time, so there are more workers than cores. Only one live test runs at a time, on a worker of its own,
+because the programs of two suites overload two cores and would answer too late. The live tests come first, because
+together they take nearly as long as all others. Tests that only compute run at a lower priority.
 """
 
 import os

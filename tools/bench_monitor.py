@@ -136,7 +136,7 @@ def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
 
 @contextlib.contextmanager
 def _open_pages(count: int) -> Iterator[None]:
-    """Open pages as a browser does: request each page and receive its updates, with a thread for each page."""
+    """Open pages as a browser does: request each page and receive its updates, in one thread for all pages."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
