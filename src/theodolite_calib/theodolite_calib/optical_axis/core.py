@@ -317,9 +317,10 @@ class OpticalAxisCore:
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Publish a pointing from recent stars if encoders or ship have timed out, and directions of overdue images.
+        """Apply delayed exposures; publish from recent stars after a timeout of encoders or ship.
 
-        If no output was published for a second, publish INVALID once a second.
+        Directions of overdue images are published. If no output was published for a second, an INVALID output follows
+        once a second.
 
         Args:
             now_ns: current time.
