@@ -81,7 +81,7 @@ _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal sta
 
 
 class _WaitingReading(NamedTuple):
-    """Encoder reading that waits for the ship's attitude, with the reason why it is unconfirmed, or an empty text."""
+    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty if it is confirmed."""
 
     sample: EncoderSample
     unconfirmed_reason: str
@@ -608,7 +608,8 @@ class OpticalAxisCore:
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointings of waiting readings, and then directions of targets.
 
-        A reading waits until the ship's attitude at its time is final or overdue. Without an attitude it is skipped.
+        A reading waits until the ship's attitude at its time is final or overdue. A reading without an attitude is
+        skipped.
         """
         if self._waiting_readings:
             self._publish_waiting(outcome, waiting_ns)
@@ -637,7 +638,7 @@ class OpticalAxisCore:
                 self._add_pointing(outcome, pending, waiting_ns)
 
     def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
-        """Publish a pointing, or queue it if computed on request; skip it if a later output has been published."""
+        """Publish or queue (:attr:`pending`) a pointing; skip the pointing if a later output has been published."""
         if self.pending is None:
             follows = self._estimator.can_publish(pending.time_ns)
             self._estimator.add_output(

@@ -61,7 +61,7 @@ class StationDirections:
 
     Args:
         station: position of the theodolite.
-        max_gap_s: maximum interval between two directions for an interpolation between them, s.
+        max_gap_s: maximum interval between two directions that are interpolated, s.
     """
 
     def __init__(self, station: Station, max_gap_s: float) -> None:
