@@ -112,7 +112,7 @@ def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:
 
 
 def find_prebuilt(place: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], list[str]]:
-    """Return the wheels that fit, and a line for each package whose wheel was built from other sources.
+    """Return the wheels that fit, and a line for each package whose wheel was built from other sources or tools.
 
     Args:
         place: the folder of wheels for this Python and machine; the folder may be missing.
