@@ -1,9 +1,9 @@
 """Distribution of the tests over workers, where several run at once (``make test``).
 
-The tests of one file share their bags, runs and browsers, so a file runs on one worker. Tests over DDS wait for most of
-their time, so there are more workers than cores. One such test runs at once, on a worker of its own: two suites at once
-overload two cores, and their programs must answer in time. These tests come first, because together they take nearly as
-long as all others. Tests that only compute yield to them.
+The tests of one file share their bags, runs and browsers, so a file runs on one worker. Live tests, over DDS, wait for
+most of their time, so there are more workers than cores. Only one live test runs at a time, on a worker of its own,
+because the programs of two suites overload two cores and would answer too late. The live tests come first, because
+together they take nearly as long as all others. Tests that only compute run at a lower priority.
 """
 
 import os
@@ -17,7 +17,8 @@ LIVE = "live"
 YIELDING = 10
 """Increment of the niceness of workers that compute.
 
-If such a worker and a live test compete for a core, the live test gets nine tenths of the processor time."""
+If such a worker and a live test compete for a core, the live test gets nine tenths of the processor time.
+"""
 _YIELDS = pytest.StashKey[bool]()
 
 # colcon test starts ``python -m pytest`` in the folder of a package. If colcon built the package elsewhere, the modules

@@ -92,7 +92,10 @@ def _bench(options: argparse.Namespace) -> int:
 
 
 def _merge_rows(new_rows: list[dict[str, Any]], circumstances: dict[str, Any], file: Path) -> list[dict[str, Any]]:
-    """Return new rows, and other benchmarks' rows in a file of the same day and machine, in the order of BENCHMARKS."""
+    """Return new rows, and the other benchmarks' rows in a file, in the order of BENCHMARKS.
+
+    Rows in the file are kept only if its day, machine and versions are those of the new rows.
+    """
     kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"rows": []}
     if any(kept.get(name) != circumstances[name] for name in circumstances if name != "load"):
         return new_rows

@@ -132,7 +132,7 @@ def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
 
 
 def _TimedStep(step: Callable[..., Any]) -> tuple[Any, list[float]]:
-    """Return a step that records the duration of each of its calls, us."""
+    """Return a step that records the duration of each call, and the list of these durations, us."""
     times_us: list[float] = []
 
     def measure_step(*arguments: Any) -> Any:

@@ -1,8 +1,8 @@
 """Cost of the live node relative to a bare relay of the same messages: round-trip time, processor time, lost messages.
 
 This program publishes Imu messages and receives responses: from the node its ``ship/imu``, from the relay the forwarded
-messages. The cost of the relay is the minimum cost of any node. All programs use a separate ROS domain and the suite's
-DDS profile.
+messages. The cost of the relay is the minimum cost of any node. All programs share one ROS domain, which no other
+program uses, and the suite's DDS profile.
 """
 
 import math

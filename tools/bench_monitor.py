@@ -136,7 +136,7 @@ def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
 
 @contextlib.contextmanager
 def _open_pages(count: int) -> Iterator[None]:
-    """Open pages as a browser does: request each page and receive its updates, with a thread for each page."""
+    """Open pages as a browser does: request each page and receive its updates, in one thread for all pages."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
@@ -153,7 +153,7 @@ def _open_pages(count: int) -> Iterator[None]:
 
 
 async def _keep_page_open() -> None:
-    """Receive all updates of a new session until the server ends."""
+    """Receive all updates of a new session; raise LiveFailure if the server ends the session."""
     answer = await AsyncHTTPClient().fetch(f"http://127.0.0.1:{_PAGE_PORT}/")
     token = re.search(r'"token":"([^"]+)"', answer.body.decode())
     if token is None:

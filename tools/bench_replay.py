@@ -25,8 +25,8 @@ SHIP_S, LONG_SUITE_S = 3600.0, 900.0
 """Lengths of the voyages replayed in blocks, s: an INS at 100 Hz with two star sensors at 5 Hz; a voyage with every
 device."""
 SHORT_SHIP_S, SHORT_SUITE_S = 300.0, 60.0
-"""Lengths of shorter voyages, also replayed message by message; the growth of memory is relative to the first
-voyage."""
+"""Lengths of shorter voyages, also replayed message by message; the growth of memory is relative to the ship's
+short voyage."""
 
 MOST_OF_DEMO, MOST_OF_SUITE = 6.0 * WITH_INTEGRITY, 12.0 * WITH_INTEGRITY
 """Bounds of replay message by message, relative to a copy."""

@@ -1,8 +1,8 @@
 """Hours without faults: false exclusions, degradations, availability, errors beyond levels, NEES and RMS.
 
 Each voyage is saved as a line of a results file when complete; a run that was killed continues there.
-Exits with 1 if a voyage raised an exception or a bound is not met. The INS has 20 Hz, in one voyage in ten the rate of
-its scenario.
+Exits with 1 if a voyage raised an exception or a bound is not met. In voyages of the ship the INS has 20 Hz, in one of
+ten voyages the rate of the scenario.
 """
 
 import argparse
@@ -116,7 +116,7 @@ def _row(kind: str, found: list[Result]) -> tuple[list[str], bool]:
     available = total["available"] / settled if settled else float("nan")
     met = not total["beyond_level"] and not total["beyond_sigmas"]
     if kind != THEODOLITE:
-        # Axis errors are drawn once and constant over a theodolite session; its errors are compared with levels only.
+        # Axis errors are constant over a theodolite session, so its NEES and availability have no bounds.
         met = met and low <= nees <= high and available >= _LEAST_AVAILABILITY
     limited = kind in ALERT_LIMIT_ARCSEC
     return [

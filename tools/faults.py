@@ -31,7 +31,7 @@ from ship_replay.trials.threats import OVERLAPPING, SINGLE
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"
 LENGTHS_S = {"demo": 120.0, "theodolite": 120.0, "paper_stars": 150.0, "everything": 120.0}
-"""Scenario → longest duration of its voyages, s."""
+"""Scenario → duration of its voyages, s; a shorter scenario is not extended."""
 
 
 def main() -> int:

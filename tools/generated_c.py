@@ -14,7 +14,7 @@ _GENERATE = (
 
 
 def generate_c(src: Path) -> list[Path]:
-    """Generate C in the source folders of packages with compiled modules, by setup.py, without compiling it.
+    """Generate C by setup.py in the source folders of packages with compiled modules; the C files are not compiled.
 
     Args:
         src: folder of packages as exported from a commit, without build products.

@@ -75,7 +75,7 @@ def distributions() -> list[str]:
 
 
 def licence(name: str) -> tuple[str, str]:
-    """Return the SPDX licence of a wheel and the source of the licence in the wheel; empty licence if not known."""
+    """Return the SPDX licence of a wheel, empty if not known, and the place where the licence is stated."""
     if name in STATED_ELSEWHERE:
         return STATED_ELSEWHERE[name]
     try:

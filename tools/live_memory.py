@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def growth(hours: np.ndarray, resident_mb: np.ndarray, settled_h: float) -> float:
-    """Return the growth of the resident memory over a span, MB: last minus first median over a twentieth of the span.
+    """Return the growth of the resident memory, MB: median of the last twentieth of a span minus that of the first.
 
     Args:
         hours: hours since the start of the voyage, increasing, shape (n,).

@@ -104,10 +104,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
-    """Return the differences between the bags.
+    """Return attitudes by the stars in the replayed bag minus INS attitudes in the other bag.
 
     Raises:
-        BadInput: the suite file is missing, or no VALID joint solution has an INS attitude at its time.
+        BadInput: the bag has no suite file with a section for ship_attitude, or no VALID joint solution has an INS
+            attitude at its time.
     """
     truth = Truth(SHIP_ATTITUDE)
     with read_bag(bag_path) as bag:

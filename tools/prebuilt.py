@@ -37,8 +37,8 @@ def digest(*parts: str | bytes) -> str:
 def package_digests(folders: list[Path], tools: str) -> dict[Path, str]:
     """Return for each package the digest of the files that require a new build when they change.
 
-    Due to symlinks an edited Python file requires no build. A build is required by an edited compiled module or a new
-    file that setup.py lists.
+    Due to symlinks an edited Python file requires no build, unless the file is a compiled module or setup.py. An edited
+    package.xml or message, and a new launch, parameter or resource file, require a build.
 
     Args:
         folders: folders of the packages.
@@ -112,7 +112,7 @@ def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:
 
 
 def find_prebuilt(place: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], list[str]]:
-    """Return the wheels that fit, and a line for each package whose wheel was built from other sources.
+    """Return the wheels that fit, and a line for each package whose wheel was built from other sources or tools.
 
     Args:
         place: the folder of wheels for this Python and machine; the folder may be missing.

@@ -48,7 +48,7 @@ class Workspace:
     digests: dict[Path, str]
 
     def compiled_packages(self, changed_only: bool) -> dict[Path, str]:
-        """Return the packages with compiled parts, or only the packages with missing or outdated parts."""
+        """Return the packages with compiled parts; with ``changed_only``, those with missing or outdated parts."""
         return {
             folder: content
             for folder, content in self.digests.items()
@@ -107,7 +107,7 @@ def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
         wanted: folder of each package → digest of its sources.
 
     Raises:
-        SetupError: a part must be compiled, and there is no compiler.
+        SetupError: a part must be compiled, and there is no compiler or no header of Python.
     """
     prebuilt, unfit = find_prebuilt(ROOT / PREBUILT / own_target(), wanted)
     for line in unfit:
@@ -134,7 +134,7 @@ def check_compiler(for_what: str) -> None:
 
 
 def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
-    """Unpack or compile the compiled parts, in parallel."""
+    """Unpack the parts that are prebuilt; compile the others in parallel."""
     if parts.prebuilt:
         with step(f"compiled parts from {len(parts.prebuilt)} prebuilt wheels"):
             for wheel in parts.prebuilt:
@@ -179,7 +179,7 @@ def compile_modules(folder: Path) -> None:
 def build_messages(folders: list[Path], prefix: str) -> None:
     """Build the message packages.
 
-    C++ is omitted if ROS is installed as wheels, because no node of the suite needs C++.
+    C++ code is not generated if ROS is installed as wheels, because no node of the suite needs this code.
     """
     for folder in folders:
         remove_compiled(folder)
@@ -217,7 +217,7 @@ def stamp_of(folder: Path) -> Path:
 
 
 def first_error(output: str) -> str:
-    """Return the first line of a build's output that reports an error, and the name of the file with the output."""
+    """Return a line of a build's output that reports an error, or else the last line, and the name of the log."""
     # Signs of rosidl, Cython, a compiler, CMake, other programs. The message of an empty build folder is not an error.
     signs = (r"^\s*Error processing", r"^\S+\.(py|pxd):\d+:\d+: ", r": error:", r"CMake Error", r"[Ee]rror|Failed")
     lines = [line.strip() for line in output.splitlines() if "loading 'build.ninja'" not in line]
@@ -227,7 +227,7 @@ def first_error(output: str) -> str:
 
 
 def prepare_build() -> None:
-    """Create the build folder; remove the output of another colcon call without symlinks."""
+    """Create build/ and install/; remove these folders first if a colcon call outside setup made them."""
     if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
         print_progress("removing build/ and install/ of another colcon call: not compatible with symlinks")
         shutil.rmtree(BUILD, ignore_errors=True)

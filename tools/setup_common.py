@@ -79,7 +79,7 @@ def read_stamp(path: Path) -> str:
 
 
 def last_line(text: str, containing: str = "") -> str:
-    """Return the last line that is not empty and contains ``containing``."""
+    """Return the last line that is not empty and contains ``containing``; "no output" if there is none."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and containing in line]
     return lines[-1] if lines else "no output"
 

@@ -53,7 +53,7 @@ def _check_port(port: int) -> None:
 
 
 def _bag() -> Path:
-    """Return the path of the bag; simulate the voyage if the scenario is newer than the bag."""
+    """Return the path of the bag; simulate the voyage if the bag is missing or older than the scenario."""
     path = FOLDER / "everything.mcap"
     if not path.exists() or path.stat().st_mtime < SCENARIO.stat().st_mtime:
         FOLDER.mkdir(parents=True, exist_ok=True)

@@ -120,7 +120,7 @@ def hashed_requirements(folder: Path) -> dict[str, str]:
     """Return the requirement with its hash for each pin of a folder of wheels, after checking all hashes.
 
     Raises:
-        WheelsRefused: a wheel is missing or damaged, or the wheels belong to another lock.
+        WheelsRefused: a wheel or ``SHA256SUMS`` is missing or damaged, or the wheels belong to another lock.
     """
     place = f"{WHEELS}/{folder.name}"
     requirements = {}

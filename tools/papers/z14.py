@@ -130,7 +130,7 @@ def _factors_in_words() -> str:
 
 
 def _largest_joint_difference(reading: InstallationConvention) -> str:
-    """Return the largest difference of the Jacobian of printed factors from the exact Jacobian, below 85° of pitch."""
+    """Return as text the largest difference of the printed factors' Jacobian from the exact one, pitch below 85°."""
     angles = upright_attitudes(reading)
     difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))
     return f"{difference:.0f}" if difference > EXACT else "except for rounding"

@@ -109,7 +109,7 @@ def flat_over_star_azimuth(reading: InstallationConvention) -> bool:
 
 
 def oscillates_over_es_roll_s_a0(reading: InstallationConvention) -> bool:
-    """Test over a full turn of Es, of γs and of A0, at each of the four azimuths of the figures."""
+    """Test over a full turn of A0, and over full turns of Es and of γs at each of the four azimuths of the figures."""
     turn_deg = np.arange(0.0, 361.0) + 0.25  # no angle with a pitch of 90°
     by_a0 = of_star_roll(reading, A0=turn_deg)
     swept = [of_star_roll(reading, **{name: turn_deg, "A0": a0}) for name in ("Es", "γs") for a0 in CURVE_AZIMUTHS_DEG]

@@ -144,11 +144,12 @@ FACTORS = (
     Factor(37, "tb5", -1.0, "N_θ", "E0", _printed_formula("SE*Ca*Ce*Sg + CE*CG*Se*Sg - CE*SG*Sa*Ce*Sg")),
     Factor(38, "tb6", -1.0, "D_θ", "E0", _printed_formula("SE*Ca*Ce*Cg + CE*CG*Se*Cg - CE*SG*Sa*Ce*Cg")),
 )  # fmt: skip
-"""Every factor of the paper. Names of angles are shortened in some places, but no misprint is corrected."""
+"""Every factor of the paper, in the letters of :func:`_printed_formula`. Lost subscripts and an unclosed bracket are
+repaired; other misprints are kept."""
 
 
 def random_attitudes(count: int, seed: int = 14) -> FloatArray:
-    """Return angles of a sensor and of its installation over their full ranges, shape (count, 6)."""
+    """Return random angles of a sensor and of its installation, with elevations within 80°, shape (count, 6)."""
     degrees = np.array([180.0, 80.0, 180.0])
     return np.deg2rad(np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 6)) * np.tile(degrees, 2))
 

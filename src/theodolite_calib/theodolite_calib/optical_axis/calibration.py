@@ -1,8 +1,9 @@
 """Calibration from the filter's state: values for the calibration topic, and a prior for the next session.
 
-:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation. If there
-are star cameras, N' and the parallelism of the main axis in each camera are included. :class:`CalibrationPrior` has the
-constants, which are saved. The deformation is not saved, because it will have changed at the next session.
+:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation. With
+star cameras it also has N' and the parallelism of the main axis in each camera, if they are estimated.
+:class:`CalibrationPrior` has the constants, which are saved. The deformation is not saved, because it will have changed
+at the next session.
 """
 
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ from theodolite_calib.filter.observability import DEFORMATION_NAMES, LENS_NAMES
 
 SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
 SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
-"""Names that are always saved, in the order of the state blocks; angles of star cameras are saved after them."""
+"""Names that are always saved, in the order of the state blocks; angles of other star cameras follow them."""
 
 _TELESCOPE_NAMES = SAVED_NAMES[len(NAMES) :]
 _REMOUNTED_SIGMAS = 6.0
@@ -73,7 +74,7 @@ class CalibrationPrior:
         telescope_id: id of the telescope.
         values: values in the order of ``names``, rad or m, shape (n,).
         covariance: joint covariance of the values, shape (n, n).
-        names: SAVED_NAMES, then :func:`camera_names` of each star camera.
+        names: SAVED_NAMES, then :func:`camera_names` of each star camera that is not the calibration telescope.
     """
 
     time_ns: int
@@ -84,7 +85,7 @@ class CalibrationPrior:
     names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations, rad or m, shape (1,), by name with serial number and, if needed, telescope id."""
+        """Return standard deviations, rad or m, shape (1,), by name with serial number (telescope: and its id)."""
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {
@@ -136,7 +137,7 @@ class _CalibrationValue(NamedTuple):
 def _star_values(
     filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
 ) -> list[_CalibrationValue]:
-    """Return the estimated values that only stars determine: N' and the parallelism of each camera."""
+    """Return N' and the parallelism of each camera if they are estimated; no values without star cameras."""
     if not config.telescopes:
         return []
     model, telescope = filter_.model, config.telescope
@@ -238,7 +239,7 @@ class _SavedQuantity(NamedTuple):
 
 
 def _saved_quantities(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_SavedQuantity]:
-    """Return all saved quantities: SAVED_NAMES, then the angles of each star camera."""
+    """Return all saved quantities: SAVED_NAMES, then the angles of each other star camera."""
     model, telescope = filter_.model, config.telescope
     names, configured = [*SAVED_NAMES], [*config.axes.values, telescope.focal_length_m, *telescope.parallelism]
     blocks = [*SAVED_BLOCKS]

@@ -81,7 +81,7 @@ _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal sta
 
 
 class _WaitingReading(NamedTuple):
-    """Encoder reading that waits for the ship's attitude, with the reason why it is unconfirmed, or an empty text."""
+    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty if it is confirmed."""
 
     sample: EncoderSample
     unconfirmed_reason: str
@@ -163,7 +163,7 @@ class OpticalAxisCore:
         self._start_without_samples()
 
     def _start_without_samples(self) -> None:
-        """Discard all samples, checks of streams and pending outputs."""
+        """Discard all samples, waiting readings and images, and the states of the stream checks."""
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._encoder_check = EncoderCheck(*_encoder_limits(self.config))
@@ -298,7 +298,7 @@ class OpticalAxisCore:
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add an image of a target; its direction follows at once, or when a pointing after it has been published.
+        """Add an image of a target; :meth:`TargetProcessor.publish_ready` gives the conditions for its direction.
 
         Images of targets do not affect the pointings.
         """
@@ -317,9 +317,10 @@ class OpticalAxisCore:
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
-        """Publish a pointing from recent stars if an input has timed out.
+        """Apply delayed exposures; publish from recent stars after a timeout of encoders or ship.
 
-        If no output was published for a second, publish INVALID once a second.
+        Directions of overdue images are published. If no output was published for a second, an INVALID output follows
+        once a second.
 
         Args:
             now_ns: current time.
@@ -366,13 +367,14 @@ class OpticalAxisCore:
         return self._pointing.integrity(estimate)
 
     def escort(self, estimate: PointingEstimate) -> "EscortAdvice | None":
-        """Return the advised positions of the drones for the latest pointing; None if disabled or not yet due."""
+        """Return the advised positions of the drones for the latest pointing; None if there is no new advice."""
         return None if self._escort is None else self._escort.advice(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """Return the sighting of an exposure with the samples at its middle.
 
-        The result is None if samples are missing. The exposure is at most ``lag_s`` old.
+        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure is
+        at most ``lag_s`` old.
         """
         return self._sightings.assemble(exposure).sighting
 
@@ -430,7 +432,7 @@ class OpticalAxisCore:
         return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
-        """Return the residuals of the beacons of an exposure against a stored state, by source, or no residuals."""
+        """Return the residuals of the beacons of an exposure against a stored state; empty without a sighting."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
@@ -449,7 +451,7 @@ class OpticalAxisCore:
         return largest_difference_sigmas(self.filter, state, memory, ship, encoder, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return the beacons among some sources whose measurements were not accepted recently."""
+        """Return those beacons among ``sources`` from which no recent measurement was accepted."""
         means, since_ns = (
             self.state.fault_state.innovation_means,
             self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS,
@@ -576,7 +578,7 @@ class OpticalAxisCore:
         self._is_stuck = is_stuck
 
     def _stream_faults(self, time_ns: int) -> set[str]:
-        """Return which of the encoder and ship streams had a fault shortly before a time."""
+        """Return which of the encoder and ship streams had a fault since ``integrity.return_after_s`` before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
         return {source for source, fault_ns in self._stream_fault_ns.items() if fault_ns >= since_ns}
 
@@ -606,7 +608,8 @@ class OpticalAxisCore:
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointings of waiting readings, and then directions of targets.
 
-        A reading waits until the ship's attitude at its time is final or overdue. Without an attitude it is skipped.
+        A reading waits until the ship's attitude at its time is final or overdue. A reading without an attitude is
+        skipped.
         """
         if self._waiting_readings:
             self._publish_waiting(outcome, waiting_ns)
@@ -635,7 +638,7 @@ class OpticalAxisCore:
                 self._add_pointing(outcome, pending, waiting_ns)
 
     def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
-        """Publish a pointing, or queue it if computed on request; skip it if a later output has been published."""
+        """Publish or queue (:attr:`pending`) a pointing; skip the pointing if a later output has been published."""
         if self.pending is None:
             follows = self._estimator.can_publish(pending.time_ns)
             self._estimator.add_output(
@@ -668,7 +671,7 @@ class OpticalAxisCore:
         self._estimator.add_output(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _check_repeated_time(self) -> None:
-        """Compare beacons again if rejections show that encoders and ship both repeat a range of stamps."""
+        """Apply exposures again if rejections show that encoders and ship both repeat a range of stamps."""
         before = self._repeated_time_ns
         together = self._estimator.stamp_conflicts.common_interval({ENCODER, self.config.ship.source})
         if together is None:

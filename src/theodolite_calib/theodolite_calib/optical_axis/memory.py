@@ -1,4 +1,4 @@
-"""Remembered state of the calibration: restart from the state, and its differences from beacons and other states.
+"""Remembered state of the calibration: restart from this state, and its comparison with beacons and other states.
 
 The rules that use these functions are in :mod:`ship_estimation.recovery`. Stars are not compared with a remembered
 state, because beacons reinstate excluded sources.
@@ -112,7 +112,7 @@ def largest_difference_sigmas(
     """Return the largest difference from a remembered state, in joint standard deviations of both states.
 
     Constant states are compared one by one. The effect of all states on the telescope is compared about North, Up and
-    East, because it is known better than the single states.
+    East, because this effect is known better than the single states.
 
     Args:
         filter_: filter of the estimator.

@@ -270,7 +270,7 @@ class PointingOutput:
         return self._levels.integrity_of(estimate)
 
     def _degrade_above_limit(self, series: PointingSeries) -> None:
-        """Set pointings to DEGRADED if their protection level exceeds the alert limit."""
+        """Set pointings to DEGRADED if a protection level exceeds its alert limit or is not available."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
                 text = alert_limit_text(self.integrity(series.estimate(number)), QUANTITIES)

@@ -37,7 +37,7 @@ from theodolite_calib.target.pending_targets import PendingTargets
 
 
 class TargetProcessor:
-    """Target images of one run; each image gives one direction, or an INVALID direction and a rejection.
+    """Target images of one run; each answered image gives a direction, or an INVALID direction and a rejection.
 
     Args:
         config: parameters of the node.
@@ -87,7 +87,7 @@ class TargetProcessor:
     def publish_ready(
         self, outcome: PointingOutcome, waiting_ns: int | None, oldest_ns: int, state: Callable[[], CalibrationState]
     ) -> None:
-        """Publish the directions of images whose pointing can no longer change or come.
+        """Publish the directions of images whose pointing is final or can no longer come, and of overdue images.
 
         Args:
             outcome: receives the directions and the rejections.
@@ -193,7 +193,7 @@ class TargetOutput:
         )
 
     def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
-        """Return the path, in metres, of a target with constant direction in n over the detector, shape (m, 2).
+        """Return the path over the detector, m, of a target whose direction in n is constant, shape (m, 2).
 
         If the target's direction rotates at a constant rate instead, the mean of the path changes only by terms of
         second order, the products of this rotation and the mount's rotation.
@@ -248,7 +248,7 @@ class TargetOutput:
     def _position(
         self, sample: TargetSample, pending: PendingPointing, pointing: PointingEstimate, seen: ObservedDirection
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the position of a target from the ship's antenna, m, and its covariance, m².
+        """Return the position of a target relative to the ship's antenna, m, and its covariance, m².
 
         Errors of ship, lever and air are states of the filter, so their joint covariance is used.
         """

@@ -111,7 +111,7 @@ def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Re
 
 
 def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> ReadMessage[BaselineSample]:
-    """Read ``beacon/<id>/baseline``: vector and covariance of its white error; below the least fix its rejection.
+    """Read ``beacon/<id>/baseline``: vector and covariance of its white error, or only a rejection below ``least_fix``.
 
     Raises:
         MessageRejected: with the reason.

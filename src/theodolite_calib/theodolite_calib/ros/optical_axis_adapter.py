@@ -105,7 +105,8 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         files: reads and writes the saved calibration.
 
     Raises:
-        BadInput: the calibration file cannot be read.
+        BadInput: the path of the calibration file is not that of a file (:class:`SavedStart`).
+        ParameterError: the parameters of a star camera are incomplete.
     """
 
     node_name: ClassVar[str] = "optical_axis"
@@ -246,7 +247,10 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
-        """Return ship_msgs/Innovation of a beacon, by its name, or of a star that was rejected within its exposure."""
+        """Return ship_msgs/Innovation of a beacon or star rejected within its exposure.
+
+        For a beacon the source of the innovation is ``light.<id>``.
+        """
         if source != "lights":
             return super().rejected_part_message(source, time_ns, name, rejection)
         return rejection_message(self.factory, f"light.{name}", time_ns, rejection)
@@ -291,7 +295,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return [BEACON_PREFIX + light.beacon_id for light in exposure.beacons if light.beacon_id not in lacking]
 
     def can_be_valid(self, present_sources: Set[str]) -> bool:
-        """See :class:`RecoveringAdapter`; a VALID pointing needs encoders, ship's attitude and two beacons."""
+        """See :class:`RecoveringAdapter`; a new estimator needs encoders, ship's attitude and two beacons."""
         lights = sum(source.startswith(BEACON_PREFIX) for source in present_sources)
         return {ENCODER, SHIP} <= present_sources and lights >= _MIN_BEACONS
 
@@ -339,7 +343,7 @@ def calibration_message(factory: MessageFactory, values: Calibration, now_ns: in
 
 
 def pointing_status(estimate: PointingEstimate | None, clock_jumps: int) -> DiagnosticStatus:
-    """Return the status of the published pointing."""
+    """Return the status of the latest pointing."""
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
         return DiagnosticStatus("pointing", Level.WARN, "no reading of the encoders yet", values)

@@ -3,8 +3,8 @@
 Between two sightings the states are predicted as in :class:`CalibrationFilter`. The messages state a covariance of the
 ship's error at each time. If this covariance differs much from the covariance stated at the previous sighting, part of
 the old error is removed and a new error is added (:func:`ship_error_steps`). A new error may thus arise at the
-requested time, and another one at the next sighting. Their cross-covariance is the largest covariance contained in both
-of their covariances, reduced by the decay between the two times.
+requested time, and another one at the next sighting. The cross-covariance of these two errors is the largest covariance
+contained in the covariances of both, reduced by the decay between the two times.
 """
 
 from collections.abc import Callable, Sequence

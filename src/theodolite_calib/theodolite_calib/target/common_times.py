@@ -21,7 +21,7 @@ from theodolite_calib.target.triangulation import Station, StationDirection, Tri
 
 @dataclass(frozen=True)
 class DirectionSample(VectorSample):
-    """Direction published by a theodolite: a unit vector in the local horizon, ``vector``, shape (3,).
+    """Direction published by a theodolite: a unit vector in the local horizon, ``vector``, shape (3,), NaN if INVALID.
 
     Attributes:
         source: ``station.<name>`` of the theodolite.
@@ -61,7 +61,7 @@ class StationDirections:
 
     Args:
         station: position of the theodolite.
-        max_gap_s: maximum interval of directions that are interpolated.
+        max_gap_s: maximum interval between two directions that are interpolated, s.
     """
 
     def __init__(self, station: Station, max_gap_s: float) -> None:
@@ -69,7 +69,7 @@ class StationDirections:
         self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
 
     def has_direction_at(self, time_ns: int) -> bool:
-        """True if the track has a direction at a time: not in a gap and not next to an INVALID report."""
+        """True if a direction has this stamp, or can be interpolated between two valid directions without a gap."""
         return self.track.at(time_ns) is not None
 
     def direction_at(self, time_ns: int) -> tuple[StationDirection, Status] | None:

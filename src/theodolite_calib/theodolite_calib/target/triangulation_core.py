@@ -23,8 +23,10 @@ from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.triangulation import Station, TriangulatedPosition
 
 MAX_TARGETS = 100
-"""Maximum number of targets; the directions name the targets, so their number has no other limit. Beyond it the target
-received longest ago is dropped, and its pending directions get no position."""
+"""Maximum number of targets; the directions name the targets, so their number has no other limit.
+
+Beyond it the target received longest ago is dropped, and its pending directions are answered as INVALID.
+"""
 
 MAX_WAITING = 1000
 """Maximum number of pending directions to one target; beyond it the oldest directions are answered without waiting."""
@@ -223,7 +225,7 @@ class TriangulationCore:
         """True if a theodolite that reports on the target may still report on the time of a pending direction.
 
         The next report is expected one interval after the last report. If a theodolite has sent only one report, the
-        interval of the theodolite with the pending direction is used.
+        interval of the theodolite with the pending direction is used, or else ``max_gap_s``.
         """
         max_gap_ns, came_ns = round(self.config.max_gap_s * SECOND_NS), target.waiting[time_ns, number]
         for reports in target.reports:
