@@ -44,7 +44,7 @@ test-all: setup-all ## the remaining tests: statistics, slow tests, live tests
 lint: setup-all ## style, types, import rules, language
 	@$(RUN) ruff check . && mypy && lint-imports --no-logo && python tools/words.py
 
-quick: setup ## the ship's attitude from a recorded voyage, offline: table and figure in seconds
+quick: setup ## the ship's attitude from the bag of a voyage, offline: table and figure in seconds
 	@$(RUN) python tools/demo.py --offline
 
 demo: setup ## a simulated voyage from bag to report

@@ -1,7 +1,7 @@
-"""A long live run with all operations of a watch, whose black boxes are replayed and compared bit by bit.
+"""A long live run with all operations of a watch. Its black boxes are replayed and compared bit by bit.
 
-Four parameter changes, among them removing and adding a star sensor, a rejected change, a save, a reset and a load;
-then the node is restarted with the saved alignment.
+The run has four accepted parameter changes (two of them remove and add a star sensor), a rejected change, a save, a
+reset and a load. Then the node is restarted with the saved alignment.
 Exit code 0 all boxes verified; 1 a box was not, or a process failed; 2 bad input or usage.
 """
 

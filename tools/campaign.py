@@ -50,7 +50,7 @@ def main() -> int:
         parser.error(f"unknown case {', '.join(unknown)}: choose from {', '.join((*CASES, PEER))}")
     console = Console(width=120)
     console.print(f"error at the end of each of {arguments.seeds} runs, one a seed; heading, pitch, roll")
-    console.print(_line("case", "sigma (arcsec)", "RMS (arcsec)", "RMS/sigma", "NEES", "refused", ""))
+    console.print(_line("case", "sigma (arcsec)", "RMS (arcsec)", "RMS/sigma", "NEES", "rejected", ""))
     in_band = True
     with ProcessPoolExecutor(arguments.processes) as pool:
         for name in arguments.cases:

@@ -97,7 +97,7 @@ _MODE_TEXTS = {
 
 
 class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
-    """Optical axis of the theodolite from beacons on drones, encoders and the ship's attitude, with its error budget.
+    """Optical axis of the theodolite, with its error budget, by encoders, ship's attitude, beacons on drones and stars.
 
     Args:
         config: the node's parameters.

@@ -110,10 +110,10 @@ def triangulate(
             a theodolite, and for a too uncertain distance.
     """
     if len(directions) < 2:
-        return Rejection(Reason.GAP, f"{len(directions)} theodolite sees the target: a position needs two or more")
+        return Rejection(Reason.GAP, f"theodolites that see the target: {len(directions)}, at least two are needed")
     numbers = [value for each in directions for value in (*each.direction_n, *each.covariance_n.ravel())]
     if not np.all(np.isfinite(numbers)):
-        return Rejection(Reason.NON_FINITE, "a direction holds NaN or infinity")
+        return Rejection(Reason.NON_FINITE, "a direction contains NaN or infinity")
     rotation_ne = rotation_horizon_from_ecef(float(origin.latitude), float(origin.longitude))
     origin_m = ecef_from_geodetic(origin)
     lines = [_Line.from_direction(each, rotation_ne, origin_m) for each in directions]
