@@ -2,8 +2,7 @@
 
 A source that is OUT has one alert, which names the affected functions and has at least the priority of each of these
 functions. An output with data has an alert of its own only if no alert of at least the same priority explains the
-situation.
-docs/explanation/alerts.md contains the table of alerts.
+situation. docs/explanation/alerts.md contains the table of alerts.
 """
 
 import math

@@ -64,7 +64,7 @@ class AngleState:
         since_ns: UTC of the last change of ``safety``; 0 before the first value.
         because_of: the source that causes a safety other than SAFE; empty if none is known.
         over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is within the limit.
-        unheld_safety: current safety and reason without hold; None if equal to the displayed safety and reason. A worse
+        unheld_safety: current safety and reason without hold; None for an angle from a SuiteState message. A worse
             safety is displayed at once, a better safety after the hold time.
     """
 
@@ -255,8 +255,8 @@ class SuiteState:
     """State of a suite at one time.
 
     Attributes:
-        utc_ns: time of the suite, UTC as POSIX time: stamp of the output with the least delay plus the time since its
-            arrival; 0 before the first stamp.
+        utc_ns: time of the suite, UTC as POSIX time: stamp of the output or InputHealth with the least delay, plus the
+            time since its arrival; 0 before the first stamp.
         angles: angles in the order of :data:`ANGLES`; angles of a theodolite only if the suite has one.
         ages_s: "stars", "lights" or "ins" → age of the newest source of this kind that is IN, s; if all sources of the
             kind are OUT or not used, the time since one of them was used.
