@@ -73,7 +73,7 @@ OWN_TERMS = {
 """State of each error term of one line of sight, without the prefix ``light.<id>.``."""
 
 _STEP_RATIO = 2.0
-"""Ratio of a stated variance to the previous one above which the change is a step."""
+"""Factor by which a stated variance may increase or decrease without a step of the error."""
 
 
 def state_model(config: OpticalAxisConfig) -> StateModel:
