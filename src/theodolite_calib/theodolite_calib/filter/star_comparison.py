@@ -157,10 +157,11 @@ class StarModel:
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, sky: SkyModel
     ) -> StarComparison | Rejection:
-        """Compare an exposure with a state propagated to its time, or return the reason why no star is usable.
+        """Compare an exposure with a state at the same time, or return the reason why no star is usable.
 
-        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the
-        minimum over all states of the normalised squares of star residuals and of the difference from the prediction.
+        The stars are linearised again until the updated state converges, at most six times (Gauss–Newton). The NIS is
+        then the minimum, over all states, of the normalised squares of star residuals and of the difference from the
+        prediction.
 
         Args:
             mean: mean of the propagated state, shape (n,).
