@@ -1,8 +1,9 @@
 """Situations of a suite for which alerts are raised, and the priorities of these alerts.
 
-A source that is OUT has one alert, which names the affected functions and has at least the priority of each of these
-functions. An output with data has an alert of its own only if no alert of at least the same priority explains the
-situation. docs/explanation/alerts.md contains the table of alerts.
+A source that is OUT due to a fault of its own has one alert. The alert names the functions that are over their limits
+due to the source, and has at least the priority of each affected function. An output with data has an alert of its own
+only if no alert of at least the same priority explains the situation.
+docs/explanation/alerts.md contains the table of alerts.
 """
 
 import math

@@ -32,8 +32,8 @@ class Condition:
             change an alert that was active before a restart.
         explained_by: ids of situations that explain this situation. This situation has no alert of its own while the
             alert of one of those situations is active with at least the same priority.
-        lost_functions: functions that the situation affects. A new instance of the alert is raised if further functions
-            are affected after an acknowledgement.
+        lost_functions: functions that are over their limits in the situation. A new instance of the alert is raised if
+            further functions are over their limits after an acknowledgement.
     """
 
     id: str

@@ -17,7 +17,7 @@ from ship_watch.limits import AlertTimes
 from ship_watch.suite_state import AlertEntry, Priority
 
 MAX_HOLD_S = 60.0
-"""Maximum hold of an active alert after its situation disappears, s.
+"""Maximum doubled hold of an active alert after its situation disappears, s, unless ``clear_after_s`` is longer.
 
 The hold doubles each time the alert is raised again within :data:`FLAPPING_MEMORY_S`.
 """

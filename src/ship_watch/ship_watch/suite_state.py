@@ -64,8 +64,8 @@ class AngleState:
         since_ns: UTC of the last change of ``safety``; 0 before the first value.
         because_of: the source that causes a safety other than SAFE; empty if none is known.
         over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is within the limit.
-        unheld_safety: current safety and reason without hold; None for an angle from a SuiteState message. A worse
-            safety is displayed at once, a better safety after the hold time.
+        unheld_safety: current safety and reason without hold; None if unknown (from a SuiteState message), or in
+            :attr:`without_hold`. A worse safety is displayed at once, a better safety after the hold time.
     """
 
     name: str

@@ -137,7 +137,7 @@ class DeviceSamples:
         log_time_ns: arrival times, in any order, shape (n,).
         rotation_nv: horizon from device (forward, up, right) as measured, shape (n, 3, 3).
         noise_v: covariance of the white noise, in the device frame, rad², shape (3, 3).
-        common_n: covariance of the correlated error, about the horizon's axes, rad², shape (3, 3).
+        common_n: covariance of a star sensor's common error about the horizon's axes, rad², shape (3, 3); 0 otherwise.
     """
 
     time_ns: np.ndarray
@@ -263,7 +263,7 @@ def simulate_reference(
     draws: Draws,
     deflection: Deflection,
 ) -> tuple[DeviceSamples, DeviceTruth]:
-    """Return the samples R_ref(t) = R_true(t - offset + tau) C exp(n) of another attitude system, and its mounting.
+    """Return the samples R_ref(t) = R_true(t - offset + tau) C exp(n) of another attitude system, and their truth.
 
     C is the mounting of the reference system relative to the INS, tau the time offset of the INS, and n white noise.
     The reference system levels itself on gravity, so R_true is relative to the horizon of gravity.
