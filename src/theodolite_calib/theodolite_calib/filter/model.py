@@ -175,7 +175,7 @@ class ShipErrorStep:
 
 
 class ShipErrorProcess:
-    """Process of the ship's attitude error, whose covariance the messages state.
+    """Process of the ship's attitude error, whose covariance the messages state, or the configuration for the INS.
 
     Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary covariance. If
     a stated variance changes by more than a factor of two, for example because stars became available, the error has a

@@ -47,7 +47,7 @@ Double steps have four times the error, so that the difference is three times th
 _NO_DRIFT_SIGMAS = 5.0
 """Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
 _STATED_CHANGE_SIGMAS = 5.0
-"""Possible change of the attitude, as by a star correction, in multiples of the change of its standard deviation."""
+"""Possible change of the attitude by a star correction, in multiples of the root of the change of stated variance."""
 
 
 class LargestStep(NamedTuple):
