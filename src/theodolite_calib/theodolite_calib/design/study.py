@@ -1,7 +1,7 @@
 """Results of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons. For some values it
-also gives the error for beacons at the best positions within the limits of ``escort``.
+Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons. For some values the
+sweep also gives the error for beacons at the best positions within the limits of ``escort``.
 """
 
 from collections.abc import Callable, Iterable, Iterator

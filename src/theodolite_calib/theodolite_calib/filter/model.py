@@ -101,7 +101,7 @@ def axis_state_indices(model: StateModel) -> NDArray[np.intp]:
 
 
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
-    """Return the name of a star camera's parallelism states; the calibration telescope has one set."""
+    """Return the name of a star camera's parallelism states; for the calibration telescope ``parallelism``."""
     return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
 
 

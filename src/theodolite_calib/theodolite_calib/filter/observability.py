@@ -49,7 +49,7 @@ class Observability:
 
     Args:
         model: states of the filter.
-        includes_lens: True to include N', if the filter has it as a state.
+        includes_lens: True to include the vector to N', if the filter has the states ``lens``.
     """
 
     def __init__(self, model: StateModel, includes_lens: bool = False) -> None:

@@ -32,8 +32,8 @@ class SightingDecision:
 
     Attributes:
         decision: decision about the exposure.
-        sighting: sighting with the accepted beacons under their correct names; None if it is rejected.
-        comparison: comparison of ``sighting`` with the propagated state; None if it is rejected.
+        sighting: sighting with the accepted beacons under their correct names; None after a rejection.
+        comparison: comparison of ``sighting`` with the propagated state; None after a rejection.
     """
 
     decision: ExposureDecision

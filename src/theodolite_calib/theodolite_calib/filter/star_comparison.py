@@ -65,7 +65,7 @@ class StarComparison:
         camera: camera's attitude at the updated state.
         stars: accepted stars, with residuals at the updated state.
         measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
-        innovations: innovation of the propagated state, as one filter of :class:`FilterInnovations`.
+        innovations: innovation of the propagated state, as :class:`FilterInnovations` of one filter.
     """
 
     camera: CameraAttitude
