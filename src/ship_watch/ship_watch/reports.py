@@ -204,7 +204,7 @@ class TopicReports:
         The report period and the new rejections are recorded too.
 
         Returns:
-            True if the report is from a new node and not the first on the topic; previous report of the node or None.
+            True if a new node reports after another node; and the previous report of the same node, or None.
         """
         before = min(
             (known for known in self._reporters if known.may_precede(report)),

@@ -300,7 +300,7 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the factor at which the first beacon leaves the field if it multiplies all offsets from ``middle``.
+    """Return the common factor on all offsets from ``middle`` at which the first beacon leaves the field.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.

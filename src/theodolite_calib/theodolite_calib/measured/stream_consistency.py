@@ -1,4 +1,4 @@
-"""Consistency of the encoder and ship attitude streams since the last accepted beacons, after a contradiction.
+"""Consistency of the encoder and ship attitude streams between the last accepted beacons and a contradiction.
 
 A slip of the encoders, a step of the ship's attitude and a mounting shift of the telescope have the same effect on the
 beacons. The slip and the step are visible in their own streams. A polynomial through the readings, or a line through
