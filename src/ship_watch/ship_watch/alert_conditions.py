@@ -1,7 +1,8 @@
 """Situations of a suite for which alerts are raised, and the priorities of these alerts.
 
-A source that is OUT has one alert, which names the affected functions and has at least the priority of each of these
-functions. An output with data has an alert of its own only if no alert of at least its priority explains the situation.
+A source that is OUT due to a fault of its own has one alert. The alert names the functions that are over their limits
+due to the source, and has at least the priority of each affected function. An output with data has an alert of its own
+only if no alert of at least the same priority explains the situation.
 docs/explanation/alerts.md contains the table of alerts.
 """
 
@@ -157,7 +158,7 @@ def _is_over_briefly(function: FunctionState, limits: Limits) -> bool:
 def _source_conditions(suite_state: SuiteState, function_states: tuple[FunctionState, ...]) -> Iterable[Condition]:
     """Yield the situations of sources that are faulty, corrected, or reinstated with a shifted mounting.
 
-    If all star sensors are OUT for the same reason, one common situation explains the situation of each.
+    If all star sensors, two or more, are OUT for the same reason, one common situation explains the situation of each.
     """
     faulty = _faulty_sources(suite_state)
     stars = [source for source in suite_state.sources if source.name.startswith("star.")]

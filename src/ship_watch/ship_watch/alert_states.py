@@ -1,8 +1,8 @@
 """Situations of alerts, states of an alert, and the transitions between them.
 
-The states are from IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
-acknowledged it, even if its situation is over; it also ends when another alert explains its situation. A caution lasts
-as long as its situation and needs no acknowledgement.
+The states are from IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until its situation is
+over and a person has acknowledged it. An alert also ends when another alert explains its situation. A caution lasts as
+long as its situation and needs no acknowledgement.
 """
 
 import enum
@@ -20,7 +20,7 @@ class Condition:
     Attributes:
         id: name of the situation.
         priority: priority of the alert.
-        source: name of the source that causes the situation; empty if no cause is known.
+        source: name of the source that the situation concerns; empty if it concerns no single source.
         text: the situation in a few words, without changing figures, because a new text is a change of the alert.
         value: measured value; NaN if there is none.
         limit: limit of ``value``; NaN if there is none.
@@ -32,8 +32,8 @@ class Condition:
             change an alert that was active before a restart.
         explained_by: ids of situations that explain this situation. This situation has no alert of its own while the
             alert of one of those situations is active with at least the same priority.
-        lost_functions: functions that the situation affects. A new instance of the alert is raised if further functions
-            are affected after an acknowledgement.
+        lost_functions: functions that are over their limits in the situation. A new instance of the alert is raised if
+            further functions are over their limits after an acknowledgement.
     """
 
     id: str

@@ -17,7 +17,7 @@ from ship_watch.limits import AlertTimes
 from ship_watch.suite_state import AlertEntry, Priority
 
 MAX_HOLD_S = 60.0
-"""Maximum hold of an active alert after its situation disappears, s.
+"""Maximum doubled hold of an active alert after its situation disappears, s, unless ``clear_after_s`` is longer.
 
 The hold doubles each time the alert is raised again within :data:`FLAPPING_MEMORY_S`.
 """
@@ -30,7 +30,7 @@ FLAPPING_MEMORY_S = 300.0
 
 
 MAX_ALERTS = 1000
-"""Number of alerts above which alerts that are over are removed, those first whose ids were listed first."""
+"""Number of alerts above which alerts that are over are removed, in the order in which their ids were first listed."""
 
 _EXAMPLE = AlertEntry("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
 
@@ -146,9 +146,9 @@ class AlertList:
                 del self._pending[what]
 
     def _drop_normal(self) -> None:
-        """Remove alerts that are over if the list is too long, the first listed first.
+        """If the list is too long, remove alerts that are over, in the order in which their ids were first listed.
 
-        Their instances then start at 1 again.
+        The instances of a removed alert start at 1 again.
         """
         over = [id_ for id_, tracked in self._tracked.items() if tracked.alert.state == AlertState.NORMAL]
         for id_ in over[: max(0, len(self._tracked) - MAX_ALERTS)]:

@@ -28,7 +28,7 @@ REQUIRED_SHARE = 0.95
 """Required fraction of the decisive time within a proposed limit."""
 
 START_UP_S = 30.0
-"""Time after the first output that is ignored, s. In this time the filters estimate mountings and INS errors."""
+"""Ignored time after the first output, s. In this time the filters estimate mountings and INS errors."""
 
 STEP_NS = NS_PER_S // 5
 """Time between two samples of the accuracy, ns."""

@@ -103,7 +103,7 @@ class DecisionHistory:
         self._update_presence()
 
     def reinstate_if_used(self, now_ns: int, period_ns: float, used_since: int) -> None:
-        """Reinstate a source without reported acceptances, after some periods without rejection and with enough use.
+        """Reinstate a source without reported acceptances after enough time without rejection and enough use.
 
         Args:
             now_ns: caller's time, ns.

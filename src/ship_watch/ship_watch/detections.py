@@ -16,7 +16,7 @@ from ship_geometry.rotations import FloatArray
 from ship_watch.history import BeaconPoint, ExposurePoint, History, append
 
 _PENDING_MESSAGES = 8
-"""Number of messages that wait for their counterpart."""
+"""Maximum number of exposures of a sensor, and of innovations, that wait for their counterpart."""
 
 _INNOVATION_TIMEOUT_NS = 3_000_000_000
 """Time without an innovation after which lights are shown without residuals, ns."""

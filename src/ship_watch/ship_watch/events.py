@@ -67,7 +67,7 @@ class EventLog:
 
 
 def alerts_from_message(message: Any) -> list[AlertEntry]:
-    """Return the alerts of an AlertArray in its order, without alerts of an unknown priority."""
+    """Return the first MAX_NAMES alerts of an AlertArray in its order, without alerts of an unknown priority."""
     return [_alert_from_message(alert) for alert in message.alerts[:MAX_NAMES] if alert.priority in _PRIORITIES]
 
 

@@ -19,7 +19,9 @@ _logged_s: dict[str, float] = {}
 
 
 def has_room(names: Collection[Any], name: Any, kind: str, max_names: int = MAX_NAMES) -> bool:
-    """True if a name is stored already or may be added; otherwise a warning is logged, at most once in ten minutes.
+    """True if a name is stored already or may be added; otherwise a warning is logged.
+
+    The warning is logged at most once in ten minutes for each ``kind``.
 
     Args:
         names: stored names.

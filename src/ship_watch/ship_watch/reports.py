@@ -14,13 +14,13 @@ WINDOW_NS = 60_000_000_000
 """Time over which rejections are counted, ns."""
 
 MIN_TIMEOUT_NS = 2_000_000_000
-"""Minimum timeout of a topic, ns."""
+"""Minimum timeout of a topic without a configured timeout, ns."""
 
 TIMEOUT_PERIODS = 3.0
-"""Timeout of a topic, in message periods."""
+"""Timeout of a topic without a configured timeout, in message periods."""
 
 UNKNOWN_RATE_TIMEOUT_NS = 5_000_000_000
-"""Timeout of a topic whose rate is not known yet, ns."""
+"""Timeout of a topic without a configured timeout whose rate is not known yet, ns."""
 
 _REPORTER_TIMEOUT_NS = 10_000_000_000
 """Time without a report after which a node no longer counts as reporting, ns."""
@@ -204,7 +204,7 @@ class TopicReports:
         The report period and the new rejections are recorded too.
 
         Returns:
-            True if the report is from a new node, and the previous report of the same node; None if there is none.
+            True if a new node reports after another node; and the previous report of the same node, or None.
         """
         before = min(
             (known for known in self._reporters if known.may_precede(report)),

@@ -28,7 +28,7 @@ _STAR_INVALID = 3
 _NS = 1e-9
 
 _UNUSED_S = 5.0
-"""Time since the last use minus age of the last message above which a source counts as unused, s."""
+"""A source counts as unused if its last use is older than its last message by more than this time, s."""
 
 
 class SourceRecords:

@@ -50,10 +50,10 @@ Of a longer gap only the end is evaluated, because all ages are then over their 
 """
 
 CLOCK_TOLERANCE_NS = NS_PER_S // 10
-"""Maximum delay of an output's stamp behind the suite's time that confirms this time, ns."""
+"""Maximum delay of the stamp of an output or InputHealth behind the suite's time that confirms this time, ns."""
 
 CLOCK_TIMEOUT_NS = 5 * NS_PER_S
-"""Time without a confirming output after which the suite's time is set again, ns."""
+"""Time without a confirming stamp after which the suite's time is set again, ns."""
 
 TIME_JUMP_NS = NS_PER_S
 """Step back of an output's stamp that resets all except the alerts, ns, as when a bag is played in a loop."""

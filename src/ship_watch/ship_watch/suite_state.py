@@ -64,8 +64,8 @@ class AngleState:
         since_ns: UTC of the last change of ``safety``; 0 before the first value.
         because_of: the source that causes a safety other than SAFE; empty if none is known.
         over_limit_s: time for which the accuracy has been over its limit, s; 0 if it is within the limit.
-        unheld_safety: current safety and reason without hold; None if equal to the displayed safety and reason. A worse
-            safety is displayed at once, a better safety after the hold time.
+        unheld_safety: current safety and reason without hold; None if unknown (from a SuiteState message), or in
+            :attr:`without_hold`. A worse safety is displayed at once, a better safety after the hold time.
     """
 
     name: str
@@ -123,9 +123,10 @@ class SourceState:
     """Presence and fault of a source, from which events and the safety of angles are derived.
 
     Attributes:
-        name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
+        name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "ship_attitude", "gnss" or
+            "weather".
         presence: IN, OUT or OFF.
-        reason: reason why the source is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
+        reason: reason why the source is OUT, such as "81 rejected in a row", "no data" or "excluded"; empty if IN.
         disagreement: largest offset of a source that is OUT, as "reads 49″ high", or correction in the data of a source
             that is IN, as "names exchanged" for lights. Empty if unknown.
         residual: mean ratio of the last rejected residuals to their sigmas; NaN if there is none.
@@ -255,13 +256,13 @@ class SuiteState:
     """State of a suite at one time.
 
     Attributes:
-        utc_ns: time of the suite, UTC as POSIX time: stamp of the output with the least delay plus the time since its
-            arrival; 0 before the first stamp.
+        utc_ns: time of the suite, UTC as POSIX time: stamp of the output or InputHealth with the least delay, plus the
+            time since its arrival; 0 before the first stamp.
         angles: angles in the order of :data:`ANGLES`; angles of a theodolite only if the suite has one.
         ages_s: "stars", "lights" or "ins" → age of the newest source of this kind that is IN, s; if all sources of the
             kind are OUT or not used, the time since one of them was used.
-        pointing_by: method of the pointing: "2 lights", "1 light", "encoder", "no pointing"; empty without a
-            theodolite.
+        pointing_by: method of the pointing, such as "2 lights", "stars" or "encoder"; "no pointing" while INVALID;
+            empty before the first pointing.
         horizon: horizon of the attitude: "geodetic", "gravity"; empty before the first attitude.
         sources: sources that are OUT first, each followed by the sources that are OUT because of it, then the others in
             a fixed order.
@@ -320,5 +321,5 @@ class SuiteStateSource(Protocol):
         ...
 
     def current_state(self) -> SuiteState:
-        """Return the current state. Displays read it twice a second; a source for several displays caches it."""
+        """Return the current state. Displays read the state twice a second; a source for several displays caches it."""
         ...

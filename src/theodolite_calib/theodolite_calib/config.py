@@ -473,7 +473,8 @@ class OpticalAxisConfig:
     )
 
     def __post_init__(self) -> None:
-        # There is one hypothesis per filter: main filter, subfilters without a drone, encoders or ship's attitude.
+        # One hypothesis per filter: the main filter, and subfilters without one drone, the encoders or the ship's
+        # attitude.
         hypotheses, most = 3 + len(self.beacons), self.integrity.max_hypotheses
         if hypotheses > most:
             raise ParameterError(

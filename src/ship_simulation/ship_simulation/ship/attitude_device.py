@@ -136,8 +136,8 @@ class DeviceSamples:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: arrival times, in any order, shape (n,).
         rotation_nv: horizon from device (forward, up, right) as measured, shape (n, 3, 3).
-        noise_v: covariance of the noise, independent from sample to sample, in the device frame, rad², shape (3, 3).
-        common_n: covariance of the correlated error, about the horizon's axes, rad², shape (3, 3).
+        noise_v: covariance of the white noise, in the device frame, rad², shape (3, 3).
+        common_n: covariance of a star sensor's common error about the horizon's axes, rad², shape (3, 3); 0 otherwise.
     """
 
     time_ns: np.ndarray
@@ -173,7 +173,7 @@ class DeviceExposures:
         valid_ns: times of validity: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
         times: quadrature nodes of each exposure.
-        exposure_nv: horizon from sensor at these nodes, shape (m, n, 3, 3); ``rotation_nv`` only if the length is 0.
+        exposure_nv: horizon from sensor at these nodes, shape (m, n, 3, 3); ``rotation_nv[None]`` for exposure time 0.
     """
 
     time_ns: np.ndarray
@@ -263,7 +263,7 @@ def simulate_reference(
     draws: Draws,
     deflection: Deflection,
 ) -> tuple[DeviceSamples, DeviceTruth]:
-    """Return the samples R_ref(t) = R_true(t - offset + tau) C exp(n) of another attitude system, and its mounting.
+    """Return the samples R_ref(t) = R_true(t - offset + tau) C exp(n) of another attitude system, and their truth.
 
     C is the mounting of the reference system relative to the INS, tau the time offset of the INS, and n white noise.
     The reference system levels itself on gravity, so R_true is relative to the horizon of gravity.
@@ -295,7 +295,7 @@ def _draw_truth(
 def _correlated_error(
     name: str, draws: Draws, count: int, rate_hz: float, sigma_arcsec: float, time_s: float
 ) -> FloatArray:
-    """Return a Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
+    """Return a Gauss–Markov rotation vector, whose axes have the same sigma, rad, shape (count, 3)."""
     sigma = np.full(3, sigma_arcsec * ARCSEC)
     return draws.gauss_markov(name, count, 1.0 / rate_hz, sigma, np.full(3, time_s))
 

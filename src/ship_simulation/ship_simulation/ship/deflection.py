@@ -40,7 +40,7 @@ class Deflection:
         return known + self._draws.correlated_error(_UNKNOWN, self._duration_s, sigma, time_s).values_at(since_start_s)
 
     def horizon_rotation_n(self, since_start_s: FloatArray) -> FloatArray:
-        """Return the rotation vector of the geodetic horizon against the horizon of gravity, (North, Up, East), rad."""
+        """Return a (North, Up, East), rad, in R_geodetic = exp(a) R_gravity: attitudes relative to the two horizons."""
         xi, eta = self.deflection_at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
         latitude_deg, _ = self._track.latitude_longitude_deg(time_ns)
@@ -81,7 +81,7 @@ def known_deflection(gravity: Gravity, distance_m: FloatArray) -> FloatArray:
 
 
 def deflection_table(scenario: Scenario) -> dict[str, list[float]]:
-    """Return the table of the deflection known from maps, with the suite's parameter names ``gravity.table_...``."""
+    """Return the table of the deflection known from maps; keys are the names of the parameters in ``gravity``."""
     gravity, track = scenario.gravity, ShipTrack(scenario.position, start_time_ns(scenario.start_utc))
     speed = scenario.position.speed_m_per_s
     end_m = speed * scenario.duration_s

@@ -87,8 +87,8 @@ class HarmonicMotion:
     Args:
         mean: (heading, pitch, roll), rad, shape (3,).
         angular_frequency: angular frequency of each component, rad/s, shape (n,).
-        phasor: complex amplitude of each component in each angle, rad, shape (n, 3): the angle is Re(phasor * exp(i w
-            t)).
+        phasor: complex amplitude of each component in each angle, rad, shape (n, 3): a component adds
+            Re(phasor * exp(i w t)) to the angle.
         turns: turns, whose changes of heading are added to the heading.
     """
 
@@ -215,7 +215,7 @@ def make_carrier(motion: CarrierMotion, seed: int) -> Carrier:
 
 
 def sea_responses(sea: Sea) -> tuple[Response, Response, Response]:
-    """Return the responses of (heading, pitch, roll): pitch to the slope along the ship, roll to the slope across."""
+    """Return the responses of (heading, pitch, roll) to the slope of the sea."""
     along, across = np.cos(np.deg2rad(sea.direction_deg)), np.sin(np.deg2rad(sea.direction_deg))
     return (
         Response(along * across, sea.heading_gain, sea.heading_period_s, sea.heading_damping, sea.heading_length_m),
@@ -234,7 +234,7 @@ def read_recording(recording: Recording) -> tuple[FloatArray, FloatArray]:
     """Return times (s, from the first) and attitudes (horizon from deck) of a recorded Imu topic.
 
     Raises:
-        BadInput: the bag cannot be read, or has no such topic, or fewer than three attitudes.
+        BadInput: the bag cannot be read, has no Imu topic of this name, or has fewer than three different stamps.
     """
     time_ns, quaternions = [], []
     with read_bag(recording.bag) as bag:

@@ -23,8 +23,8 @@ class BaselineSamples:
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: arrival times, shape (n,).
-        baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
-        covariance_n: covariance of the white error and the FLOAT error, m², shape (n, 3, 3); NaN with the fix NONE.
+        baseline_n: (North, Up, East), m, shape (n, 3); NaN where the fix is NONE.
+        covariance_n: covariance of the white error and the FLOAT error, m², shape (n, 3, 3); NaN where the fix is NONE.
         fix: NONE, FLOAT or FIXED, shape (n,).
     """
 
@@ -81,7 +81,7 @@ def simulate_solutions(
 
 
 def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> BaselineSamples:
-    """Return the baseline between the two antennas on board, whose survey has an error."""
+    """Return solutions for the baseline between the two antennas on board; its surveyed vector has an error."""
     config, name = scenario.ship_baseline, "ship_baseline"
     time_ns = stretch.stamps(config.rtk.rate_hz, config.rtk.phase_s)
     surveyed_off_d = config.sigma_m * random_stream(draws.seed, name + ".survey").standard_normal(3)

@@ -1,8 +1,8 @@
 """The attitude error of a simulated free-running INS due to its gyroscopes and accelerometers.
 
-The error is drawn second by second. Each step of a second is exact: matrix exponentials give the transition and the
-covariance of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978). The
-equations are independent of the estimator's implementation.
+The error is drawn second by second. Each step is exact for a constant latitude: matrix exponentials give the transition
+and the covariance of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978).
+The equations are independent of the estimator's implementation.
 """
 
 import math
@@ -35,7 +35,7 @@ class SchulerError:
     Args:
         rng: source of all draws.
         scenario: the INS, and the ship's track.
-        sigma: standard deviation of the attitude at the start, about (North, Up, East), rad, shape (3,).
+        sigma: standard deviation of the attitude error at the start, about (North, Up, East), rad, shape (3,).
         deflection: deflection of the vertical; None if gravity is everywhere normal to the ellipsoid.
     """
 

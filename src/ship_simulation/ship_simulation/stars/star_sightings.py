@@ -87,7 +87,7 @@ class StarSightings:
 
 @dataclass(frozen=True)
 class SightingsTruth:
-    """True identities of the stars of :class:`StarSightings`, in the same order.
+    """True attitudes of the sensor, and true identities of the stars of :class:`StarSightings`, in the same order.
 
     Attributes:
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).

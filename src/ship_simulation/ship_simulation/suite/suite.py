@@ -1,6 +1,6 @@
 """The suite file of a scenario, which gives the sigmas of the scenario to the estimators.
 
-The parameters of a scenario and of a node have the same names. Each table in this module lists the parameters of a
+Most parameters of a scenario and of a node have the same names. Each table in this module lists the parameters of a
 device that a node receives. A test loads the file of each scenario into the configurations of the nodes.
 """
 

@@ -11,7 +11,7 @@ frames are the horizon n, the deck d, the main frame m, the telescope t, and a d
     baseline_n  = drone + rotation_nd · theodolite lever
 
 ΔA, ΔE, Δω are the angles of the main axis in the telescope, and N' is the vector from the intersection of the axes to
-the principal point of the telescope's lens. A light is observed along its path, raised by k · (horizontal distance) /
+the principal point of the telescope's lens. A light is observed along ``path_n``, raised by k · (horizontal distance) /
 (2 R) with the refraction coefficient k and the Earth radius R, and is imaged with the true focal length. Each value has
 an error from the scenario, which is constant in a run, correlated, or white.
 

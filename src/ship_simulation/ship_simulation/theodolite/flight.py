@@ -18,7 +18,7 @@ FlightPath = Callable[[FloatArray], FloatArray]
 """Times in seconds after the start, shape (k,) → positions in m, shape (k, 3)."""
 
 _RAMP_S = 20.0
-"""Time of the transition from following the lights to the sweep, s."""
+"""Duration of the transition from following the lights to the sweep, s."""
 
 
 def flight_path(course: Course, programme: Programme) -> FlightPath:

@@ -70,7 +70,7 @@ def simulate_theodolite(
     """Return the theodolite's part of a stretch; ``sky`` is None only if the theodolite has no star cameras.
 
     Raises:
-        BadInput: the theodolite would have to point along its vertical axis.
+        BadInput: the theodolite would have to point along its vertical axis, or a recorded motion is too short.
     """
     config = scenario.theodolite
     scene = draw_scene(scenario, carrier, draws)

@@ -107,7 +107,7 @@ class ObservedBody:
     Attributes:
         config: part of the scenario for the body.
         path: path of the body, relative to the intersection of the theodolite's axes.
-        refraction: additional error of k on the line of sight to the body, a single process.
+        refraction: additional error of the refraction coefficient k on the line of sight to the body, one component.
     """
 
     config: Beacon | Target
@@ -164,7 +164,7 @@ class Scene:
         deformation: rotation vector of the theodolite's base against the deck, rad.
         aim: required line of sight of the main axis.
         beacons: id → drone with a light, in the order of ids.
-        refraction: the error of k that is common to all lights, a single process.
+        refraction: the error of k that is common to all lights and targets, one component.
         coefficient: known value of the refraction coefficient k.
     """
 
@@ -180,7 +180,7 @@ class Scene:
         """Return the mount at times of shape (k,).
 
         Raises:
-            BadInput: the line of sight is outside the range of the axes.
+            BadInput: the line of sight is outside the range of the axes, or a recorded motion does not cover the times.
         """
         rotation_nd = self.carrier.attitude(t_s)
         deformation_d = self.deformation.values_at(t_s)
@@ -214,7 +214,7 @@ class Scene:
 
 
 def refracted_directions(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
-    """Return directions of paths, raised by k · (horizontal distance) / (2 R)."""
+    """Return unit vectors along the vectors ``path_n``, raised by ``coefficient`` · (horizontal distance) / (2 R)."""
     north_m, up_m, east_m = path_n.T
     horizontal_m = np.hypot(north_m, east_m)
     elevation = np.arctan2(up_m, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)

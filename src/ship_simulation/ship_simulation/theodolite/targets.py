@@ -75,7 +75,7 @@ def draw_targets(scenario: Scenario, draws: Draws) -> dict[str, TrueTarget]:
 def simulate_targets(
     config: MainDetector, targets: dict[str, TrueTarget], scene: Scene, stretch: Stretch, draws: Draws
 ) -> TargetSamples:
-    """Return the images of a stretch, of each target that is present, not hidden, and on the detector."""
+    """Return the images in a stretch: one per exposure of each target that is present, not hidden, on the detector."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     reported_rotation = np.deg2rad(config.rotation_deg + config.rotation_rate_deg_per_s * t_s)
@@ -112,7 +112,7 @@ def simulate_targets(
 
 
 def _true_detector(config: MainDetector, seed: int) -> tuple[Camera, float]:
-    """Return the true geometry of the detector, drawn about the known one, and its rotation error, rad."""
+    """Return the detector's true geometry, drawn about the known geometry, and the detector's rotation error, rad."""
     focal, x, z, rotation = random_stream(seed, "theodolite.main_detector").standard_normal(4)
     principal_point_m = np.array([config.principal_x_m, config.principal_z_m]) + config.principal_sigma_m * np.array(
         [x, z]

@@ -113,7 +113,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _calibration(result: AxisFit, sightings: Sightings, table_warnings: list[str], options: argparse.Namespace) -> str:
-    """Write the calibration for ``optical_axis`` if the sigmas are known; return the text about it."""
+    """Write the calibration for ``optical_axis`` if the sigmas are known and there is no warning; return a text."""
     path = options.out / CALIBRATION
     if table_warnings or not result.sigmas_known:
         # A calibration of an earlier table must not be mistaken for a calibration of this table.

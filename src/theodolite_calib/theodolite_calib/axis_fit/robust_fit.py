@@ -45,7 +45,8 @@ CORRELATION_LIMIT = 0.3
 At this correlation the true sigmas are a third larger than the given sigmas, which assume independence."""
 
 _CHANCE_SIGMAS = 3.0
-"""Maximum chance correlation of independent residuals, in standard deviations of the correlation."""
+"""Maximum chance correlation of independent residuals, in standard deviations of the correlation. Sigmas are given up
+to the larger of this correlation and :data:`CORRELATION_LIMIT`."""
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
 """Median length of a vector of two normal components of sigma 1."""
 _LEAST_SCALE = 1e-4 * ARCSEC

@@ -64,7 +64,7 @@ def read_sightings(path: Path) -> Sightings:
     """Return the sightings of a file.
 
     Raises:
-        BadInput: names the file, the row, the column and what was expected.
+        BadInput: the content of the file is wrong; the error names the place as closely as it is known.
         OSError: the file cannot be read.
     """
     readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}

@@ -94,7 +94,7 @@ class Sightings:
         elevation: reading of the elevation encoder, beyond the zenith if the telescope is plunged, rad, shape (n,).
         direction_d: true direction of the optical axis, unit vectors in the base's frame, shape (n, 3).
         time_s: time of each sighting, s, UTC as POSIX time or from any other start, shape (n,); None if unknown.
-        correlated_errors: errors of the directions common to several sightings.
+        correlated_errors: errors that are common to several sightings.
         repeated: labels of rows that repeat a sighting and are not used.
     """
 
@@ -111,7 +111,7 @@ class Sightings:
         return correlated_map(self.correlated_errors, self.time_s, len(self.labels))
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """Return the offsets of azimuth and elevation, true minus reading on one face, shape (n,) each, rad."""
+        """Return true minus read azimuth and elevation, both on the face of the reading, shape (n,) each, rad."""
         plain, over = (encoder_angles(AxisErrors(), self.direction_d, plunged=plunged) for plunged in (False, True))
         is_over = np.cos(self.elevation) < 0.0
         azimuth, elevation = (np.where(is_over, *pair) for pair in zip(over, plain, strict=True))

@@ -98,7 +98,7 @@ class MainAxis:
 
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
-    """Return the main frame with its Jacobians. ``by_encoder`` serves errors of the encoder readings too."""
+    """Return the main frame with its Jacobians. ``by_encoder`` also converts errors of the encoder readings."""
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)

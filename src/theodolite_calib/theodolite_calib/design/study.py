@@ -1,7 +1,7 @@
 """Results of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons, and for beacons at
-the best positions within the limits of ``escort`` for each value of the quantity.
+Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons. For some values the
+sweep also gives the error for beacons at the best positions within the limits of ``escort``.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -300,7 +300,7 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the factor on the offsets of the tangents from their mean at which the first beacon leaves the field.
+    """Return the common factor on all offsets from ``middle`` at which the first beacon leaves the field.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.

@@ -60,7 +60,7 @@ def advise(
         accuracy: accuracy of the pointing with beacons at given positions.
         names: names of the drones, at least one.
         now_n: known present positions of the drones, from the ship's antenna (N, U, E), m, shape (3,).
-        keep_n: previous positions, shape (N, 3). Shifted into the limits, they are kept unless other positions are
+        keep_n: previous positions, shape (N, 3), which are shifted into the limits and kept unless other positions are
             better by half a percent.
     """
     allowed = AllowedPlaces.around_axis(limits, accuracy.centre_n, accuracy.rotation_nt)

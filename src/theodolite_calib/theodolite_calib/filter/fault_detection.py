@@ -109,7 +109,7 @@ class FaultState:
         innovation_means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
         exclusions: records of the excluded sources, by source.
         unresolved_fault: unresolved fault, or None.
-        known_jumps_ns: stamps up to which jumps of the baseline of a reinstated drone are ignored, by source.
+        known_jumps_ns: reinstated source → stamp up to which jumps of the drone's baseline are ignored.
     """
 
     innovation_means: InnovationMeans
@@ -429,7 +429,7 @@ class FaultDetector:
     def set_unresolved_fault(
         self, fault_state: FaultState, disagreement_n: FloatArray, is_persistent: bool
     ) -> FaultState:
-        """Record a fault that no single source explains."""
+        """Record a fault that no single source explains; a larger earlier disagreement is kept."""
         before = fault_state.unresolved_fault
         if before is not None and np.trace(before.disagreement_n) > np.trace(disagreement_n):
             disagreement_n = before.disagreement_n

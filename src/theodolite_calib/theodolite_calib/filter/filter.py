@@ -244,7 +244,7 @@ class CalibrationFilter:
         return replace(state, mean=mean, subfilters=replace(state.subfilters, mean=subfilter_means))
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
-        """Compare a sighting with a state propagated to its time; None if a beacon would be behind the telescope."""
+        """Compare a sighting with a state at the same time; return None if a beacon would be behind the telescope."""
         prediction = self.sightings.predict(state.mean, sighting)
         if not np.all(np.isfinite(prediction.residual)):
             return None
@@ -255,8 +255,8 @@ class CalibrationFilter:
     ) -> tuple[CalibrationState, Comparison]:
         """Update the propagated main filter with a sighting; return the new state and the last iteration's comparison.
 
-        The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). More than one
-        iteration is needed only if the sighting is far from the prediction, as the first sighting may be.
+        The sighting is linearised again at the new estimate until the estimate converges, in at most five iterations
+        (Gauss–Newton). More than one iteration is needed only if the sighting is far from the prediction.
         """
         latest, mean = comparison, state.mean
         for _ in range(_STEPS):

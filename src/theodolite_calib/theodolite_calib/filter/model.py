@@ -73,7 +73,7 @@ OWN_TERMS = {
 """State of each error term of one line of sight, without the prefix ``light.<id>.``."""
 
 _STEP_RATIO = 2.0
-"""Ratio of a stated variance to the previous one above which the change is a step."""
+"""Factor by which a stated variance may increase or decrease without a step of the error."""
 
 
 def state_model(config: OpticalAxisConfig) -> StateModel:
@@ -101,7 +101,7 @@ def axis_state_indices(model: StateModel) -> NDArray[np.intp]:
 
 
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
-    """Return the name of a star camera's parallelism states; the calibration telescope has one set."""
+    """Return the name of a star camera's parallelism states; for the calibration telescope ``parallelism``."""
     return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
 
 
@@ -175,7 +175,7 @@ class ShipErrorStep:
 
 
 class ShipErrorProcess:
-    """Process of the ship's attitude error, whose covariance the messages state.
+    """Process of the ship's attitude error, whose covariance the messages state, or the configuration for the INS.
 
     Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary covariance. If
     a stated variance changes by more than a factor of two, for example because stars became available, the error has a

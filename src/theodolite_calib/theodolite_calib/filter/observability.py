@@ -1,6 +1,7 @@
 """Combinations of axis errors and deformation that the sightings cannot separate, computed live with the filter.
 
-If stars are observed as well as beacons, N' is included, because beacons depend on N' and stars do not.
+If star cameras are configured, the vector to N' (principal point of the telescope's lens) is included, because beacons
+depend on N' and stars do not.
 
 A second covariance is propagated for this purpose. At the start axis errors, deformation and N' are practically
 unknown. The deformation is a random walk with the rate of the filter's process. All other states, correlated errors
@@ -48,7 +49,7 @@ class Observability:
 
     Args:
         model: states of the filter.
-        includes_lens: True to include N', if the filter has it as a state.
+        includes_lens: True to include the vector to N', if the filter has the states ``lens``.
     """
 
     def __init__(self, model: StateModel, includes_lens: bool = False) -> None:

@@ -32,8 +32,8 @@ class SightingDecision:
 
     Attributes:
         decision: decision about the exposure.
-        sighting: sighting with the accepted beacons under their correct names; None if it is rejected.
-        comparison: comparison of ``sighting`` with the propagated state; None if it is rejected.
+        sighting: sighting with the accepted beacons under their correct names; None after a rejection.
+        comparison: comparison of ``sighting`` with the propagated state; None after a rejection.
     """
 
     decision: ExposureDecision
@@ -53,7 +53,7 @@ class SightingGate:
         self._filter, self._gate = filter_, gate
 
     def evaluate_sighting(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> SightingDecision:
-        """Evaluate a sighting against the state propagated to its time."""
+        """Evaluate a sighting against ``state``, which is propagated to the time of the sighting."""
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
             text = "a light would be behind the telescope: large error of baseline, encoders or ship's attitude"
@@ -186,7 +186,7 @@ def focal_length_m(comparison: Comparison) -> float:
 
 
 def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
-    """Return a text about the angle with the largest residual between two beacons."""
+    """Return a text about the angle between two beacons whose ratio of residual to sigma is largest."""
     angles = angle_residuals(sighting.image, camera, lines)
     worst = int(np.argmax(angles.chi2))
     first, second = (sighting.names[row] for row in angles.pairs[worst])

@@ -65,7 +65,7 @@ class StarComparison:
         camera: camera's attitude at the updated state.
         stars: accepted stars, with residuals at the updated state.
         measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
-        innovations: innovation of the propagated state, as one filter of :class:`FilterInnovations`.
+        innovations: innovation of the propagated state, as :class:`FilterInnovations` of one filter.
     """
 
     camera: CameraAttitude
@@ -157,10 +157,11 @@ class StarModel:
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, sky: SkyModel
     ) -> StarComparison | Rejection:
-        """Compare an exposure with a state propagated to its time, or return the reason why no star is usable.
+        """Compare an exposure with a state at the same time, or return the reason why no star is usable.
 
-        The stars are linearised again at the updated state until it converges (Gauss–Newton). The NIS is then the
-        minimum over all states of the normalised squares of star residuals and of the difference from the prediction.
+        The stars are linearised again until the updated state converges, at most six times (Gauss–Newton). The NIS is
+        then the minimum, over all states, of the normalised squares of star residuals and of the difference from the
+        prediction.
 
         Args:
             mean: mean of the propagated state, shape (n,).

@@ -162,7 +162,7 @@ class SubfilterSet:
         return replace(subfilters, covariances=parts)
 
     def add_unknown_errors(self, subfilters: SubfilterStates, excluded: Set[str]) -> SubfilterStates:
-        """Add the unknown error changes of the sources excluded by all or by one subfilter, before a sighting."""
+        """Add to each subfilter, before a sighting, the unknown error changes of its source and of ``excluded``."""
         parts = subfilters.covariances.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():

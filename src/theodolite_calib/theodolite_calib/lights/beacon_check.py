@@ -2,7 +2,8 @@
 
 The angle between two beacons does not depend on the attitude, so it is a check of baselines, identification and scale.
 If two beacons exchange names, the angle stays and the image rotates by half a turn. Only a prior attitude or a third
-beacon can reveal this exchange. An error of the principal point N' shifts all beacons equally and is not detected.
+beacon can reveal this exchange. An error of the principal point N' is not detected if all beacons have the same
+distance, because this error then shifts all beacons equally.
 """
 
 from dataclasses import dataclass

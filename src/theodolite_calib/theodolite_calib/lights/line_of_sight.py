@@ -79,10 +79,10 @@ class Survey:
     Attributes:
         theodolite_lever: vector from the ship's antenna to the intersection of the theodolite's axes, in the deck.
         principal_point: vector from this intersection to the principal point N' of the telescope's lens, in the main
-            frame. The error of this vector shifts all beacons equally and appears in no residual.
+            frame. The error of this vector shifts beacons at equal distances equally and then appears in no residual.
         beacon_lever: vector from the drone's antenna to its light, in the drone's frame.
         rtk_base_sigma_m: sigma of the error common to all baselines (N, U, E), due to the ship's antenna, shape (3,).
-        rtk_bias_sigma_m: sigma of the correlated error of each single baseline (N, U, E), shape (3,).
+        rtk_bias_sigma_m: sigma of the correlated error of each baseline (N, U, E), shape (3,) or (N, 3).
         refraction_coefficient: k of the air near the sea, about 0.13, common or for each beacon, shape (..., N).
         refraction_sigma: sigma of the error of k common to all beacons.
         refraction_beacon_sigma: sigma of the further error of k on the path to each beacon, common or shape (..., N).

@@ -24,7 +24,7 @@ _STATED_STEP_SIGMAS = 5.0
 """Possible step of a source's attitude, in multiples of the square root of the change of its stated variance."""
 
 _SINGLE_CHECKS = 8
-"""Number of attitudes that are checked one by one after an irregular one."""
+"""Number of attitudes that are checked one by one after an irregular attitude."""
 
 
 class BatchShipCheck:

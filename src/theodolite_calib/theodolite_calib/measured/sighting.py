@@ -1,4 +1,4 @@
-"""Sighting: one exposure of beacons with all samples for its comparison, at the middle of the exposure."""
+"""Sighting: one exposure of beacons, with the samples of all other sources at the middle of the exposure."""
 
 from dataclasses import dataclass, replace
 

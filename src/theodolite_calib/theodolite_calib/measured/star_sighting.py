@@ -1,4 +1,4 @@
-"""Star sighting: one exposure of a camera on the theodolite with all samples for its comparison, at its middle."""
+"""Star sighting: one exposure of a camera on the theodolite, with encoders and ship at the middle of the exposure."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class StarSighting:
 
     Attributes:
         camera_id: id of the camera.
-        exposure: exposure with the stars' points at its middle.
+        exposure: exposure; the stars' points are at its middle if the duration is known.
         ship: ship's attitude.
         encoder: encoder angles.
     """

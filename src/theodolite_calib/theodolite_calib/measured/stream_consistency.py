@@ -1,4 +1,4 @@
-"""Consistency of the encoder and ship attitude streams around the time at which beacons began to contradict them.
+"""Consistency of the encoder and ship attitude streams between the last accepted beacons and a contradiction.
 
 A slip of the encoders, a step of the ship's attitude and a mounting shift of the telescope have the same effect on the
 beacons. The slip and the step are visible in their own streams. A polynomial through the readings, or a line through
@@ -47,7 +47,7 @@ Double steps have four times the error, so that the difference is three times th
 _NO_DRIFT_SIGMAS = 5.0
 """Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
 _STATED_CHANGE_SIGMAS = 5.0
-"""Possible change of the attitude, as by a star correction, in multiples of the change of its standard deviation."""
+"""Possible change of the attitude by a star correction, in multiples of the root of the change of stated variance."""
 
 
 class LargestStep(NamedTuple):
