@@ -85,8 +85,8 @@ def compute_study(config: LayoutStudyConfig) -> LayoutStudy:
     """Compute all numbers of a study.
 
     Raises:
-        ParameterError: a boresight is too low with the ship's pitch and roll; a mask is invalid or in a field of view;
-            or the field of a sensor's optics has too few stars in too large a share of the sky.
+        ParameterError: a boresight is too low with the ship's pitch and roll, a mask is invalid or in a field of view,
+            or a field has too few stars in much of the sky.
     """
     optics = {name: sky_statistics(of_sensor) for name, of_sensor in config.optics.items()}
     config = _with_optics_noise(config, optics)
