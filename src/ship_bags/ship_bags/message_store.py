@@ -27,6 +27,9 @@ MAX_DEFINITION_CHARACTERS = 100_000
 This is ten times the length of a large definition.
 """
 
+ADDITIONAL_FIELD = "is unknown to this suite"
+"""Ending of a line about a field that a bag's definition has in addition to those of the suite."""
+
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
 _ELEMENTS = {
     "float64": "d",
@@ -187,7 +190,7 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
     """
     their_fields, our_fields = dict(theirs), dict(ours)
     lines = [f"{type_name}.{name} is missing in the bag" for name in our_fields if name not in their_fields]
-    lines += [f"{type_name}.{name} is unknown to this suite" for name in their_fields if name not in our_fields]
+    lines += [f"{type_name}.{name} {ADDITIONAL_FIELD}" for name in their_fields if name not in our_fields]
     lines += [
         f"{type_name}.{name} is {_type_text(their_fields[name])} in the bag and {_type_text(our_fields[name])} here"
         for name in our_fields

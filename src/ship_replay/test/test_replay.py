@@ -10,7 +10,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition, suite_definition
 from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
@@ -32,6 +32,7 @@ TRIANGULATION = """/**/triangulation:
       east: {latitude_deg: 32.0, longitude_deg: 120.0, height_m: 20.0}
       west: {latitude_deg: 32.0, longitude_deg: 119.999, height_m: 20.0}
 """
+IMU = "sensor_msgs/msg/Imu"
 SUITE = "/**/tiny:\n  ros__parameters:\n    error_arcsec: 2.0\n"
 
 
@@ -213,6 +214,46 @@ def test_rejections_and_undecodable_messages_are_counted(tmp_path):
     assert summary.rejected == {"ins/imu": {"frame": 1}}
     assert summary.undecodable == {"ins/imu": 1}
     assert summary.inputs == {"ins/imu": 2}
+
+
+def write_bag_with_definition(path, change, extra=b""):
+    """Write five INS samples with a changed definition of their type, and with more bytes at their end."""
+
+    def define(type_name):
+        text, type_hash = suite_definition(type_name)
+        return TypeDefinition(change(text) if type_name == IMU else text, type_hash)
+
+    with BagWriter(path, define=define) as bag:
+        bag.add_attachment("suite.yaml", SUITE)
+        for number in range(5):
+            stamp_ns = START_NS + number * PERIOD_NS
+            bag.write_raw("ins/imu", IMU, serialize(imu(stamp_ns, heading=1e-3 * number)) + extra, stamp_ns)
+    return path
+
+
+def test_an_additional_field_of_an_input_is_accepted(tmp_path):
+    """The definition of a later or extended message has all fields of the suite's."""
+    rule = "=" * 80
+    bag = write_bag_with_definition(
+        tmp_path / "in.mcap", lambda text: text.replace(rule, f"float64 more\n{rule}", 1), np.array([7.0]).tobytes()
+    )
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
+    usual = write_imu_bag(tmp_path / "plain.mcap", 5, attachments=[("suite.yaml", SUITE)])
+    replay(usual, tmp_path / "usual.mcap", (TinyAdapter,))
+    with read_bag(bag) as found:
+        assert found.differences == {IMU: [f"{IMU}.more is unknown to this suite"]}
+    published = []
+    for name in ("out.mcap", "usual.mcap"):
+        with read_bag(tmp_path / name) as found:
+            published.append([(record.log_time_ns, record.data) for record in found.records({"ship/attitude"})])
+    assert len(published[0]) == 5
+    assert published[0] == published[1]
+
+
+def test_a_field_that_an_input_lacks_is_refused(tmp_path):
+    bag = write_bag_with_definition(tmp_path / "in.mcap", lambda text: text.replace("angular_velocity\n", "rate\n", 1))
+    with pytest.raises(BadInput, match=r"topic 'ins/imu': sensor_msgs/msg/Imu\.angular_velocity is missing in the bag"):
+        replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
 
 
 def test_a_configuration_given_rules_over_the_attached_one(tmp_path):

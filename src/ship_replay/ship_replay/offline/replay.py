@@ -13,7 +13,7 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
-from ship_bags.message_store import RosbagsFactory
+from ship_bags.message_store import ADDITIONAL_FIELD, RosbagsFactory
 from ship_bags.renamed_topics import remap_advice
 from ship_bags.stamps import NS_PER_S
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
@@ -123,7 +123,8 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
     """Return relative name → name in the bag, for the adapter's input topics that the bag contains.
 
     Raises:
-        BadInput: a required topic is missing, a topic has another type, or a message definition lacks a field.
+        BadInput: a required topic is missing, a topic has another type, or the message definition of an input
+            differs from the suite's by more than additional fields.
     """
     found = relative_topics(bag.topics, namespace)
     required = [topic.topic for topic in adapter.inputs if topic.required]
@@ -145,9 +146,9 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
         type_name = bag.topics[found[topic.topic]] if topic.topic in found else topic.type_name
         if type_name != topic.type_name:
             raise BadInput(f"topic '{found[topic.topic]}' is {type_name}: expected {topic.type_name}", file=bag.path)
-        lacking = [line for line in bag.differences.get(type_name, []) if not line.endswith("unknown here")]
-        if topic.topic in found and lacking:
-            raise BadInput(f"topic '{found[topic.topic]}': {'; '.join(lacking)}", file=bag.path)
+        differences = [line for line in bag.differences.get(type_name, []) if not line.endswith(ADDITIONAL_FIELD)]
+        if topic.topic in found and differences:
+            raise BadInput(f"topic '{found[topic.topic]}': {'; '.join(differences)}", file=bag.path)
     return {topic.topic: found[topic.topic] for topic in adapter.inputs if topic.topic in found}
 
 
