@@ -103,7 +103,7 @@ def joint_errors(scenario: Scenario, configured: Scenario | None = None, **sky: 
         exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
         solution = solve_stars(sighted_stars(exposures, configured_sky(run, configuration), configuration))
         assert solution.status is SolutionStatus.VALID
-        # The sensors have no time offset: their exposures have the truth at the first stamp.
+        # The sensors have no time offset, so the truth at the first stamp is the truth for their exposures.
         error_n = log_rotation(run.truth.rotation_nd[0] @ solution.rotation_nb.T)
         errors_n.append(error_n)
         covariances_n.append(solution.covariance_n)
@@ -183,7 +183,7 @@ def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
         star_sensors=sensors,
         position=replace(BASE.position, sigma_m=0.0, slow_sigma_m=0.0),
         weather=replace(BASE.weather, pressure_sigma_hpa=0.0, temperature_sigma_k=0.0),
-        # The smallest sigma that replaces the sigma of the table.
+        # Practically no error of UT1; 0 would mean the sigma of the table.
         earth_rotation_sigma_s=1e-9,
     )
     run = simulate(exact, seed=1)
@@ -192,5 +192,5 @@ def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
         inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_cv[0], samples.noise_v)
         found = to_horizon_attitude(inertial, sky_model)
         true_ns = run.truth.rotation_nd[0] @ run.truth.stars[id_].rotation_dv
-        # The estimator refreshes the slow part of its chain every ten seconds.
+        # The estimator computes precession, nutation and Earth orientation only once in ten seconds.
         assert np.max(np.abs(log_rotation(true_ns.T @ found.rotation_nv))) < 0.5e-3 * ARCSEC

@@ -155,7 +155,7 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
 
 
 def remove_compiled(folder: Path) -> None:
-    """Remove a package's compiled parts and generated C, whose times may be later than the time of a changed source."""
+    """Remove a package's compiled parts and generated C, which may have later times than a changed source."""
     stamp_of(folder).unlink(missing_ok=True)
     if is_of_messages(folder):
         for place in (BUILD, INSTALL):
@@ -218,7 +218,8 @@ def stamp_of(folder: Path) -> Path:
 
 def first_error(output: str) -> str:
     """Return a line of a build's output that reports an error, or else the last line, and the name of the log."""
-    # Signs of rosidl, Cython, a compiler, CMake, other programs. The message of an empty build folder is not an error.
+    # Signs of rosidl, Cython, a compiler, CMake, other programs. A line about build.ninja appears whenever the build
+    # folder is empty; it is not an error.
     signs = (r"^\s*Error processing", r"^\S+\.(py|pxd):\d+:\d+: ", r": error:", r"CMake Error", r"[Ee]rror|Failed")
     lines = [line.strip() for line in output.splitlines() if "loading 'build.ninja'" not in line]
     found = (line for sign in signs for line in lines if re.search(sign, line))

@@ -1,4 +1,4 @@
-"""The reference case at star level, shortened and changed, for several test files."""
+"""The reference case with single stars (scenario ``paper_stars``), shortened and changed, for several test files."""
 
 import dataclasses
 import re
@@ -20,7 +20,7 @@ def paper_stars(**changes) -> Scenario:
 
 
 def make_optics_exact(scenario: dict) -> None:
-    """Set the true cameras of a scenario's file to the configured ones, in place."""
+    """Set the sigmas of the optics in a scenario's content to almost zero, in place."""
     for group in ("star_sensors", "telescopes"):
         for one in scenario.get(group, {}).values():
             if "camera" in one:
@@ -28,7 +28,7 @@ def make_optics_exact(scenario: dict) -> None:
 
 
 def without_optics_sigmas(suite: str) -> str:
-    """Return a suite file's text with the default errors of optics in place of those of :func:`make_optics_exact`."""
+    """Return a suite file's text without the sigmas of the optics, so that their defaults apply."""
     return re.sub(rf"(?m)^ *({'|'.join(EXACT_OPTICS)}):.*\n", "", suite)
 
 

@@ -131,7 +131,7 @@ def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> N
 
 
 def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
-    """A measurement is evaluated again if late INS samples arrive around the time that its estimated offset needs."""
+    """A measurement is evaluated again if late INS samples change the INS attitudes that it uses."""
     run, rng = voyage(3, -0.4, duration_s=12.0), np.random.default_rng(5)
     late_ns = {item.time_ns: int(rng.integers(0, SECOND_NS)) for item in [*run.samples, *run.measurements]}
     in_order, _ = run_core(run)

@@ -49,7 +49,8 @@ TOGETHER = [
     ("Integrity", {"excluded": 1, "excluded_for_s": 1}),
     ("JointState", {"name": 1, "position": 1, "velocity": 1, "effort": 1}),
 ]
-"""Arrays that share a table, by the last part of their type: name → number of elements in a row."""
+"""Arrays that share a table: last part of the message type → name of the array → number of its elements in a table row.
+"""
 
 
 def constants(type_name):
@@ -81,7 +82,7 @@ def values(variable):
 
 
 class Rebuilder:
-    """Makes the messages of a topic from its tables, in the order of the definition's fields."""
+    """Rebuilds the messages of a topic from its tables, whose columns are in the order of the definition's fields."""
 
     def __init__(self, folder, stem, suffix):
         self.paths = {path.name.removesuffix(suffix): path for path in folder.glob(f"{stem}*{suffix}")}
@@ -147,7 +148,7 @@ class Rebuilder:
 
 
 def is_nothing(value):
-    """Return True for the value after the end of an array in each format."""
+    """Return True if a cell is what a format writes beyond the end of a shorter array."""
     return value in ("", None, 0) or value != value
 
 
@@ -348,7 +349,8 @@ def flags(path):
     """Return name of a variable → meanings of its values, as in a NetCDF file."""
     with netcdf_file(path, mmap=False) as file:
         flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
-        # The conventions require values of the type of the variable; a single one is read as a plain number.
+        # CF requires flag_values of the variable's type. scipy reads a single flag value as a scalar, so only arrays
+        # are compared.
         arrays = [each for each in flagged.values() if np.ndim(each.flag_values)]
         assert all(each.flag_values.dtype == each.data.dtype for each in arrays)
         return {
@@ -697,7 +699,7 @@ def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_
 
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, tmp_path, capsys, small_files):
-    """Parquet writes its rows at the end, and NetCDF is as wide as the longest text, which comes last."""
+    """Table b alone reaches the limits: Parquet writes rows at the end, and NetCDF's longest text comes last."""
     string = message_store().types["std_msgs/msg/String"]
     with BagWriter(tmp_path / "texts.mcap") as bag:
         bag.write("a", string("first"), START_NS)

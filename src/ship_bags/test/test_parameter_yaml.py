@@ -58,7 +58,7 @@ _SHARED = "  ros__parameters: {use_sim_time: false}\n"
     ],
 )
 def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
-    """A file is accepted if and only if rcl accepts it as the parameter file of a node."""
+    """Each of these files is accepted if and only if rcl accepts it as the parameter file of a node."""
     path, context = tmp_path / "suite.yaml", Context()
     path.write_text(text)
     try:

@@ -176,7 +176,7 @@ def test_a_recording_carries_what_rosbag2_reads(live, tmp_path):
     info = live.node.get_publishers_info_by_topic("/rosout")
     assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
     assert info == [] or str(info[0].topic_type_hash).startswith("RIHS01_")
-    # The publisher's time is that of the computer, within the duration of this test run.
+    # The publisher's time is that of the computer: less than ten minutes from now, whereas the bag's time is years ago.
     assert all(abs(row[2].publish_time - time.time_ns()) < 600 * 10**9 for row in rows)
 
 
@@ -488,7 +488,7 @@ def test_a_recording_ends_by_itself(live, tmp_path, options):
 
 
 def test_status_messages_do_not_prolong_a_recording(live, tmp_path):
-    """The real node continues to publish diagnostics, health, budgets and INVALID after the end of its input."""
+    """The real node continues to publish diagnostics, health, alignment and INVALID after the end of its input."""
     source = make_bag(tmp_path / "in.mcap", 20)
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "-p", "slow_topics_period_s:=0.1"]
     node = live.start(*command)

@@ -106,7 +106,7 @@ class RemoteNode:
         self._wait_until(lambda: bool(self.services()))
 
     def services(self) -> dict[str, str]:
-        """Return name (without the node's name) → type of the node's services, except those that ROS adds to nodes."""
+        """Return the types of the node's services by service name, without the services that ROS adds to every node."""
         found = self._own_node.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
         own = {name.removeprefix(f"{self.name}/"): types[0] for name, types in found}
         return {name: kind for name, kind in own.items() if not kind.startswith(("rcl_", "type_description"))}

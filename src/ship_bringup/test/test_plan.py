@@ -1,4 +1,4 @@
-"""Programs of a suite file in addition to the estimators, and the consequence of their end."""
+"""Plan of a suite file with NMEA nodes: role of each program, a warning, and errors reported before the start."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ NMEA = """\
 
 @pytest.fixture
 def suite(tmp_path):
-    """The demo's suite file with sections for both NMEA nodes."""
+    """A suite file that fits the demo, with sections for both NMEA nodes."""
     path = tmp_path / "suite.yaml"
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text(encoding="utf-8") + NMEA)
     return path

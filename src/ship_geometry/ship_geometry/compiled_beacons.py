@@ -2,7 +2,7 @@
 """Compiled lines of sight to N beacons and their image points, for one or more exposures.
 
 There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. The
-model is documented in :mod:`theodolite_calib.lights`.
+models are documented in ``line_of_sight`` and ``image`` of :mod:`theodolite_calib.lights`.
 """
 
 import cython

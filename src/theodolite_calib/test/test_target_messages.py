@@ -21,7 +21,7 @@ NAN = float("nan")
 
 
 def target_direction_n(t_s: float) -> np.ndarray:
-    """Return the direction of a target that drifts next to the line of the mount."""
+    """Return the direction of a target that drifts slowly near the mount's line of sight."""
     line_of_sight = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
     return mount_state(t_s)[2] @ (line_of_sight / np.linalg.norm(line_of_sight))
 

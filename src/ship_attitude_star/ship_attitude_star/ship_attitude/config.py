@@ -37,7 +37,7 @@ FIX_TYPES = ("float", "fixed")
 """RTK solution types from which a direction is computed."""
 
 BY_INPUT = "by_input"
-"""Choice for which the message type of a star sensor determines the shared error."""
+"""Value of ``shared`` with which the parameter ``input`` determines the shared error."""
 
 _MIN_BASELINE_M = 0.3
 """Minimum baseline length, m; at this length an error of 1 cm is 2°."""

@@ -22,7 +22,7 @@ _CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
 """Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
 
 _OBSERVABLE_RAD = 0.02
-"""Maximum standard deviation about any axis for a measurement to observe the rotation of its device, rad."""
+"""A measurement observes the rotation of its device if its sigma about every axis is at most this, rad."""
 
 
 def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterState) -> FilterState:
@@ -78,7 +78,7 @@ def memory_residual(
 
 
 def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
-    """Return the largest difference between ``state`` and ``memory`` in a constant state, in standard deviations.
+    """Return the largest difference between the constant elements of two filter states, in standard deviations.
 
     The result is infinite before the first measurement.
 
@@ -116,7 +116,7 @@ def is_consistent(filter_: ShipFilter, state: FilterState, degraded_after: int) 
 
 
 def _growth_per_second(filter_: ShipFilter, state: FilterState) -> np.ndarray:
-    """Return the growth of a state's covariance in one second, shape (n, n)."""
+    """Return the covariance that one second of process noise adds, shape (n, n)."""
     assert state.time_ns is not None
     before_ns = state.time_ns - SECOND_NS
     here = None if filter_.vertical is None else filter_.vertical.at(before_ns)

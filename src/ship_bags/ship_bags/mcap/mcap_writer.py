@@ -1,8 +1,8 @@
 """Writer of MCAP records, with the same bytes as the writer of the mcap project if the chunks end at the same records.
 
 The writer of the mcap project keeps an object for every chunk until the end, and takes several times as long per
-message. A black box or a recorder writes fifteen chunks a second, for weeks, on the computer of an estimator that needs
-the processor.
+message. A black box or a recorder writes up to fourteen chunks a second, for weeks, on the computer of an estimator
+that needs the processor.
 """
 
 import struct
@@ -216,7 +216,7 @@ class McapWriter:
         self._metadata_indexes.append(MetadataIndex(offset, length, name))
 
     def flush(self) -> None:
-        """End the chunk, if it has a message, and pass everything to the stream."""
+        """End the chunk if it has a message, and flush the stream; a chunk without messages stays in memory."""
         self._end_chunk()
         self._stream.flush()
 

@@ -38,7 +38,8 @@ _PARAMETER_NAMES = {
 }
 """Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
 
-For UDP, only binding the port and the interface can cause a permanent error."""
+For UDP, only binding the port and the interface can cause a permanent error.
+"""
 
 
 class _QueuedSentence(NamedTuple):
@@ -133,7 +134,8 @@ class Sink:
         if not self._thread.ident:
             self._close_all()
         elif self._thread.is_alive():
-            self._thread.join(_JOIN_TIMEOUT_S)  # while a disk hangs, the thread does not end before the process
+            # If a disk hangs, the thread ends only with the process, so the wait is limited.
+            self._thread.join(_JOIN_TIMEOUT_S)
 
     def _run(self) -> None:
         while not self._is_stopped:

@@ -25,7 +25,8 @@ _MIN_RETURNS = 2
 """Minimum number of returns that shows two publishers.
 
 A return is a message of a known publisher after a message of another publisher. A restart of a publisher causes no
-return; a lost message may cause a return."""
+return. A message lost after a restart may cause one, when the new numbers pass the last number before the restart.
+"""
 
 
 @dataclass

@@ -1,6 +1,7 @@
 """Clocks of a live node: node time, timeout clock, ticks, and the state of /clock.
 
-The ticks are multiples of a period of the timeout clock. No part of ROS is imported before a node uses /clock.
+A tick is due at each multiple of the tick period, by the timeout clock. This module imports ROS only for a node that
+uses /clock.
 """
 
 import time
@@ -22,10 +23,11 @@ _FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
 MIN_STEP_NS = 100_000_000
 """Smallest change of system time minus steady time between two readings that counts as a step, ns.
 
-No daemon slews so fast."""
+No daemon slews so fast.
+"""
 
 _MAX_READING_NS = 10_000_000
-"""Maximum time for reading both clocks for which the readings belong together, ns."""
+"""Maximum time between the two steady readings around a reading of the system clock, ns."""
 
 CLOCK_DEPTH = 1000
 """Queue depth of /clock: ten seconds of bag time at the usual 100 Hz."""
@@ -141,7 +143,10 @@ class TimeoutClock:
     """
 
     MAX_STEP_NS = 2 * TICK_PERIOD_NS
-    """Maximum time counted for a standstill of the node, ns; messages that arrived meanwhile only wait."""
+    """Maximum time counted for a standstill of the node, ns.
+
+    Messages that arrive meanwhile are in the queue and must not seem missing.
+    """
 
     def __init__(self, steady_ns: Callable[[], int]) -> None:
         self._steady_ns = steady_ns

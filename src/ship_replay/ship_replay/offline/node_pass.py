@@ -1,4 +1,4 @@
-"""Processing of a batch of messages and ticks by one node, with inputs in blocks where possible.
+"""Processing of successive messages of all topics, with the ticks between them, by one node, in blocks where possible.
 
 For each event the node receives the same as in message-by-message replay: outputs of earlier nodes, then the message of
 the bag or the tick. For a block of messages, only computations that do not depend on other inputs are done together.
@@ -54,7 +54,7 @@ class TopicBlock(NamedTuple):
 def read_ahead(
     adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
 ) -> Sequence[ReadMessage[Any] | None]:
-    """Return a node's readings of messages before they are processed; None for each message that must be read later."""
+    """Let a node read messages of a topic ahead of their turn; None for those that it must read at their turn."""
     if isinstance(adapter, BatchAdapter) and adapter.can_read_rows(topic):
         return adapter.read_rows(topic, messages, times_ns)
     return [None] * len(times_ns)

@@ -98,7 +98,7 @@ def replay(
 def _summarise_node(
     summary: ReplaySummary, adapter: Adapter, config: Any, health: Sequence[Any], is_alone: bool
 ) -> None:
-    """Add a node's reasons for poor statuses and its rejected and noted messages to the summary."""
+    """Add a node's reasons for poor statuses, and its counts of messages rejected or accepted with a note."""
     for output in adapter.outputs:
         if output.topic in summary.status_histories:
             history = summary.status_histories[output.topic]

@@ -29,7 +29,8 @@ MAX_SIGHTINGS = 1000
 _MIN_EFFECT_RAD = 0.1 * ARCSEC
 """Maximum joint effect of the columns that the map omits, rad RMS.
 
-So small an effect cannot be separated from the sightings' own errors."""
+So small an effect cannot be separated from the sightings' own errors.
+"""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Sightings:
         direction_d: true direction of the optical axis, unit vectors in the base's frame, shape (n, 3).
         time_s: time of each sighting, s, UTC as POSIX time or from any other start, shape (n,); None if unknown.
         correlated_errors: errors that are common to several sightings.
-        repeated: labels of rows that repeat a sighting and are not used.
+        repeated: for each row that repeats a sighting and is not used, its label and that of the first: ``5 (as 3)``.
     """
 
     labels: tuple[str, ...]
@@ -111,7 +112,7 @@ class Sightings:
         return correlated_map(self.correlated_errors, self.time_s, len(self.labels))
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """Return true minus read azimuth and elevation, both on the face of the reading, shape (n,) each, rad."""
+        """Return true direction minus reading in azimuth and elevation, on the face of the reading, (n,), rad."""
         plain, over = (encoder_angles(AxisErrors(), self.direction_d, plunged=plunged) for plunged in (False, True))
         is_over = np.cos(self.elevation) < 0.0
         azimuth, elevation = (np.where(is_over, *pair) for pair in zip(over, plain, strict=True))
