@@ -140,7 +140,7 @@ def test_simultaneous_faults_are_all_reported(tmp_path, domain):
     assert (code, error) == (1, "")
     for expected in (
         rf"parameters: {re.escape(str(path))}:\d+: parameter 'lag_s'",
-        r"security: machine.require_security demands it, and no DDS security: .* built without it",
+        r"security: machine.require_security demands it, and no DDS security: .* built without security",
         r"security: machine.require_security demands it, and ROS_SECURITY_ENABLE is not set",
         r"keystore: .*: is not a keystore",
         r"domain: ship/attitude, an output of the suite, is published by /observer",

@@ -250,7 +250,7 @@ def test_a_blocking_horizon_is_in_the_nearest_miss() -> None:
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        ({"alternatives": {"b": {"sensors": {}}}}, "alternatives.b': there is no requirement to evaluate it by"),
+        ({"alternatives": {"b": {"sensors": {}}}}, "alternatives.b': there is no requirement for its evaluation"),
         (
             {
                 "requirement": {"roll_arcsec": 3.0},

@@ -252,7 +252,7 @@ def test_the_ins_in_degrees_per_second_is_left_out() -> None:
     ins = change_where(ins_only(8.0), lambda arrival: True, degrees)
     run = run_adapter(new_adapter(), ins)
     assert set(run.reasons(INS)) == {"units"}
-    assert "degrees for radians" in innovations(run, Reason.UNITS)[0].reason_text
+    assert "degrees instead of radians" in innovations(run, Reason.UNITS)[0].reason_text
 
 
 def ins_only(duration_s: float) -> tuple[Arrival, ...]:

@@ -219,7 +219,7 @@ def test_if_renaming_fails_the_node_starts_and_overwrites_nothing(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
     saved = start(path, CannotRename(), lambda: Content(7))
-    assert "it cannot be renamed (Read-only file system): remove it" in saved.unreadable_reason
+    assert "it cannot be renamed (Read-only file system): remove the file" in saved.unreadable_reason
     saved.autosave()
     assert saved.autosave_problem == saved.unreadable_reason
     assert path.read_text() == "broken"

@@ -49,7 +49,7 @@ def test_file_of_a_ship_changes_only_its_own_limits(tmp_path: Path) -> None:
         ("heading_arcsec: .nan\n", 1, "heading_arcsec", "must be finite"),
         ("alerts:\n  escalate_after_s: long\n", 2, "alerts.escalate_after_s", "must be"),
         ("alerts: 5\n", 1, "alerts", "must be a group"),
-        ("", 1, "", "the file holds none"),
+        ("", 1, "", "the file contains none"),
     ],
 )
 def test_error_is_reported_in_one_line(tmp_path: Path, text: str, line: int, named: str, expected: str) -> None:
