@@ -96,7 +96,7 @@ def innovation_table(evaluation: Evaluation) -> Table:
     table = Table(title="Measurement - prediction, arcseconds")
     for column in ("source", "component"):
         table.add_column(column)
-    shown = "mean", "deviation", "predicted σ", "NIS (degrees)", "minutes in band"
+    shown = "mean", "deviation", "predicted σ", "NIS (deg. of freedom)", "minutes with NIS in band"
     for column in (*shown, "accepted (measurements)", "rejected (messages, stars)"):
         table.add_column(column, justify="right")
     for source, innovations in evaluation.innovations.items():
