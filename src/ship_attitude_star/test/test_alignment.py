@@ -128,8 +128,8 @@ def test_the_random_walk_of_the_time_between_is_added(saved_path: Path) -> None:
     sigma = [
         sigma_of(start_adapter(saved_path, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)
     ]
-    # At elevation 45° a rotation about the sensor's up axis changes the azimuth by 1 / cos 45° as much. The random walk
-    # is 1″ per root hour, the time 25 h.
+    # At elevation 45° a rotation about the sensor's up axis changes the azimuth by the rotation divided by cos 45°. The
+    # random walk is 1″ per root hour, the time 25 h.
     added = math.sqrt(sigma[1] ** 2 - sigma[0] ** 2)
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
 

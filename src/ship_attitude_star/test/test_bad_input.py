@@ -35,7 +35,7 @@ Change = Callable[[Any], None]
 
 
 def set_field(path: str, value: float) -> Change:
-    """Set a field (``orientation.x``), one element of an array (``covariance.4``) or all of it."""
+    """Return a change of a field (``orientation.x``), one element of an array (``covariance.4``) or a whole array."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:
@@ -59,7 +59,7 @@ def scale_quaternion(factor: float) -> Change:
 
 
 def stamp_ahead(seconds: float) -> Change:
-    """Stamps later than the arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
+    """Return a change that advances the stamp; the message arrives 5 ms (INS) or 120 ms (star) after its true stamp."""
 
     def change(message: Any) -> None:
         later_ns = stamp_of(message) + round(seconds * SECOND_NS)
@@ -261,7 +261,7 @@ def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accept
 
 @pytest.mark.parametrize("accepted", [False, True])
 def test_a_reference_without_an_orientation_is_rejected_unless_configured(accepted: bool) -> None:
-    """The message that an INS of the same attitude sends, with the first element of its covariance at -1."""
+    """The reference sends an INS message whose first element of ``orientation_covariance`` is −1."""
     topic, index = "reference/gyro/imu", index_at(voyage(), INS, CHANGE_S)
     arrival = changed_copy(voyage()[index], set_field("orientation_covariance.0", -1.0))
     unset = replace(arrival, topic=topic, receive_ns=arrival.receive_ns + 1)
@@ -277,7 +277,7 @@ def test_a_reference_without_an_orientation_is_rejected_unless_configured(accept
 
 
 def test_an_ins_without_rates_is_used_without_them() -> None:
-    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the rate."""
+    """A rate covariance that starts with −1 marks the rate as not measured (sensor_msgs/Imu), whatever its value."""
 
     def no_rate(message: Any) -> None:
         message.angular_velocity_covariance[0] = -1.0
@@ -333,7 +333,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
 
 
 def attitudes(run: Run) -> list[Any]:
-    """All attitudes to the last bit, without their status."""
+    """Return all attitudes to the last bit, without their status."""
     published = run.messages("ship/attitude")
     return [
         exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, m.roll, *m.covariance])
@@ -359,7 +359,7 @@ def test_a_source_with_conflicting_messages_is_not_valid_for_ten_seconds(
 
 
 def turn_heading(arcsec: float) -> Change:
-    """Change the heading."""
+    """Return a change of the heading by an angle."""
 
     def change(message: Any) -> None:
         if hasattr(message, "azimuth"):
@@ -372,7 +372,7 @@ def turn_heading(arcsec: float) -> Change:
 
 
 def test_a_rejected_star_sensor_with_conflicting_messages_does_not_affect_the_others() -> None:
-    """Two publishers on one topic, 400″ apart from all others: neither is used, and the other sources are VALID."""
+    """Two publishers on one topic are 400″ and 450″ off: neither is used, and the attitude is VALID."""
     arrivals = voyage(8.0)
     since_ns = START_NS + 3 * SECOND_NS
     wrong = change_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turn_heading(400.0))
@@ -387,7 +387,7 @@ def test_a_rejected_star_sensor_with_conflicting_messages_does_not_affect_the_ot
 
 @pytest.mark.parametrize("topic", [INS, FORE])
 def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
-    """``lag_s`` is 2 s: at 2.2 s after its stamp the window is closed."""
+    """``lag_s`` is 2 s, and the message arrives 2.2 s after its stamp."""
     index = index_at(voyage(), topic, 1.5)
     arrives_ns = voyage()[index].stamp_ns + 2_200_000_000
     run = run_adapter(new_adapter(), replace_message(voyage(), index, lambda message: None, arrives_ns))

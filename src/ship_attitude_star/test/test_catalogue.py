@@ -24,7 +24,7 @@ def test_all_of_hipparcos_2():
 
 
 def test_a_star_equals_its_record_in_the_file():
-    # hip2.dat: HIP 57939 (Groombridge 1830), the third fastest star.
+    # hip2.dat: HIP 57939 (Groombridge 1830), the star with the third largest proper motion.
     catalogue = hipparcos()
     row = catalogue.rows(57_939)
     star = catalogue.at_epoch[row]

@@ -137,7 +137,7 @@ def test_residuals_of_stars_are_as_by_numpy() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops check no bounds."""
+    """The shapes are checked before the loops, which check no bounds."""
     stars, none = random_stars(0, 0), np.empty((0, 3, 0))
     arguments = (
         stars.measured_b,

@@ -55,7 +55,7 @@ class InjectedError:
     Attributes:
         source: ``ins``, ``ins.clock``, ``ins.axes``, a star sensor, or ``sky`` for all stars.
         turn: rotation vector, rad: of a star sensor in its frame, otherwise in the horizon frame. For ``ins.clock`` the
-            first number is the step, s. Not used for ``ins.axes``: heading and roll change sign.
+            first number is the step, s. Any nonzero vector for ``ins.axes`` changes the signs of heading and roll.
         start_s: start of the error, s.
         end_s: end of the error, s.
         per_s: True if ``turn`` is the change per second.
@@ -265,7 +265,7 @@ def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glit
 
 @pytest.mark.slow
 def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_time_the_second_time() -> None:
-    """One of 4800 VALID attitudes is beyond five sigmas, at most at 5.05, in two of 24 other voyages."""
+    """Two of 24 other voyages have one VALID attitude in 4800 beyond five sigmas, at most at 5.05."""
     drift = InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
     assert [names for _, names in sailed.excluded] == [(), ("star.port",), (), ("star.port",), ()]
@@ -297,7 +297,7 @@ def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(s
 def test_all_stars_against_an_ins_without_rates_are_an_unresolved_fault_with_covariance() -> None:
     step = InjectedError("ins", np.array([0.0, 100.0, 0.0]) * ARCSEC, 30.0)
     sailed = run_with_errors(step, seconds=60.0, rates=False, ins={"jump_samples": 1000, "time_offset_sigma_s": 0.0})
-    # From the first star measurement after the step on.
+    # The unresolved fault begins with the first star measurement after the step.
     later = sailed.estimates_between(30.1, 60.0)
     assert {one.status for one in later} == {Status.DEGRADED}
     assert max(error_sigmas(one) for one in sailed.estimates_between(32.0, 60.0)) < 3.0
@@ -387,7 +387,7 @@ def test_levels_above_their_limit_make_the_attitude_degraded_and_a_single_source
 
 
 def estimated_mounting(sailed: VoyageResult, source: str) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated mounting error of a star sensor, rotation vector of the device, rad; and its sigmas."""
+    """Return the estimated mounting error of a star sensor (rotation vector, device frame, rad) and its sigmas."""
     mounting, state = sailed.core.filter.model.slices[f"{source}.installation"], sailed.core.state
     return state.mean[mounting], np.sqrt(np.diagonal(state.covariance)[mounting])
 
@@ -468,7 +468,7 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
 
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
-    """The faulty one of the INS and a single sensor cannot be isolated."""
+    """A fault of the INS or of the single remaining sensor cannot be isolated."""
     shift = InjectedError("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
     drift = InjectedError("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
     sailed = run_with_errors(shift, drift, sensors=("bow", "port"), seconds=90.0)
@@ -533,7 +533,7 @@ def run_with_stars_excluded(
 def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
     """A sensor is excluded after a mounting shift at 10 s.
 
-    In most of the 60 s until its reinstatement it sends no data.
+    The sensor sends no data from 20 to 65 s, so the reinstatement time of 60 s starts at 65 s.
     """
     sailed = run_with_stars_excluded(
         InjectedError("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port"
@@ -547,7 +547,7 @@ def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
 def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> None:
     """The INS clock is 0.1 s off from 10 to 16 s.
 
-    No stars are measured in most of the minute until its reinstatement.
+    No stars are measured from 25 to 80 s, so the reinstatement time of 60 s starts at 80 s.
     """
     error = InjectedError("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
     sailed = run_with_stars_excluded(error, 25.0, 80.0, 145.0, 1)
@@ -602,7 +602,7 @@ def test_the_fast_consistency_test_equals_the_full_one(
 def test_without_faults_large_separations_are_rare() -> None:
     """A component is beyond 3 sigmas once in 370; (2 sources × 3 windows + 3 subfilters) × 3 axes are 27 components.
 
-    One sample a seed, because the separations (installations) are one draw per voyage.
+    Each seed gives one sample, because the separations (installations) are one draw per voyage.
     """
     seeds = range(1, 17)
     ends = [run_with_errors(sensors=("bow", "port"), seconds=20.0, seed=seed).estimates[-1].state for seed in seeds]
@@ -658,7 +658,7 @@ def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     sailed = run_with_errors(*errors, sensors=sensors, seconds=20.0, **WITH_PAIRS)
     since_s, excluded = sailed.first_exclusion()
     assert excluded == ("star.bow", "star.port")
-    assert since_s < 16.0  # within three measurements of each
+    assert since_s < 16.0  # within five measurements of each
     assert sailed.estimates[-1].status is Status.VALID
     assert_consistent(sailed)
     # Two remaining sensors check each other; a single remaining sensor is not checked.

@@ -54,7 +54,7 @@ def error_and_covariance(message: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nees(run: Run, from_s: float = 0.0) -> np.ndarray:
-    """NEES of all VALID attitudes."""
+    """Return the NEES of all VALID attitudes from a time on."""
     valid = [m for m in run.messages("ship/attitude") if m.status == Status.VALID and seconds(m) >= from_s]
     assert valid
     return np.array([e @ np.linalg.solve(p, e) for e, p in map(error_and_covariance, valid)])
@@ -84,7 +84,7 @@ def scale_rates(factor: float) -> Change:
 
 
 def turn_attitude(*arcsec_n: float) -> Change:
-    """Rotate the attitude about North, Up, East."""
+    """Return a change that rotates the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
         message.orientation = quaternion_message(exp_rotation(np.array(arcsec_n) * ARCSEC) @ rotation_of(message))
@@ -147,7 +147,7 @@ def test_a_late_wrong_sample_is_rejected_too() -> None:
 def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
     """Five samples are rejected.
 
-    From the sixth on the attitude is DEGRADED with a sigma as large as the jump, until stars confirm it.
+    From the sixth on the attitude is DEGRADED with a sigma as large as the jump, until stars confirm the attitude.
     """
     jumped = change_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, size_arcsec, 0.0))
     run = run_adapter(new_adapter(), jumped)

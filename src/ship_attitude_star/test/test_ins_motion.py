@@ -200,7 +200,7 @@ def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
 
 
 def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
-    """An INS with conflicting samples is not used until they end."""
+    """An INS is not used for ten seconds after conflicting samples."""
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
     decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):

@@ -29,7 +29,7 @@ def random_angles(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def random_layouts(reading: InstallationConvention, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return layouts with a pitch below 85°: beyond it differences of angles are meaningless."""
+    """Return layouts with a ship pitch below 85°; differences of angles are meaningless for larger pitches."""
     rng = np.random.default_rng(14)
     star, installation = random_angles(rng, 2 * count), random_angles(rng, 2 * count)
     upright = np.abs(linearise(star, installation, reading).ship_angles[:, 1]) < np.deg2rad(85.0)
@@ -161,7 +161,7 @@ def test_an_equal_common_error_is_not_reduced() -> None:
 
 
 def test_common_terms_agree_with_estimating_them() -> None:
-    """An independent algorithm: the common errors as unknowns with a prior, in one large information matrix."""
+    """An independent algorithm estimates the common errors with a prior, in one large information matrix."""
     rng = np.random.default_rng(5)
     covariances = np.array([_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(3)])
     effects, common = rng.normal(size=(3, 3, 2)), np.diag([2.0, 5.0]) ** 2 * ARCSEC**2
@@ -199,6 +199,6 @@ def test_many_combinations_at_once_are_the_single_ones() -> None:
 
 
 def _random_covariance(rng: np.random.Generator, sigmas_arcsec: list[float]) -> FloatArray:
-    """Return a full covariance with the given sizes along axes rotated at random."""
+    """Return a full covariance with the given sigmas along randomly rotated axes."""
     axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return (axes * (ARCSEC * np.array(sigmas_arcsec)) ** 2) @ axes.T

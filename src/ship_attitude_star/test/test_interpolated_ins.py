@@ -95,9 +95,9 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
 def test_errors_are_consistent_with_the_covariance_at_low_rates(
     rate_hz: float, rates: bool, conservative: bool
 ) -> None:
-    """Without the interpolation error the mean NEES is 6 at 5 Hz and 15 at 2.5 Hz without rates.
+    """A covariance without the interpolation error gives a mean NEES of 6 at 5 Hz and 15 at 2.5 Hz, both without rates.
 
-    At 1 Hz it is 6 with rates and 850 without.
+    At 1 Hz the mean NEES is 6 with rates and 850 without rates.
     """
     nees = []
     for seed in range(RUNS):
@@ -118,7 +118,8 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     time_ns, mounted = START_NS + 3_500_000_000, core.filter.devices["star.fore"].rotation_dv0
     measured = AttitudeMeasurement("star.fore", time_ns, swell.attitude(3.5) @ mounted, np.diag(STAR_SIGMA_S**2))
     tenth_ns, noise = SECOND_NS // 10, []
-    # Factor 1 alone, 5 if measured at 5 Hz, 10 with another sensor too, 1 once in 5 s, 1 after another sensor 2 s ago.
+    # Factors: 1 for a first measurement, 5 at 5 Hz, 10 at 5 Hz with another sensor, 1 at 0.2 Hz, 1 with another sensor
+    # 2 s before.
     for used in (
         {},
         {"star.fore": 2 * tenth_ns},

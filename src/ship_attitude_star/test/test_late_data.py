@@ -65,7 +65,7 @@ def test_the_shuffled_order_differs() -> None:
 @pytest.mark.parametrize(("topic", "since_s"), [(INS, 2.60), (INS, 2.64), (FORE, 2.6)])
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float, late_s: float) -> None:
-    """The message arrives just before the first stamp more than ``late_s`` later; INS samples are next to a star."""
+    """The message arrives just before the first message with a stamp more than ``late_s`` later."""
     index = index_at(voyage(), topic, since_s)
     limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)
@@ -91,9 +91,10 @@ def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
 
 
 def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None:
-    """A measurement 150″ off arrives first and passes the gate; it is rejected after earlier correct ones arrived.
+    """A measurement 150″ off arrives first and passes the gate; it is rejected after correct ones with earlier stamps.
 
-    The INS heading is known to 72″, so 150″ is within the gate, but far outside after two sensors were used.
+    The INS heading has a sigma of 72″, so 150″ is within the gate. After measurements of two sensors 150″ is far
+    outside.
     """
 
     def shift_azimuth(message: Any) -> None:
@@ -125,7 +126,7 @@ def test_without_a_lag_only_what_comes_in_order_is_used() -> None:
 def test_a_flood_with_random_stamps_costs_few_steps_and_rejections_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Attitudes at 5 Hz; without limits, each message of the flood would make some three hundred steps."""
+    """The attitudes come at 5 Hz; without limits, each message of the flood would cause some three hundred steps."""
     others = sum(a.topic == STARBOARD for a in voyage())
     assert_flood_costs_little(
         monkeypatch, ShipAttitudeCore, lambda a: run_adapter(new_adapter(), a), voyage(), FORE, "star.fore", others

@@ -39,12 +39,12 @@ from ship_testing.small_voyage import (
 
 
 def outputs(run: Run, from_s: float = -1.0, until_s: float = 1e6) -> list[Any]:
-    """The attitudes published for [from_s, until_s)."""
+    """Return the attitudes with stamps in [from_s, until_s) after the start."""
     return [m for m in run.messages("ship/attitude") if from_s <= since_start_s(m) < until_s]
 
 
 def assert_strictly_increasing(run: Run) -> None:
-    """All attitudes increase, and all INVALID ones, which are outside the order of the others."""
+    """Assert that the stamps of INVALID attitudes increase, and separately the stamps of all other attitudes."""
     for claimed in (True, False):
         stamps = [stamp_of(m) for m in run.messages("ship/attitude") if (m.status != Status.INVALID) == claimed]
         assert all(earlier < later for earlier, later in pairwise(stamps))
@@ -87,7 +87,7 @@ def test_with_stars_the_attitude_is_valid_and_right() -> None:
         assert_consistent(message)
     last = outputs(run)[-1]
     sigma_arcsec = np.sqrt(np.reshape(last.covariance, (3, 3)).diagonal()) / ARCSEC
-    # One of 24 measurements each: a few arcseconds in place of 72" in heading.
+    # Each sensor was measured 24 times: sigma is a few arcseconds in place of 72" in heading.
     assert np.all(sigma_arcsec < 3.0)
     assert run.diagnostics("attitude", START_NS + 3 * SECOND_NS, run.now_ns)[-1] == (0, "VALID: INS and stars")
 
@@ -105,7 +105,7 @@ def test_angles_quaternion_and_imu_are_one_attitude() -> None:
 
 @pytest.mark.parametrize("sigma_arcsec_per_s", [0.0, 20.0])
 def test_the_imu_states_the_configured_noise_of_the_rates(sigma_arcsec_per_s: float) -> None:
-    """Zeros, if it is not configured: by Imu.msg the covariance is not known then."""
+    """A sigma of zero is not configured: the covariance is then zero, which means unknown in Imu.msg."""
     run = run_adapter(new_adapter(ins__rate_sigma_arcsec_per_s=sigma_arcsec_per_s), voyage())
     stated = np.array([m.angular_velocity_covariance for m in run.messages("ship/imu")])
     assert len(stated) == len(outputs(run))
@@ -125,7 +125,7 @@ def test_a_changed_noise_of_the_rates_is_stated_from_then_on() -> None:
 
 
 def test_the_stated_noise_of_the_rates_is_that_of_their_errors() -> None:
-    """Rates with noise of the configured sigma, against those without; between two samples noise is averaged."""
+    """Rates with the configured noise are compared with rates without noise; interpolation averages the noise."""
     sigma, rng = 20.0 * ARCSEC, np.random.default_rng(36)
 
     def noisy(message: Any) -> None:
@@ -220,7 +220,7 @@ def test_when_the_ins_comes_back_all_is_as_before() -> None:
     for message in outputs(run, from_s=7.0):
         assert_consistent(message)
     assert_strictly_increasing(run)
-    # Stars during the timeout could not be evaluated: rejected with a reason, none is pending.
+    # Measurements during the timeout could not be evaluated: all are rejected with a reason, none is pending.
     in_gap = [m for m in run.messages("ship/innovation") if 3.0 <= since_start_s(m) < 6.9]
     assert {m.reason for m in in_gap} == {Reason.GAP}
     assert run.health(FORE).received == run.health(FORE).accepted + run.health(FORE).rejected
@@ -258,7 +258,7 @@ def test_without_ins_a_star_timeout_is_reported_within_a_second() -> None:
     propagated = [m for m in outputs(run) if m.status == Status.DEGRADED]
     first_invalid = next(m for m in outputs(run) if m.status == Status.INVALID)
     assert since_start_s(propagated[-1]) == pytest.approx(4.877)
-    assert 1.0 < since_start_s(first_invalid) - 4.997 <= 1.1  # its arrival time
+    assert 1.0 < since_start_s(first_invalid) - 4.997 <= 1.1  # the last star arrives at 4.997 s
     assert_strictly_increasing(run)
 
 
@@ -327,7 +327,7 @@ def test_a_reset_restarts_the_filter_without_earlier_stamps() -> None:
 
 
 def convert_to_ned_frd(message: Any) -> None:
-    """Messages of a driver configured for NED <- FRD: its yaw is the heading itself."""
+    """Convert a message to that of a driver configured for NED <- FRD, whose yaw is the heading itself."""
     rotation_nd = rotation_of(message)
     x, y, z, w = Rotation.from_matrix(NED_FROM_HORIZON @ rotation_nd @ FRD_FROM_DEVICE.T).as_quat().tolist()
     message.orientation = Quaternion(x=x, y=y, z=z, w=w)
@@ -404,7 +404,7 @@ def test_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
 
 
 def add_heading_error(message: Any) -> None:
-    """0.5° in heading: 25 times the configured INS sigma."""
+    """Add 0.5° to the heading, 25 times the configured INS sigma."""
     message.orientation = quaternion_message(exp_rotation(np.array([0.0, np.deg2rad(0.5), 0.0])) @ rotation_of(message))
 
 

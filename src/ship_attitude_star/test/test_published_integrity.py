@@ -66,7 +66,7 @@ def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
 
 
 def test_published_levels_cover_each_output() -> None:
-    """Sensors start, one has a mounting shift and is excluded, all time out and return: no level is too small."""
+    """One sensor has a mounting shift, all stars time out, or the INS times out: no level is too small."""
     shifted = change_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= SHIFT_NS, shift_mounting)
     without_stars = remove_interval(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
     without_ins = remove_interval(voyage(20.0), 5.0, 6.5, INS)

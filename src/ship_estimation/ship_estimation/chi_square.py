@@ -13,10 +13,10 @@ from functools import cache
 _EPSILON = 2.0**-53
 
 _LEAST = 1e-300
-"""Probability below which a quantile is returned as for zero; also the least denominator of the continued fraction."""
+"""Probability below which a quantile is that for zero; also replaces a zero denominator of the continued fraction."""
 
 _LAST_STEP = 1e-9
-"""Relative size of Newton's last step. The relative error after this step is about the square of its size."""
+"""Maximum relative size of Newton's last step. The relative error after this step is about the square of its size."""
 
 _LARGE = 20.0
 """Argument from which the truncated Stirling series in :func:`_power` gives Γ to the last digit."""

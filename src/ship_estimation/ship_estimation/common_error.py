@@ -124,7 +124,7 @@ class CorrectionSums(NamedTuple):
     def unresolved_variance(self) -> FloatArray:
         """Return the variance that covers an unresolved common error, rad², shape (3,).
 
-        The variance is zero up to :data:`COMMON_ERROR_START_SIGMAS` and grows continuously above, as in
+        The variance is zero for an error of up to :data:`COMMON_ERROR_START_SIGMAS` and grows continuously above, as in
         :func:`ship_estimation.protection_levels.separation_inflation`.
 
         Example:

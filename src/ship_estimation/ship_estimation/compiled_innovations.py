@@ -23,7 +23,7 @@ def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bi
     """Replace the lower triangle of a covariance by the inverse of its Cholesky factor.
 
     Returns:
-        False if the matrix is not positive definite, or for NaN.
+        False if the matrix is not positive definite or contains NaN.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -152,7 +152,7 @@ def _members(
 
 
 def part_sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, least_own_share: cython.double):
-    """Return the sizes of the parts of many measurements.
+    """Return the normalised squares of the parts of many innovations, and sums over the innovations.
 
     Args:
         numbers: n innovations, shape (n, c), in the columns of
@@ -219,8 +219,9 @@ def axis_statistics(
         clipped_at: bound of the distance from the median, as a multiple of the spread.
 
     Returns:
-        Count, bias, spread and correlation of each axis as in :class:`ship_estimation.innovations.AxisStatistics`, NaN
-        with too few innovations, shape (axes, 4), and the common variance of the prediction error.
+        Count, bias, spread and correlation of each axis as in :class:`ship_estimation.innovations.AxisStatistics`,
+        shape (axes, 4), and the common variance of the prediction error. Too few innovations give NaN for all values
+        except the count.
     """
     count: cython.Py_ssize_t = numbers.shape[0]
     check("columns", 5 + 2 * axes <= numbers.shape[1] and least > 0)

@@ -287,7 +287,7 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
 
 
 def square_root(matrix: cython.const[cython.double][:, :]):
-    """Return L, for which L Lᵀ is a covariance, shape (3, 3); the covariance may be singular.
+    """Return the factor L, shape (3, 3), of a covariance L Lᵀ, which may be singular.
 
     Only the lower triangle of the covariance is read.
     """

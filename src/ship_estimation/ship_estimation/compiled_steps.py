@@ -144,7 +144,7 @@ def _transpose(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _cholesky(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
-    """Replace the upper triangle by the Cholesky factor; return False if not positive definite, or for NaN."""
+    """Replace the upper triangle by the Cholesky factor; return False if the factor does not exist, as for NaN."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     root: cython.double

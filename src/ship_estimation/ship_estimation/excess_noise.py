@@ -180,7 +180,7 @@ class ExcessNoise:
 
     @property
     def is_collecting(self) -> bool:
-        """True while samples are collected: at the start, after a failed step check, and during an excess."""
+        """True while samples are collected: at the start, after a failed step check or a step, and during an excess."""
         return self._last_failure_ns is not None or self.found is not None
 
     def start_collecting(self, time_ns: int, usual_rad: float) -> None:
@@ -196,7 +196,7 @@ class ExcessNoise:
 
     @property
     def sigma_rad(self) -> float:
-        """Noise about the worst axis at the fastest rotation of the excess; the stated noise without an excess."""
+        """Noise about the worst axis at the fastest rotation of the excess, at least the stated noise, rad."""
         if self.found is None:
             return self._stated_rad
         return max(self._stated_rad, self.found.sigma_rad(self._fastest2))

@@ -59,8 +59,8 @@ class ExcludedSource:
         consistent_since_ns: stamp since which the source has been consistent with the other sources; None if it is
             inconsistent.
         offset: rotation vector from the attitude by the other sources to the measured attitude at the exclusion, rad,
-            shape (3,), in the device frame. The offset must vanish before the reinstatement. None if the mounting is
-            estimated again, and for an INS.
+            shape (3,), in the device frame. At most half of the offset may remain at the reinstatement. None if the
+            mounting is estimated again, and for an INS.
         remaining_offset_ratio: share of ``offset`` that remains, mean over some measurements.
         growing_since_ns: stamp since which the offset is much larger than at the exclusion, in the same direction; None
             if the offset has not grown.
@@ -119,8 +119,8 @@ def isolate_fault(
         now_ns: present time.
         degraded_after: number of successive rejections after which a filter is inconsistent with a source.
         larger_subfilters: subfilters that exclude a candidate's source and a second source. Such a subfilter explains
-            every fault that the candidate explains. It is therefore tested only if all candidates are inconsistent, or
-            if its separation is clearly the largest.
+            every fault that the candidate explains. The larger subfilter is therefore tested only if all candidates are
+            inconsistent, or if its separation is clearly the largest.
 
     Example:
         The three filters use both sources, only the second and only the first. Every filter that uses the first source
@@ -214,9 +214,9 @@ def evaluate_reinstatement(
 ) -> tuple[ExcludedSource, bool]:
     """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
-    The source must be consistent for :func:`reinstatement_time_s`. If its mounting is not estimated again, its offset
-    must also have vanished and must still be observable. The offset becomes unobservable as the covariance of the other
-    sources grows during the exclusion.
+    The source must be consistent for :func:`reinstatement_time_s`. If the source has an :attr:`ExcludedSource.offset`,
+    at most half of the offset may remain, and the offset must still be observable. The offset becomes unobservable as
+    the covariance of the other sources grows during the exclusion.
 
     Args:
         excluded: state of the source before the measurement.

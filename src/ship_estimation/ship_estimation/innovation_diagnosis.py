@@ -124,7 +124,8 @@ class InnovationHistory:
         self._newest_ns = 0
 
     def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
-        """Add the innovation of a decision; it replaces an earlier innovation of the source with the same stamp."""
+        """Add the innovation of a decision, if any; the latest innovation of several with one stamp replaces the
+        others."""
         innovation = innovation_of(decision)
         if innovation is not None:
             self._pending.setdefault(source, []).append(innovation)

@@ -2,9 +2,9 @@
 
 The main filter and every subfilter (:mod:`ship_estimation.subfilters`) compute innovations for every source. If a
 filter is fault-free and uses a source, the whitened innovations of that source have zero mean and unit covariance, and
-are independent of one another. Their exponential means over few measurements show a mounting shift within three
-measurements. The means over many measurements show a drift. :mod:`ship_estimation.fault_isolation` isolates the faulty
-source.
+are independent of one another. Exponential means of these innovations over few measurements show a mounting shift
+within three measurements. The means over many measurements show a drift. :mod:`ship_estimation.fault_isolation`
+isolates the faulty source.
 """
 
 import math

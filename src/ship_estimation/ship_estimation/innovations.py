@@ -29,10 +29,10 @@ FALSE_DIAGNOSIS_PROBABILITY = 1e-7
 """Probability of a false alarm of one test, for a source whose errors agree with its stated sigma."""
 
 TOLERATED_FACTOR = 1.25
-"""Ratio of true to stated sigma up to which no diagnosis is made."""
+"""Ratio of true to stated sigma, or its inverse, up to which the sigma is not reported."""
 
 TOLERATED_BIAS = 0.25
-"""Mean of the innovations, in their sigmas, up to which no bias is reported."""
+"""Median of the innovations, in their sigmas, up to which no bias is reported."""
 
 TOLERATED_CORRELATION = 0.2
 """Correlation of successive innovations up to which no correlation is reported."""

@@ -177,8 +177,8 @@ class InsCheck:
         """Check a sample against earlier samples.
 
         The checks follow the stream in order. A sample that arrives after later samples is only compared with the
-        accepted sample before it in time. Such a sample is also rejected while the source is frozen at its value, or
-        while the rates have the wrong unit.
+        accepted sample before it in time. Such a sample is also rejected while the source is frozen at the value of
+        this sample, or while the rates have the wrong unit.
 
         Args:
             sample: sample to check.
