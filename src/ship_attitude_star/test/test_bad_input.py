@@ -416,7 +416,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
 
 
 def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
-    """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
+    """The azimuth is 1.4° off; the sigma about Up of a sensor that looks up by 45° is 100" sin 45°."""
     run = run_adapter(
         new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, CHANGE_S), set_field("azimuth", 0.7))
     )

@@ -70,14 +70,14 @@ def rate_d(t_s: float) -> np.ndarray:
 
 
 def star_epochs() -> list[tuple[int, str]]:
-    """Stamps in ms and sensors: fore each half second, starboard at every other of these, and once between."""
+    """Return stamps in ms and sensors: fore each half second, starboard at every other of these and 260 ms later."""
     fore = [(ms, "fore") for ms in range(1000, int(1000 * DURATION_S) - 1000, 500)]
     starboard = [(ms, "starboard") for ms in range(1500, int(1000 * DURATION_S) - 1000, 1000)]
     return sorted([*fore, *starboard, *((ms + 260, "starboard") for ms, _ in starboard)])
 
 
 def measurements() -> list[AttitudeMeasurement]:
-    """Return attitudes with errors of the modelled sizes, but not of the modelled processes: the result may not differ.
+    """Return attitudes with errors of the modelled sizes, but of other processes: smoother and batch must still agree.
     """
     rng, found = np.random.default_rng(5), []
     mounted = {id_: MOUNTED * rng.standard_normal(3) for id_ in SENSORS}
@@ -110,7 +110,7 @@ def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
 
 @dataclass
 class BatchProblem:
-    """Places of all unknowns by name and time, ms; each unknown has three numbers, but the clock one."""
+    """Places of all unknowns by name and time, ms; each unknown has three numbers, the clock has one."""
 
     places: dict[tuple[str, int], slice] = field(default_factory=dict)
     size: int = 0

@@ -362,7 +362,7 @@ def solved_voyage(run: Run | None = None) -> tuple[Arrival, ...]:
 
 
 def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
-    """Run all inputs that the node subscribes to; without the sky it needs neither position nor air."""
+    """Run all inputs that the node subscribes to: position and air only if ``shared`` is "by_input" or "sky"."""
     sensors = {id_: {**values, "input": "solution", "shared": shared} for id_, values in OBSERVING.items()}
     surroundings = () if shared in ("by_input", "sky") else (FIX, PRESSURE, TEMPERATURE, HUMIDITY)
     return run_new_adapter(without_topics(arrivals, *surroundings), star_sensors=sensors)

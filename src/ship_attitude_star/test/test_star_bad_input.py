@@ -328,7 +328,7 @@ def test_exposures_without_stars_are_no_fault() -> None:
 
 
 def test_another_noise_of_the_ins_reaches_its_check() -> None:
-    """One sample off by 60", as in the test of ship_attitude."""
+    """One INS sample is off by 60", as in the test of ship_attitude."""
 
     def rotate_up(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))

@@ -92,7 +92,8 @@ def test_a_lamp_behind_a_mask_matches_no_star(sky_model: SkyModel) -> None:
 def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     sky_model: SkyModel, sigma_arcsec: float
 ) -> None:
-    """Stars over five sigmas plus the edge's step to port of the edge are out; stars within five sigmas are in."""
+    """Stars further than five sigmas plus 0.26° to port of the edge are no candidates; all other stars within five are.
+    """
     exposure, sky = without_identity(exposure_of(sky_model, "fore", 8)), sky_model.sky_at(TIME_NS)
     edge_deg, prior = median_split(exposure), prior_of(sigma_arcsec)
 

@@ -39,7 +39,7 @@ SIGMAS = 5.0
 
 
 def clock(*steps: tuple[float, float]) -> Clock:
-    """Return the offset of all clocks, ns, at a time, ns; ``steps`` are (start, offset), s."""
+    """Return the offset of all clocks, ns, as a function of time, ns; ``steps`` are (start, offset), s."""
 
     def off_ns(time_ns: int) -> int:
         off_s = [far_s for since_s, far_s in steps if time_ns >= START_NS + round(since_s * SECOND_NS)]

@@ -53,7 +53,8 @@ def assert_in_order(run: Run) -> None:
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
-    """Assert that, from a second and a tick on, INVALID is published each second, no budget and no other status."""
+    """Assert that INVALID is published each second from 1.1 s after ``from_s`` on, without budgets and other statuses.
+    """
     times_ns = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
     assert times_ns[0] <= at(from_s + 1.1)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(times_ns))

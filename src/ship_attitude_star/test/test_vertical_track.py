@@ -117,7 +117,7 @@ def test_without_fixes_the_distance_is_extrapolated_and_the_table_is_not_used() 
     # A fix is used for fix_max_age_s; after that the last speed counts.
     assert later.distance_run_m - before_m == pytest.approx(3000.0, abs=200.0)
     assert "no position fix" in track.missing_data_text(ns(600))
-    # A fix so far away is accepted after a minute.
+    # A fix so far away is accepted after 25 s.
     for second in range(600, 670):
         track.insert(fix(second, 60_000.0))
     assert "nearest is 38 km away" in track.missing_data_text(ns(669))

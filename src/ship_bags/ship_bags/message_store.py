@@ -115,8 +115,8 @@ class BagTypes(NamedTuple):
     """Types for reading one bag.
 
     Attributes:
-        store: types as the bag defines them; the suite's own store if the bag's definitions agree with it and add no
-            types.
+        store: types as the bag defines them; the suite's own store if the bag's definitions agree with this store and
+            add no types.
         differences: name of a type → one line per field that differs between bag and suite, fields of nested types
             included. Types without a difference are left out.
         unreadable: type of the bag whose definition cannot be used → reason.

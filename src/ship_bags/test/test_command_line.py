@@ -13,8 +13,8 @@ from ship_testing.calibration_sessions import STILL, session, write_session
 from ship_testing.hand_made_bags import write_imu_bag
 from ship_testing.short_scenario import SHORT
 
-# The runner repeats a command, each time in a new folder. Ctrl-C is sent when the command opens, renames or removes a
-# file of the folder for the given time, and again at the next time, as by an impatient user.
+# The runner repeats a command, each time in a new folder. Ctrl-C is sent at the file access (opening, renaming or
+# removal in the folder) with the given number, and again at the next access, as by an impatient user.
 RUNNER = """
 import os, signal, sys
 from pathlib import Path

@@ -214,7 +214,7 @@ def test_references_are_never_resampled(import_texts):
 
 
 def test_pashr_with_the_day_from_the_receive_time(import_texts):
-    """Received just after midnight, valid just before."""
+    """The sentence is received just after midnight and is valid just before midnight."""
     text = line(0.1, "PASHR,235959.950,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
     found, _, _ = import_texts(ins=text)
     ((log_time_ns, message),) = found["ins/imu"]

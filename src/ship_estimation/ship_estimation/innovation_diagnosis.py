@@ -124,8 +124,7 @@ class InnovationHistory:
         self._newest_ns = 0
 
     def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
-        """Add the innovation of a decision, if any; the latest innovation of several with one stamp replaces the
-        others."""
+        """Add the innovation of a decision, if any; of several with one stamp the last innovation is kept."""
         innovation = innovation_of(decision)
         if innovation is not None:
             self._pending.setdefault(source, []).append(innovation)

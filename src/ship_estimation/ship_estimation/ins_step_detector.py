@@ -212,8 +212,7 @@ class InsStepDetector:
         return PredictionMatch(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
 
     def accept(self) -> DetectedStep | None:
-        """Accept the last checked sample; return a step detected with this sample, or None. A step starts a new line.
-        """
+        """Accept the last checked sample; return the step that this sample shows, or None; a step starts a new line."""
         if self._pending is None:
             return None
         self._times[self._end] = self._last_ns = self._now_ns

@@ -61,7 +61,7 @@ class BudgetPanel:
         self.box = PanelBox(theme, "Error budget", [self._choice, self._figure])
 
     def choose(self, angle: str) -> None:
-        """Select an angle chosen by the user; it is drawn at the next update."""
+        """Select an angle chosen by the user; the angle is drawn at the next update."""
         self.chosen_angle = angle
         self._select_angle(angle)
 

@@ -72,7 +72,7 @@ class LightsPanel:
         self.box = PanelBox(theme, "Lights on the detector", [self.figure])
 
     def update(self, history: History, suite_state: SuiteState, marked: str) -> None:
-        """Draw the last minute; the lights are highlighted if they are marked."""
+        """Draw the last minute; the lights are highlighted if ``marked`` is "lights"."""
         draw_frame(self._theme, self.figure, marked == "lights")
         self._newest_markers.glyph.line_width = 4 if marked == "lights" else 2
         recent_points = {
