@@ -17,8 +17,7 @@ ROW = re.compile(r"(heading|tilt|pointing) +([\d.]+)″ +([\d.]+)″ +(\d+) % +(
 
 
 def run_and_read_table(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """Return the printed text, and by quantity: median accuracy, limit, its share SAFE, proposed limit, its share SAFE.
-    """
+    """Return the text, and by quantity: median accuracy, limit, share SAFE, proposed limit, share SAFE with it."""
     assert suite(arguments) == 0
     text = capsys.readouterr().out
     return text, {name: tuple(map(float, numbers)) for name, *numbers in ROW.findall(text)}

@@ -51,7 +51,7 @@ NOT_OURS = {("diagnostic_aggregator", "aggregator_node")}
 
 
 def executables():
-    """Return (package, executable) of all packages here."""
+    """Return (package, executable) of each entry point in the ``setup.py`` files."""
     return {
         (path.parent.name, name)
         for path in SOURCES.glob("*/setup.py")
@@ -126,7 +126,7 @@ def test_every_named_parameter_and_file_exists(launch):
 
 
 def test_missing_suite_file_ends_each_node_that_reads_it(launch):
-    """launch_ros omits a ``<param from>`` that is no file, with a warning; ``tools/try_launch.py`` tests it."""
+    """launch_ros only warns of a missing ``<param from>`` file; a missing ``--params-file`` ends the node."""
     readers = {node.node_name for node in (*ADAPTERS, *COMPANIONS)}
     for node in launch.iter("node"):
         assert (node.get("ros_args") == "--params-file $(var file)") == (node.get("exec") in readers)
@@ -296,7 +296,7 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "ship_nmea/*/instruments/*.py": {"nmea_in"},
     "ship_monitor/*/alerts/*.py": {"alerts"},
 }
-NOT_PUBLISHED = {  # made in a file of many nodes, published by some of them
+NOT_PUBLISHED = {  # status: nodes of its file in MAKERS that do not publish it
     "conflict {}": ADAPTER_NODES - RECOVERING_NODES,
     "stamps": NMEA_NODES | {"alerts"},
     "name": {"alerts"},

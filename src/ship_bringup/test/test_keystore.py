@@ -1,4 +1,4 @@
-"""A valid keystore, and every kind of fault, each reported in one line with the file and the reason."""
+"""A valid keystore, and faults of a keystore, each reported in one line with the file and the reason."""
 
 import dataclasses
 import re
@@ -270,7 +270,7 @@ def test_ineffective_governance(keystore, right, wrong):
 
 
 def test_outdated_policies(keystore):
-    """Policies from code with one topic less, with the fingerprint of that code: the missing permission is named."""
+    """Policies of code with one topic less are reported twice: for the missing permission and for the fingerprint."""
     older = dataclasses.replace(OF_NODE, publishes=OF_NODE.publishes - {"/demo/ship/integrity"})
     keystore.permit(NODE, older)
     texts = [fault.text for fault in keystore_faults(keystore.path, use())]
@@ -294,7 +294,7 @@ def test_policies_of_another_program_without_fingerprint(keystore):
 
 
 def test_policies_that_allow_too_much(keystore):
-    """Everything is allowed, as by 'ros2 security create_enclave' without a policy."""
+    """First, publication on every topic is allowed; then the default is ALLOW."""
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     wide = text.replace("<topic>rt/rosout</topic>", "<topic>rt/*</topic>")
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", wide)

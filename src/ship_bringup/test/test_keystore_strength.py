@@ -1,6 +1,7 @@
-"""A consistent keystore without protection: weak keys, open file permissions, an authority's own key.
+"""Weak protection in a consistent keystore, for example short keys, writable files or an authority's private key.
 
-Certificates are made by the program ``openssl``: the Python library refuses to sign with some of the tested kinds.
+The node's certificates are made by the program ``openssl``, because the Python library refuses some of the tested keys
+and digests.
 """
 
 import datetime
@@ -127,7 +128,7 @@ def test_certificate_that_can_sign_others(keystore, tmp_path):
 
 @pytest.mark.parametrize("name", ["identity_ca.cert.pem", "permissions_ca.cert.pem"])
 def test_expired_authority(keystore, name):
-    """The certificate of the enclave's authority has expired; its key is that of the ship's authority."""
+    """The enclave has an expired certificate of the ship's authority, with the key of the valid certificate."""
     old = certificate_of("sros2CA", AUTHORITY.key, now=NOW - YEAR - 2 * DAY)
     Keystore.write_certificate(keystore.folder(NODE) / name, old)
     (text,) = [text for text in texts_of(keystore) if text.startswith(f"{keystore.folder(NODE)}/{name}: ")]

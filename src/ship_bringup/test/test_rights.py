@@ -29,7 +29,7 @@ def rights_of(name, **options):
 
 
 def may(rights, action, topic):
-    """True if the permissions allow ``action`` by DDS Security 1.1, 9.4.1.3, read without the suite's reader."""
+    """True if the permissions allow ``action`` on ``topic`` (DDS Security 1.1, 9.4.1.3), without the suite's reader."""
     grant = ET.fromstring(permissions_text(rights, 7, FIRST, LAST)).find("permissions/grant")
     assert grant.findtext("default") == "DENY"
     assert [rule.tag for rule in grant if rule.tag.endswith("_rule")] == ["allow_rule"]

@@ -25,7 +25,7 @@ def program(name, text, role=Role.NODE):
 
 
 def run_suite(*programs, until="", count=1, **limits):
-    """Return exit code and lines of a suite that the user ends after ``count`` lines that contain ``until``."""
+    """Return exit code and lines of a suite; SIGINT ends the suite at the ``count``-th line with ``until``."""
     lines = []
 
     def write(line):
@@ -73,7 +73,7 @@ def test_ended_program_is_started_again(code):
     text = f"import os; os.kill(os.getpid(), {-code})" if code < 0 else f"raise SystemExit({code})"
     lives = program("lives", WAITS)
     ended, lines = run_suite(program("mayfly", text), lives, until="mayfly ended", count=4)
-    assert ended == exit_code_of(code)  # it was down when the user ended the suite
+    assert ended == exit_code_of(code)  # mayfly was down when SIGINT ended the suite
     ends = [line for line in lines if "mayfly ended" in line]
     assert ends[0].endswith("; started again at once (restart 1 in a row)")
     assert ends[3].endswith("; started again in 4 s (restart 4 in a row)")
@@ -186,7 +186,7 @@ def test_bad_input_of_one_program_at_the_start_is_retried():
         until="wrong ended",
         count=3,
     )
-    assert code == 2  # of the first program that was down at the end
+    assert code == 2  # exit code of the first program that was down at the end
     assert any(re.fullmatch(r".*page ended .*: exit code 2; started again at once .*", line) for line in lines)
     assert "[right] ends" in lines
 
@@ -237,7 +237,7 @@ def test_frozen_program_is_reported_killed_and_restarted(how):
     code, lines = run_suite(
         program("node", text), until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0
     )
-    assert code == 0  # it ran when the user ended the suite
+    assert code == 0  # node ran when SIGINT ended the suite
     assert time.monotonic() - started_s < FAR_S
     own = [line for line in lines if line.startswith("[suite]")]
     times = re.fullmatch(r"\[suite\] node is frozen: no heartbeat for (\d) s, .*started again in (\d) s", own[0])
@@ -303,7 +303,7 @@ def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypa
 
 @pytest.mark.slow
 def test_standstill_of_the_supervisor_does_not_count():
-    """All are stopped and continued together, as on a suspended computer."""
+    """Supervisor and program are stopped and continued together, as on a suspended computer."""
     supervisor = start_supervisor(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
     pid = read_pids(supervisor, 1)[0]
     time.sleep(1.5)
@@ -321,7 +321,7 @@ def test_standstill_of_the_supervisor_does_not_count():
 
 @pytest.mark.slow
 def test_program_without_processor_time_is_not_frozen():
-    """The program shares one core with processes of a thousand times its weight."""
+    """Three processes on the program's core have together a thousand times its scheduling weight."""
     core = str(min(os.sched_getaffinity(0)))
     hog_text = f"import os\nos.sched_setaffinity(0, [{core}])\nwhile True: pass"
     hogs = [subprocess.Popen([sys.executable, "-c", hog_text]) for _ in range(3)]
@@ -365,7 +365,7 @@ def test_failed_start_is_retried(monkeypatch, number, where):
 
 @pytest.mark.slow
 def test_restart_without_file_descriptors_is_retried():
-    """The limits of a running supervisor are lowered below its use, and raised again."""
+    """A running supervisor's limit of file descriptors is lowered below the number in use, and later restored."""
     text = BEATS + "heartbeat().beat(time.monotonic_ns())\nprint(os.getpid(), flush=True)\nbeat_for(60.0)"
     supervisor = start_supervisor(text, text)
     first, other = read_pids(supervisor, 2)
@@ -403,7 +403,7 @@ def test_exception_in_the_supervisor_ends_nothing(monkeypatch):
 
 
 def start_supervisor(*texts, limits=""):
-    """Return a supervisor as a process of its own, whose programs print their process ids."""
+    """Start a supervisor in a process of its own, with one program for each text."""
     programs = ", ".join(f"Program('p{i}', (sys.executable, '-c', {text!r}))" for i, text in enumerate(texts))
     code = (
         "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.supervisor import Program, Supervisor\n"

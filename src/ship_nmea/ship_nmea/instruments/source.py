@@ -27,9 +27,9 @@ _BACKWARD_JUMP_NS = NS_PER_S
 """Backward jump of the node's time beyond which the conversion (:class:`Instrument`) is reset, ns."""
 
 _CLOCK_CORRECTED_NS = 3 * NS_PER_S
-"""Time without a published message, ns; after this time a rejection as NOT_LATER may reset the conversion.
+"""Time without a message on a required topic, ns, after which a rejection as NOT_LATER may reset the conversion.
 
-The conversion is reset if the last published stamp is in the future."""
+The conversion is reset if the last stamp on a required topic is later than the arrival of the text."""
 
 _MAX_CHARACTERS = 60
 _MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
@@ -103,7 +103,8 @@ class Source:
         self._dropped, self._dropped_ns = 0, now_ns - 2 * WARNING_NS
         self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * WARNING_NS
         self._talkers = TalkerComparison()
-        # A weather station must provide any of its quantities; another source its first topic, as an INS its attitudes.
+        # A weather station must provide any of its quantities. Another source must provide its first topic, for example
+        # an INS its attitudes.
         self._required_topics = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
     def convert(self, received: ParsedText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:

@@ -41,7 +41,7 @@ _INS = (
     "time_offset_sigma_s",
 )
 _INS_FOR_STAR_ATTITUDE = tuple(name for name in _INS if name not in ("tilt_time_s", "heading_time_s"))
-"""Parameters of the INS for ``star_attitude``, which needs no correlation time longer than an exposure."""
+"""Parameters of the INS for ``star_attitude``, which has no parameters for the correlation times."""
 _STAR_MOUNTING = (
     "azimuth_deg",
     "elevation_deg",

@@ -45,7 +45,7 @@ This study is computed if no file is given."""
 
 @dataclass(frozen=True, kw_only=True)
 class BeaconPosition:
-    """Position of a beacon relative to the telescope's axis, as in the flight of a scenario."""
+    """Position of a beacon relative to the telescope's axis, with the keys of ``flight.escort`` in a scenario."""
 
     right_deg: float = parameter(doc="to the right of the axis", unit="deg", minimum=-60.0, maximum=60.0)
     up_deg: float = parameter(doc="above the axis", unit="deg", minimum=-60.0, maximum=60.0)
@@ -142,7 +142,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
 
 
 def _in_study(error: ParameterError) -> ParameterError:
-    """Return an error of the node's checks, with the parameters under their names in the study."""
+    """Return the error; parameters of the node get their names in the study, which begin with ``optical_axis.``."""
     own = {field.name for field in fields(DesignStudyConfig)}
     if any(name.split(".")[0] in own for name in error.parameters):
         return error

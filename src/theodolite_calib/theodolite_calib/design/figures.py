@@ -17,7 +17,7 @@ _COLUMNS = 2
 _FINE, _COARSE, _WIDE = (1.0, 2.0, 5.0), (1.0, 3.0), 100.0
 """Labelled values of a decade, fine and coarse, and the ratio of an axis' ends above which coarse labels are used."""
 _HIGHEST = 8.0
-"""Upper end of the error axis in multiples of the given design's error."""
+"""Largest upper end of the error axis, as a multiple of the given design's error."""
 
 
 def draw_figures(study: DesignStudy, folder: Path) -> dict[str, Path]:

@@ -1,7 +1,8 @@
 """Results of a design study, for its tables, figures and page.
 
-Each sweep changes one quantity and keeps all others. A sweep gives the error for the given beacons. For some values the
-sweep also gives the error for beacons at the best positions within the limits of ``escort``.
+Each sweep changes one quantity; the sweeps of focal length, pixel pitch and RTK noise also change errors in proportion.
+A sweep gives the error for the given beacons. For some values each sweep except ``separation`` also gives the error for
+beacons at the best positions within the limits of ``escort``.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -39,7 +40,8 @@ class Sweep:
         given: value of the quantity in the study.
         sigma_arcsec: error of the pointing on the sky with the given beacons, shape (n,); NaN if a beacon is behind the
             telescope.
-        best_arcsec: error with the beacons at the best positions within the limits, shape (n,); NaN if not computed.
+        best_arcsec: error with the beacons at the best positions within the limits, shape (n,); NaN if not computed, or
+            if no position is within the limits.
     """
 
     name: str
@@ -274,7 +276,7 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
 
 
 def _at_range(escort: EscortConfig, range_m: float) -> EscortConfig:
-    """Return limits that allow only one range; a separation too large for this range is reduced."""
+    """Return limits that allow only one range; a minimum separation too large for this range is reduced."""
     widest_m = 2.0 * range_m * float(np.sin(np.deg2rad(escort.field_deg)))
     separation_m = min(escort.separation_min_m, 0.999 * widest_m)
     return replace(escort, range_min_m=range_m, range_max_m=range_m, separation_min_m=separation_m)
@@ -300,7 +302,7 @@ def _separation_deg(tangents: FloatArray) -> float:
 
 
 def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
-    """Return the common factor on all offsets from ``middle`` at which the first beacon leaves the field.
+    """Return the factor on all offsets from ``middle`` at which the first beacon leaves the field, at most 1000.
 
     Args:
         tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.
