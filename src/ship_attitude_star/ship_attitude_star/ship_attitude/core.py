@@ -545,7 +545,10 @@ class ShipAttitudeCore:
         return closed_ns
 
     def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
-        """Let the next ``apply`` evaluate again from the first affected measurement after a time, unless None."""
+        """Let the next ``apply`` evaluate again from the first affected measurement after ``changed_after_ns``.
+
+        None changes nothing.
+        """
         if changed_after_ns is not None:
             self._estimator.rewind_to_first(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
