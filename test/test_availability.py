@@ -1,4 +1,4 @@
-"""Availability compared with the methods of [P15]'s §1, which need more stars; the table in the docs."""
+"""Availability compared with the methods of [P15] §1, which need more stars, and the table in the docs."""
 
 import functools
 import re

@@ -39,7 +39,7 @@ def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(paths):
     services = "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"
     for used in ("ins/imu 3001", "parameters 4", "parameters refused 1", *services):
         assert used in outcome.stdout
-    # However busy the machine: every sample has its attitude.
+    # Every sample has its attitude, however busy the machine is.
     assert re.search(r"^equal: .*ship/imu 3001", outcome.stdout, re.MULTILINE)
 
 

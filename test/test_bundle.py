@@ -252,7 +252,7 @@ def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, s
 
 
 def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
-    """Names normalised by PEP 503, file names escaped by PEP 427."""
+    """Names are normalised as in PEP 503, and file names are escaped as in PEP 427."""
     assert pin_of_requirement("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
     assert pin_of_wheel("ruamel_yaml-0.19.1-py3-none-any.whl") == "ruamel-yaml==0.19.1"
 

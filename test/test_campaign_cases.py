@@ -1,6 +1,6 @@
 """Fifty seeds of each case of ``make campaign``, in short: is the covariance of the fused attitude consistent?
 
-One error per seed, at the end of its run. The bands are of 99.9 %, from chi-square, for the number of seeds.
+Each seed gives one error, at the end of its run. The bands contain 99.9 %, from chi-square, for the number of seeds.
 """
 
 import numpy as np
@@ -39,7 +39,7 @@ def test_the_configuration_of_the_suite_follows_a_cases_changes() -> None:
 
 def test_half_an_hour_of_clouds_leaves_the_ins_drift() -> None:
     # The tilt of the INS has 10" and a correlation time of 30 min: sqrt(1 - exp(-2 1800/1800)) 10" = 9.30" of new
-    # error. The noise of the last sample is 1", and exp(-1) of the former 1.3" is left.
+    # error. The noise of the last sample is 1", and exp(-1) of the 1.3" before the clouds is left.
     scenario = case_in_short("outage")
     expected_arcsec = np.sqrt(9.30**2 + 1.0 + (1.3 * np.exp(-1.0)) ** 2)
     assert final_error(scenario, seed=0).sigma[1] == pytest.approx(expected_arcsec * ARCSEC, rel=0.01)

@@ -36,8 +36,8 @@ def scenario(name: str, duration_s: float, ins_rate_hz: float = 20.0) -> Scenari
 def information_bound(run: SimulatedRun) -> np.ndarray:
     """Return the covariance of the final total attitude error by one large information matrix, horizon frame, rad².
 
-    Unknowns: INS error a at each star epoch and at the end, installation errors, tau. No filter, no recursion:
-    priors, Gauss-Markov steps and measurements each add their block; the inverse has the covariance.
+    The unknowns are the INS error a at each star epoch and at the end, the installation errors, and tau. Priors,
+    Gauss-Markov steps and measurements each add their block, without recursion. The inverse contains the covariance.
     """
     s, ins = run.scenario, run.scenario.ins
     stars = list(run.stars.values())

@@ -70,7 +70,8 @@ def without_clouds(scenario: Scenario) -> Scenario:
 @pytest.mark.statistics
 def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> None:
     # Issue: with the table, the RMS of the additional tilt error is at most 3 arcseconds, compared with the same seed
-    # without deflection. The additional error is the difference of both errors: the unknown part of the table.
+    # without deflection. The additional error is the difference of both errors. It is due to the part of the deflection
+    # that the table does not contain.
     more = []
     for seed in range(SEEDS):
         errors = []

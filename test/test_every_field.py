@@ -1,7 +1,7 @@
 """Eight values in every field of every message of the theodolite: no exception, and consistent outputs.
 
-A voyage runs for three seconds. From there on, in a copy of the node for each case, one field of one topic has a bad
-value: with two lights in all messages that follow, with one light in one message.
+A voyage runs for three seconds. Then, in a copy of the node for each case, one field of one topic has a bad value. If
+both lights are visible, all following messages have the bad value; if one light is hidden, one message has it.
 """
 
 import contextlib

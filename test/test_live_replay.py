@@ -107,7 +107,7 @@ class Outcome:
 
 @pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
 def runs(request, tmp_path_factory):
-    """(bag, its node, offline outcome, live outcome, recorded bag)."""
+    """Return a bag, its node, the offline outcome, the live outcome, and the recorded bag."""
     node = node_of(request.param)
     folder = tmp_path_factory.mktemp(request.param.stem)
     with pytest.MonkeyPatch.context() as patch:
@@ -147,8 +147,8 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
 def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tuple[Outcome, Path]:
     """Run the bag through the node's process; return outputs, the file saved by its service, and the recording.
 
-    The bag is played more slowly if the busy machine discarded messages to the node (which reports them), or delivered
-    them so late that outputs are missing: lost messages cannot be compared.
+    The bag is played again, more slowly, if the node reports discarded messages, or received messages so late that
+    outputs are missing. Lost messages cannot be compared.
     """
     for slower in (1, 2, 4):
         run_folder = folder / f"live_{slower}"

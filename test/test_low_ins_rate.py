@@ -1,6 +1,6 @@
 """An INS of one sample a second in a seaway: is the covariance consistent if interpolation is the largest error?
 
-One error per seed, at the end of its run. Bands of 99.9 %, from chi-square.
+Each seed gives one error, at the end of its run. The bands contain 99.9 %, from chi-square.
 """
 
 from dataclasses import replace

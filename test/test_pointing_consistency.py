@@ -125,7 +125,7 @@ def test_errors_of_streaked_lights_fit_their_covariance():
 
 @pytest.mark.parametrize("exposure_s", [0.2, 1.0])
 def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s):
-    """A telescope that sweeps over two lights; the truth at the middle is the simulator's own."""
+    """A telescope sweeps over two lights. The simulator computes the true points at the middle of the exposure."""
     scenario = sweep_over_beacons(exposure_s)
     run = simulate(scenario, seed=3)
     telescope, scene, images = scenario.theodolite.telescope, run.theodolite.truth.scene, run.theodolite.images

@@ -1,6 +1,6 @@
 """Faulty devices of the theodolite: VALID errors fit the covariance, and devices are used again if consistent.
 
-Former results of the same sessions are in brackets: the largest error in sigmas while VALID.
+Comments at the cases give former results of the same sessions: the largest error in sigmas while VALID.
 """
 
 import os

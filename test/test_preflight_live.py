@@ -103,7 +103,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 @pytest.mark.parametrize("are_there", [True, False])
 def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
-    """They publish, or start, only after discovery (4 s) and listening (1 s) have ended."""
+    """The sensors publish, or start, only after discovery (4 s) and listening (1 s) have ended."""
     environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
         imu = publish(observer.node, "/demo/ins/imu", Imu, 50.0)

@@ -92,7 +92,7 @@ def test_the_weather_is_not_rejected() -> None:
 
 
 def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:
-    """One error per seed; 99.9 % bands for as many seeds. ``tools/campaign.py recorded`` runs more."""
+    """Each seed gives one error; the bands contain 99.9 %. ``tools/campaign.py recorded`` runs more seeds."""
     bag = import_ship(tmp_path, "instrument")
     whole = load_scenario(ROOT / "bags" / "scenarios" / "recorded.yaml", recording=bag)
     scenario = replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=20.0))

@@ -200,8 +200,9 @@ def test_messages_at_a_too_high_rate_have_no_effect(node: str, topic: str) -> No
 def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: int) -> None:
     """A baseline without fixed solution is an exception: its position is not used, but it has an effect.
 
-    No exposure waits for a fixed baseline in its place, and no position is interpolated across it. If the fixed
-    baselines around are too far apart for interpolation anyway, the final state is that without the unfixed baselines.
+    No exposure waits for a fixed baseline in place of an unfixed one, and no position is interpolated across an unfixed
+    one. If the fixed baselines before and after are too far apart for interpolation, the final state is that without
+    the unfixed baselines.
     Otherwise lights between the fixed baselines are missing.
     """
     everything, topic = voyage("optical_axis"), "beacon/a/baseline"

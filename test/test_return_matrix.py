@@ -73,7 +73,8 @@ def test_a_short_fault_of_each_voyage_returns(voyage: str, cells: list[Cell], vo
     ],
 )
 def test_a_cell_that_once_failed_returns(name: str, cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
-    """Causes: memory of a fault, INS turned in its frame (twice), drift, frozen encoders, single sensor, encoders."""
+    """Causes by case: memory of a fault, INS turned in its frame (twice), drift, frozen encoders, one sensor, encoders.
+    """
     (cell,) = [cell for cell in cells if cell.name.startswith(name)]
     assert_returned([cell], voyages)
 

@@ -1,7 +1,7 @@
 """Position-dependent errors of a star on the detector: their model in the suite compared with a simulated detector.
 
 The simulated detector has waves over the field and a constant error of each pixel. The suite models the waves as a
-polynomial, and the pixel errors by their duration. The campaign's case ``spatial_errors`` runs the filter with many
+polynomial, and the pixel errors by the pixel dwell. The campaign's case ``spatial_errors`` runs the filter with many
 seeds.
 """
 
@@ -39,7 +39,7 @@ def solve_first_exposure(run: SimulatedRun):
 
 
 def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
-    """One exposure of each of 60 seeds."""
+    """Each of 60 seeds gives one exposure."""
     scenario = with_sensor(paper_stars(duration_s=0.2), camera=LARGE)
     nees, parts = [], []
     for seed in range(60):
@@ -62,7 +62,8 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
 def test_stars_are_identified_despite_spatial_errors():
     """The gate of a detection includes the spatial errors: one in a thousand is outside, not one in five.
 
-    Two sensors at a quay, for a minute, by a filter that must identify all stars; errors of 7″ and 5″ with 3″ of noise.
+    A filter that must identify all stars processes two sensors at a quay for a minute. The spatial errors are 7″ and
+    5″, the noise is 3″.
     """
     scenario = case_in_short("spatial_errors")
     nameless = {id_: replace(one, identified=False) for id_, one in scenario.star_sensors.items()}

@@ -85,7 +85,7 @@ def test_the_deck_is_published_with_each_attitude_at_its_stamp():
     for deck, attitude in zip(decks, claimed.values(), strict=True):
         assert (deck.header.frame_id, deck.child_frame_id) == ("horizon", "deck")
         published = rotation_from_message(deck.transform.rotation)
-        # Both forms of ship/attitude: the quaternion, and the angles turned into ROS's.
+        # Both forms of ship/attitude are compared: the quaternion, and the angles in ROS's convention.
         assert angle_between(published, rotation_from_message(attitude.orientation)) < BEYOND_ROUNDING
         assert angle_between(published, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
 
@@ -316,7 +316,7 @@ def test_late_subscribers_receive_the_sensor_frames(tmp_path, monkeypatch):
     with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "node.log", environment) as process:
         observer.node.create_subscription(TFMessage, "/tf_static", received.append, latched)
         assert observer.spin_until(lambda: received, 60.0), process.log_text()
-        # The node publishes it again only after a minute: this subscriber receives the latched message.
+        # The node publishes /tf_static again only after a minute: this subscriber receives the latched message.
         observer.node.create_subscription(TFMessage, "/tf_static", received.append, latched)
         assert observer.spin_until(lambda: len(received) > 1), process.log_text()
         assert process.end() == 0

@@ -1,4 +1,4 @@
-"""The programs in tools/, which make runs: no other test and no type check imports all of them."""
+"""The programs in tools/, which ``make`` runs: no other test and no type check imports all of them."""
 
 import ast
 import importlib

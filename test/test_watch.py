@@ -182,7 +182,7 @@ def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
 
 
 def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> None:
-    """A replay fills ship/error_arcsec from the same truth as the monitor does for NaN."""
+    """The monitor computes from the truth, in place of NaN, the errors that a replay writes to ship/error_arcsec."""
     with read_bag(clean[1]) as bag:
         filled = {ns_from_stamp(m.header.stamp): m for r in bag.records(["ship/error_arcsec"]) if (m := r.decode())}
     live, nan = SuiteMonitor(), math.nan

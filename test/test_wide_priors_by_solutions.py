@@ -118,7 +118,10 @@ def valid_errors(prior: Prior, seed: int) -> list[tuple[FloatArray, FloatArray]]
 
 @pytest.mark.parametrize("prior", [*PRIORS, *STREAKS], ids=str)
 def test_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
-    """Before, in five of eleven seeds, up to 8.9 sigma in the first 0.7 s, identified or not; 16 with streaks."""
+    """Before: up to 8.9 sigma in the first 0.7 s in five of eleven seeds, with and without star identities.
+
+    With streaks the largest error was 16 sigma.
+    """
     ends = []
     for seed in SEEDS:
         found = valid_errors(prior, seed)

@@ -68,7 +68,7 @@ def test_no_valid_error_exceeds_its_covariance_or_level(scale, named, sensor_ids
 
 @pytest.mark.parametrize("scale", [5e-4, 8e-4, 1.3e-3, 3e-3])
 def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ended(scale):
-    """The filter has estimated the focal length to 0.003 % by then, so that each change contradicts its estimate."""
+    """Before the change the filter has estimated the focal length to 0.003 %: each change contradicts the estimate."""
     whole = scenario(has_identities=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=40.0, star_sensors=sensors), seed=1)

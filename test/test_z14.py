@@ -53,7 +53,7 @@ def test_there_are_as_many_conclusions_as_in_the_paper():
 def test_roll_does_not_grow_with_elevation_as_in_the_abstracts(reading, figure, turn_back_arcsec):
     """Both abstracts state that roll grows abeam.
 
-    The English abstract states that roll, the Chinese that heading grows along the keel.
+    For sensors along the keel, the English abstract states that roll grows, the Chinese abstract that heading grows.
     """
     for azimuth_deg in (*AHEAD_ASTERN, *ABEAM):
         roll = curve_arcsec(figure, azimuth_deg, reading)[:, ROLL]

@@ -1,4 +1,4 @@
-"""Inputs on which two publishers send: by name, and by their values."""
+"""Detection of inputs on which two publishers send, by the names of their nodes and by their values."""
 
 import numpy as np
 

@@ -266,7 +266,7 @@ def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_
 
 
 def test_overload_state_begins_and_ends_with_the_load(live_relay):
-    """Ten times the load that the node can process, on any computer: each message takes 0.1 s."""
+    """The load is ten times what the node can process on any computer: 100 Hz, and each message takes 0.1 s."""
     relay = live_relay(*RELIABLE_INPUT)
     handle, load_s, used = relay.adapter.handle, 0.1, []
 
@@ -414,7 +414,7 @@ def test_clock_that_never_starts_is_an_error(live_relay):
 def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     name, set_time = "relay: clock", relay.clock_publisher()
-    # As a paused playback does: the same time again and again.
+    # A paused playback also publishes the same time again and again.
     end_s = time.monotonic() + CLOCK_TIMEOUT_NS * 1e-9 + 1.0
     while time.monotonic() < end_s:
         set_time(1000.0)

@@ -159,7 +159,7 @@ def test_texts_of_messages_are_cut_with_an_ellipsis():
 
 
 def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:
-    """Return the covariance by the eigenvalues of the correlations; None if they are invalid."""
+    """Return the covariance by the eigenvalues of its correlations; None if an eigenvalue is below -1e-6."""
     sigma = np.sqrt(np.diagonal(matrix))
     limit = np.outer(sigma, sigma)
     symmetric = 0.5 * matrix + 0.5 * matrix.T

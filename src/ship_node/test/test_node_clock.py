@@ -1,4 +1,4 @@
-"""Ticks and timeout clock; a node that is behind processes each message at its own time, not at the newest."""
+"""Ticks, timeout clock and node time: a node that is behind reads the /clock of each message, not the newest one."""
 
 import time
 
@@ -63,7 +63,7 @@ def test_each_message_is_processed_at_its_own_time(context):
 def test_system_time_is_unchanged(context):
     node = rclpy.create_node("wall", context=context)
     queue_clock(node)
-    # Its own subscriptions: the graph may still hold nodes of other tests.
+    # Only the node's own subscriptions are read: the graph may still hold nodes of other tests.
     topics = [subscription.topic_name for subscription in node.subscriptions]
     node.destroy_node()
     assert "/clock" not in topics

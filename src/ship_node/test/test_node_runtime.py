@@ -112,7 +112,7 @@ def test_a_file_with_a_similar_section_name_exits_2_with_both_names(tmp_path, se
 
 
 def test_a_file_for_other_nodes_is_one_warning_and_each_file_is_checked(tmp_path):
-    """The second file is as ros2 launch writes inline parameters: it matches."""
+    """The second file has the section that ros2 launch writes for inline parameters, which matches every node."""
     other, inline = tmp_path / "other.yaml", tmp_path / "inline.yaml"
     other.write_text(RELAY_FILE.format(section="/**/radar"))
     inline.write_text(RELAY_FILE.format(section="/**"))

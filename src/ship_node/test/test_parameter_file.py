@@ -64,7 +64,7 @@ RUNS = "/ship", "/fleet/ship", "/fleet/blue/ship"
     ],
 )
 def test_sections_match_the_same_nodes_as_in_rcl(tmp_path, section, fits):
-    """Compared with rcl itself."""
+    """The parameters read here and those that rcl itself reads are compared with the expected ones."""
     path = tmp_path / "suite.yaml"
     path.write_text(in_section(section, "lag_s: 1.5"))
     expected = {node: {"lag_s": 1.5} if node in fits.split() else {} for node in RUNS}
@@ -148,7 +148,9 @@ def test_a_file_for_other_nodes_is_a_warning():
 
 
 def test_a_section_for_all_nodes_matches():
-    """ros2 launch writes inline parameters this way; a section of the node's name that does not match is a warning."""
+    """ros2 launch writes inline parameters as such a section. A section with the node's name in another namespace is
+    then a warning, unless a section with the node's name matches too.
+    """
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
     assert section_warning(inline, AURORA) == ""
     assert section_warning(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""

@@ -137,7 +137,7 @@ def test_an_oversized_file_is_not_read_to_its_end(tmp_path):
 
 @dataclass
 class Content:
-    """Content to start from: one angle and its sigma."""
+    """Content to start from: a time and the sigma of one angle."""
 
     time_ns: int = 0
     sigma: float = 1.0

@@ -18,7 +18,7 @@ Step = Callable[[str, float], float]
 
 
 def arrivals(duration_s: float, step_s: Step, delay_s: Delay, **periods_s: float) -> Iterator[tuple[float, str, float]]:
-    """Return (timeout-clock time s, topic, stamp s) in order of arrival; a message delayed by a day or more never
+    """Yield (timeout-clock time s, topic, stamp s) in order of arrival; a message delayed by a day or more never
     arrives.
     """
     found = []
@@ -187,7 +187,8 @@ def test_disorder_within_two_seconds_is_no_step(seed: int) -> None:
     ({"star/fore": np.inf, "met/pressure": 5.0}, 1.9, 0.95, 40.0), ({"ins/imu": np.inf}, 1.0, 0.5, 22.0),
 ])  # fmt: skip
 def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: float, end_s: float) -> None:
-    """From 20 s on the messages of the first part of each second arrive ``late_s`` later, among the rest."""
+    """The messages of the first part of each second from 20 s to ``end_s`` arrive ``late_s`` later, among the others.
+    """
 
     def delay_s(topic: str, valid_s: float) -> float:
         return late_s if 20.0 <= valid_s < end_s and valid_s % 1.0 < share else 0.0

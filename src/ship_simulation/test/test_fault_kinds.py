@@ -67,7 +67,7 @@ UNCHANGED = {
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Two seconds with every device, and with the fused attitude."""
+    """Return a bag of two seconds with every device, and with the fused attitude."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     gravity = dataclasses.replace(

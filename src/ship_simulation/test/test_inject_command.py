@@ -33,7 +33,7 @@ SHIP, FIX = "ship/attitude", "gnss/fix"
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Five seconds with every device, and with the fused attitude."""
+    """Return a bag of five seconds with every device, and with the fused attitude."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     scenario = dataclasses.replace(scenario, duration_s=LENGTH_S, fused_attitude=fused)
@@ -212,7 +212,7 @@ def test_corrupt_sets_any_number_by_its_path(bag, tmp_path, topic, sizes, holds)
 
 @pytest.mark.parametrize("topic", [INS, STARS, BOW, TRACKER, SHIP, ENCODER, LIGHTS, BASELINE, FIX, "met/humidity"])
 def test_every_number_of_a_message_can_be_corrupted(bag, tmp_path, topic):
-    """All numbers at once; each is read back from the bytes, those of 32 bits with their precision."""
+    """All numbers are set at once; each is read back from the bytes, those of 32 bits with their precision."""
     with read_bag(bag) as whole:
         paths = numeric_fields(whole.topics[topic])
     assert "header.stamp.nanosec" in paths

@@ -111,7 +111,7 @@ def test_wrong_beacon(lights_deg, with_prior):
 
 
 def test_a_baseline_a_second_late():
-    # A drone at 2 m/s across the line of sight.
+    # The drone moves at 2 m/s across the line of sight.
     epoch = an_epoch()
     across = np.cross(epoch.truth.direction_n[1], epoch.truth.direction_n[0])
     late = np.cross(across / np.linalg.norm(across), epoch.truth.direction_n[1]) * 2.0
@@ -120,7 +120,7 @@ def test_a_baseline_a_second_late():
 
 
 def test_consistent_beacons_with_an_inconsistent_prior():
-    # An encoder stuck while the telescope went on for half a degree.
+    # An encoder was stuck while the telescope moved on by half a degree.
     epoch = an_epoch()
     check = check_epoch(epoch, encoder_prior(epoch, offset_arcmin=30.0))
     assert check.result is BeaconCheckResult.PRIOR_CONFLICT

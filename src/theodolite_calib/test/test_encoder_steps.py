@@ -1,4 +1,4 @@
-"""Detection of encoder steps among motions that begin and end and single wrong readings."""
+"""Detection of encoder steps, despite motions that begin and end, and despite single wrong readings."""
 
 import math
 

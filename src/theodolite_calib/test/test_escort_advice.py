@@ -99,7 +99,10 @@ def advice_for(config: OpticalAxisConfig, accuracy: BeaconAccuracy, **now: Float
 
 @pytest.mark.parametrize("elevation_deg", [2.0, 10.0, 30.0])
 def test_better_than_the_papers_geometry_at_two_kilometres(elevation_deg: float) -> None:
-    """Refraction drawn per beacon: at least 5 % better than [W18]'s positions, in a field that is no larger."""
+    """The advice is at least 5 % better than [W18]'s positions, in a field that is no larger.
+
+    The refraction differs from beacon to beacon.
+    """
     config = paper_config(field_deg=3.61)
     accuracy = accuracy_of(config, elevation_deg)
     paper_n = positions_off_axis(accuracy, PAPER_FIELD_DEG, 2000.0)

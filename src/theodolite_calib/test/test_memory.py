@@ -52,7 +52,7 @@ def move_across(sighting: Sighting, right_m: float) -> Sighting:
 
 
 def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
-    """The angle is the shift across the line of sight over the distance: plane geometry."""
+    """The angle is the shift across the line of sight divided by the distance."""
     state, sighting = remembered_state(1)
     moved_n = np.array([0.4, 0.5, -0.3])
     baseline_n = sighting.beacons.baseline_n.copy()

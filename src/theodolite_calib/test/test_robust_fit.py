@@ -60,7 +60,7 @@ def test_covariance_is_consistent(outlier_share: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
 def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
-    """A hull that rotates by 20″ in ten minutes and a constant lever error; 99.9 % bands over the seeds."""
+    """The hull rotates by 20″ with a correlation time of ten minutes, and the lever error is constant."""
     rng = np.random.default_rng(10)
     seeds, count = 40, 50
     time_s = 2.0 * np.arange(count)
@@ -128,7 +128,7 @@ def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
     # With fixed weights instead of the loss, the leave-one-out residuals would be wrong by 0.19″.
     assert np.max(sizes(np.array(refitted) - result.leave_one_out)) < 0.12 * ARCSEC
     assert rms(np.array(refitted)) == pytest.approx(rms(result.leave_one_out), rel=0.002)
-    # For ordinary sightings they are larger than the residuals by 1 / (1 - 6 terms / 80 components) on average.
+    # The factor from residuals to leave-one-out residuals of ordinary sightings is 1 / (1 - 6 terms / 80 components).
     assert rms(result.leave_one_out[2:]) == pytest.approx(rms(result.residuals[2:]) / (1.0 - 6.0 / 80.0), rel=0.03)
 
 

@@ -107,7 +107,7 @@ def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
     degrees_n: tuple[float, ...], offset_s: float
 ) -> None:
     def set_earlier_stamp(message: Any) -> None:
-        # A clock that lags by the configured offset.
+        # The clock lags by the configured offset.
         stamp_ns = stamp_of(message) - round(offset_s * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND_NS)
 

@@ -306,7 +306,10 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None
 
 
 def test_a_session_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
-    """Stars all over the sky for half a minute; then the encoders alone as long, while the deformation changes."""
+    """Stars all over the sky are used for half a minute, then encoders alone for half a minute.
+
+    The deformation changes during this time.
+    """
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
     mount, seeds, exposures = Mount(settings, sky_model), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)

@@ -162,8 +162,8 @@ def test_the_budget_adds_up_to_the_covariance(name):
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
     assert set(attitude.covariance_by_source_n) == (sources if prior is None else sources | {"encoder"})
     parts = np.array(list(attitude.covariance_by_source_n.values()))
-    # Expected: inverse of the information matrix, without sources. It is linearised one step later, up to 1e-9 rad
-    # away.
+    # Expected is the inverse of the information matrix, without sources. The matrix is linearised one step later, up to
+    # 1e-9 rad away.
     lines = epoch.lines()
     line_covariance = total_covariance(covariance_by_source(lines.terms))
     equations = linearise(epoch.image, epoch.camera, lines.direction_n, line_covariance, attitude.rotation_nt, prior)

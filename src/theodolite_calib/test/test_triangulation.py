@@ -157,7 +157,7 @@ def test_two_theodolites_match_their_covariance_at_50_km() -> None:
 
 @pytest.mark.parametrize(("distance_m", "sigma"), [(50_000.0, 100.0 * ARCSEC), (2000.0, 0.02)])
 def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: float) -> None:
-    """The relative sigma of the distance is sqrt(2) sigma times the distance over 50 m: 0.69 and 1.1."""
+    """The relative sigma of the distance is sqrt(2) sigma distance / 50 m: 0.69 and 1.1."""
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):
         result = triangulate(ORIGIN, two_abreast_stations(distance_m, sigma, rng)[0], AIR)

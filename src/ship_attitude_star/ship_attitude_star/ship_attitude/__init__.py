@@ -4,7 +4,8 @@
 - ``model`` defines devices and states. ``comparison`` predicts measurements and computes residuals.
   ``linearisation`` calls ``comparison``, iteratively for an uncertain state.
 - ``fault_detection`` excludes faulty sources.
-- ``corrected_ins`` and ``output`` compute the published attitude; ``alignment`` is saved for the next voyage.
+- ``corrected_ins`` and ``output`` compute the published attitude. ``alignment`` defines the alignment that is saved for
+  the next voyage.
 
 The folder may import measurements, sky, stars, guards, ins_errors and vertical, but not the core of ``star_attitude``.
 """

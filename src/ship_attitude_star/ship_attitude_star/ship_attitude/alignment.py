@@ -1,7 +1,7 @@
 """Alignment, which consists of the estimated installation angles and clock offsets.
 
 :class:`Alignment` holds named values for the alignment topic, among them the INS errors and the optics of cameras.
-:class:`AlignmentPrior` holds the start values of the next voyage, without these two.
+:class:`AlignmentPrior` holds the start values of the next voyage, without INS attitude errors and optics.
 """
 
 from dataclasses import dataclass
@@ -42,10 +42,10 @@ class AlignmentPrior:
     """Content of a saved alignment.
 
     Attributes:
-        time_ns: time of the last data.
+        time_ns: time of the last applied measurement.
         serials: serial number by star sensor id.
         rotations_dv: rotation deck from device by device name, shape (3, 3).
-        time_offsets_s: total clock offset by state name, s.
+        time_offsets_s: clock offset by state name, configured plus estimated, s.
         names: names of the state blocks of ``covariance``, in order.
         covariance: joint covariance of rotation vectors in the device frames (rad) and clock offsets (s).
     """
@@ -60,7 +60,7 @@ class AlignmentPrior:
     def sigmas(self) -> dict[str, FloatArray]:
         """Return standard deviations by block name, rad or s, shape (3,) or (1,).
 
-        A known serial number of the sensor is part of the name.
+        The name of a star sensor's installation block includes the sensor's serial number if known.
         """
         sigmas, first = {}, 0
         for name in self.names:

@@ -256,12 +256,12 @@ def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_er
 
     At 180° noise decides the sense of the logarithm. With the wrong sense, the estimated INS error would be 360° after
     a heading jump by 180° and back. At 360° the left Jacobian is singular. If the predicted error is about zero, both
-    errors are equally large. The residual that leads to the error with the negative component sum is chosen.
+    errors are equally large; then the residual that leads to the error with the negative component sum is returned.
 
     Args:
-        residual: rotation vector of the device, rad, shape (3,).
+        residual: rotation vector in the device frame, rad, shape (3,).
         error_n: predicted attitude error of the INS, rotation vector in the horizon frame, rad, shape (3,).
-        by_error_v: Jacobian of the residual with respect to that error, shape (3, 3).
+        by_error_v: Jacobian of the predicted device attitude with respect to ``error_n``, shape (3, 3).
     """
     size = math.hypot(*residual.tolist())
     other = (1.0 - 2.0 * math.pi / size) * residual

@@ -545,7 +545,10 @@ class ShipAttitudeCore:
         return closed_ns
 
     def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
-        """Let the next ``apply`` evaluate again from the first affected measurement after a time; None: no change."""
+        """Let the next ``apply`` evaluate again from the first affected measurement after ``changed_after_ns``.
+
+        None changes nothing.
+        """
         if changed_after_ns is not None:
             self._estimator.rewind_to_first(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
@@ -589,7 +592,7 @@ class ShipAttitudeCore:
         return self._estimator.stamp_conflicts.text(contradictory)
 
     def _publish_from_star(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
-        """Without INS samples, publish the attitude from the newest star measurement, within 1 s of its arrival."""
+        """Publish the attitude from the newest star measurement after an INS timeout, if it arrived at most 1 s ago."""
         if self._newest_star is None or not self._is_ins_timed_out(waiting_ns):
             return
         (measurement, arrival_ns), self._newest_star = self._newest_star, None

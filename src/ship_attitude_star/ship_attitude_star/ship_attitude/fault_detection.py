@@ -238,7 +238,7 @@ class FaultDetector:
             state: state after the measurement.
             source: source of the measurement.
             innovations: innovations of all filters.
-            is_ins_confirmed: True if the rates of the INS rule out that it has stepped.
+            is_ins_confirmed: True if the rates of the INS rule out a step of the INS.
             time_ns: stamp of the measurement.
 
         Returns:
@@ -471,9 +471,9 @@ class FaultDetector:
     ) -> FilterState:
         """Exclude all star sensors, which contradict the INS, for a fault that is not isolated.
 
-        No mounting shift is known, so the mountings are not estimated again. All filters restart from the main filter,
-        which has rejected the stars. If the sum of the star corrections shows an error that the stars share, these
-        corrections are removed from the main filter.
+        No mounting shift is known, so the mountings are not estimated again. All filters restart from the main filter.
+        If the sum of the star corrections shows an error that the stars share, these corrections are removed before the
+        restart.
         """
         offset_n = shared_rotation([state.last_innovations[name] for name in stars])
         mean, covariance_by_source = state.mean, state.covariance_by_source

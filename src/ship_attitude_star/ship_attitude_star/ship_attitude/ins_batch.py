@@ -90,7 +90,7 @@ class InsBatch:
         propagation_s: Callable[[CorrectedIns], float],
         config: ShipAttitudeConfig,
     ) -> list[tuple[slice, AttitudeSeries | Rejection]]:
-        """Return the attitudes of all committed samples in order, one series per filter state.
+        """Return the attitudes of all committed samples in order, one series per segment.
 
         Args:
             corrected_by: function that returns the corrections by a filter state.

@@ -162,7 +162,7 @@ class InsFaultHandling:
         return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 
     def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
-        """Return the state after a contradiction of an excluded INS, which restarts the reinstatement timer.
+        """Return the state after other sources contradicted an excluded INS, with the reinstatement timer restarted.
 
         The fault is unresolved, and its covariance follows from the last innovations, because the change of the INS
         attitude may remain wrong by as much as these innovations.

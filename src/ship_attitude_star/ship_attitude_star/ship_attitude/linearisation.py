@@ -383,8 +383,8 @@ def _nonlinear_offset_covariance(
     difference, less the rotation at a constant rate, is the cubic part. Each part is taken as :data:`_FAR_SIGMAS`
     standard deviations of a normal error, which is conservative for most offsets.
 
-    If the track does not contain both attitudes, nearer attitudes are used, down to an eighth of this time. The result
-    is None if nearer attitudes are missing too.
+    If the track does not contain both attitudes, nearer attitudes are used, down to an eighth of ``around_ns``. The
+    result is None if nearer attitudes are missing too.
     """
     for nearer in (1, 2, 4, 8):
         off_ns = around_ns // nearer
@@ -400,7 +400,7 @@ def _nonlinear_offset_covariance(
 
 
 def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray | None:
-    """Return the correction of the mean by a linearised measurement, shape (n,); None if not finite."""
+    """Return the correction of the mean by a linearised measurement, shape (n,); None if singular or not finite."""
     cross = linear.jacobian @ covariance
     _, solution, failed = lapack.dposv(cross @ linear.jacobian.T + linear.noise, linear.residual)
     correction: FloatArray = cross.T @ solution

@@ -80,7 +80,7 @@ def memory_residual(
 def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
     """Return the largest difference between the constant elements of two filter states, in standard deviations.
 
-    The result is infinite before the first measurement.
+    The result is infinite if ``state`` is from before the first measurement.
 
     The variance of the difference is the sum of both variances if the two states are independent. A later state of the
     same estimator contains the information of the stored state, whose variance is then used alone.

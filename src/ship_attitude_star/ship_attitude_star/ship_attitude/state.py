@@ -56,8 +56,8 @@ class UnresolvedFault:
 
     Attributes:
         text: description for the user.
-        covariance_n: covariance added to the attitude, from all inconsistent innovations and solution separations;
-            rotation vector in the horizon frame, rad², shape (3, 3).
+        covariance_n: covariance added to the attitude for the contradiction; rotation vector in the horizon frame,
+            rad², shape (3, 3).
     """
 
     text: str
@@ -145,8 +145,8 @@ class FilterState:
         excluded: excluded sources by name.
         exclusion_counts: number of exclusions of each source.
         unresolved_fault: fault that is detected and not isolated; None without such a fault.
-        separation_covariance_n: covariance that an output adds for large solution separations, rad², horizon frame,
-            shape (3, 3); not part of ``stack``; None without large separations.
+        separation_covariance_n: covariance that an output adds for large solution separations and for an earlier error
+            shared by the stars, rad², horizon frame, shape (3, 3); not part of ``stack``; None if neither exists.
         last_innovations: innovation of each source's last measurement against the main filter.
         recent_innovations: windowed innovation means of each source's accepted measurements since the last restart of
             the filters.

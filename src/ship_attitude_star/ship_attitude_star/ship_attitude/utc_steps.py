@@ -1,8 +1,8 @@
 """Verification of UTC after a step of the time base, by comparing stars with the INS.
 
 If UTC became wrong due to the step, or was wrong before the step, the stars are rotated about the pole by 15.04″ per
-second of the step. The attitude from before the step, propagated by the INS, is kept until UTC is verified. Stars that
-contradict this attitude are not used until they are consistent with it again.
+second of the step. The attitude from before the step is propagated by the INS. The stars are not used until UTC is
+verified or can no longer be verified.
 """
 
 import math
@@ -66,7 +66,8 @@ def with_utc_evaluated(
           ``decision``.
         - UTC is undecided, and the propagated attitude is no longer accurate enough: the state before the measurement
           without ``utc_step``, and ``decision``.
-        - UTC is undecided or wrong: the state before the measurement with the new likelihood ratio, and a rejection.
+        - UTC is undecided or wrong: the state before the measurement with the new likelihood ratio, and with an
+          unresolved fault if UTC is wrong; and a rejection.
         - The measurement was not compared, or is consistent with neither hypothesis: ``after`` and ``decision``.
     """
     innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc_step

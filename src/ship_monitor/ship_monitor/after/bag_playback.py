@@ -23,7 +23,7 @@ from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import SuiteState
 
 SHORT_HISTORY_NS = 60 * NS_PER_S
-"""Length of the history that is read at once for a new time, ns: the minute that NIS consistency uses."""
+"""Length of the history that is read immediately for a new time, ns: the minute that NIS consistency uses."""
 
 MAX_READ_S = 0.2
 """Maximum duration of reading a part of the ten minutes in one update, s."""
@@ -131,7 +131,7 @@ class BagPlayback:
         return self._controls.layout
 
     def _move(self, since_start_s: float) -> None:
-        """Set the time that the user has chosen, and update the page at once."""
+        """Set the time that the user has chosen, and update the page immediately."""
         self.go_to(since_start_s)
         self._notify_moved()
 

@@ -16,8 +16,8 @@ from ship_node.live.node_clock import TimeoutClock
 LONG_QUEUE_TIME_NS = 1_000_000_000
 """Queue time that counts as long, ns.
 
-The sum of this time and :data:`BEHIND_AFTER_NS` does not exceed the default ``lag_s``. So the next node does not reject
-outputs of a node that is not behind as late."""
+The sum of this time and :data:`BEHIND_AFTER_NS` does not exceed the default ``lag_s``. So the next node
+does not reject as late the outputs of a node that is not behind."""
 
 BEHIND_AFTER_NS = 1_000_000_000
 """Working time, without standstills, for which queue times may stay long before the node is behind, ns."""

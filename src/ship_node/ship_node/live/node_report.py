@@ -31,7 +31,7 @@ _MOST_REASONS = 5
 
 
 def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str:
-    """Return the log line about a node's set-up: devices by kind, files, clock, black box.
+    """Return the log line about a node's set-up: devices by kind, files, required topics, clock, black box.
 
     Args:
         adapter: adapter of the node, as configured.

@@ -61,7 +61,7 @@ TRUTH_TYPES = {
     TRUTH_DIRECTION: "ship_msgs/msg/TargetDirection",
     TRUTH_POINTING: "ship_msgs/msg/OpticalAxisPointing",
 }
-"""Topic of the truth, which no node receives → type. The scenario determines which of these topics a bag contains."""
+"""Topic of the truth → type. No node receives these topics. The scenario determines which of them a bag contains."""
 
 LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""

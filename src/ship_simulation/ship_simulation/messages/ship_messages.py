@@ -1,4 +1,4 @@
-"""Messages of the ship's devices from arrays of a run: INS, other attitude systems, satellite receiver, weather.
+"""Messages of the ship from a run: INS, other attitudes, satellite position, weather, deflection, true attitude.
 
 Each function ``…_maker`` returns a maker of single messages. A maker takes two indices: of the sample that gives the
 stamp of a message, and of the sample that gives its values. A run uses equal indices. Faults change messages later.

@@ -1,4 +1,4 @@
-"""Messages of the theodolite and of the drones from the arrays of a run, and messages of their truth."""
+"""Messages of the theodolite and of the drones from a run, and the truth about theodolite and targets."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -26,8 +26,8 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, ske
 
 Angle = float | FloatArray
 
-# The error of the initial elevation is at most the flexure. A Newton step reduces an error e to at most flexure · e² /
-# 2, so that after three steps an error of 0.1 rad has become 1e-17 rad.
+# The error of the initial elevation is at most the flexure. A Newton step reduces an error e to about flexure · e² / 2
+# or less, so that three steps reduce the error of a flexure of 0.1 rad to about 1e-17 rad.
 _FLEXURE_STEPS = 3
 
 
