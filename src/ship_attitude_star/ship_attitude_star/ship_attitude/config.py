@@ -77,8 +77,8 @@ class StarSensorConfig(MountingConfig):
     )
     shared: str = parameter(
         BY_INPUT,
-        doc="part of a message's correlated error that other sensors share: that of refraction, UT1 and gnss/fix (sky),"
-        " all of it (message), nothing (none); by_input: sky for input solution, none for horizon_attitude",
+        doc="part of a message's correlated error that other sensors share; none: no part; sky: the part by refraction,"
+        " UT1 and gnss/fix; message: all of it; by_input: none for input horizon_attitude, else sky",
         choices=(BY_INPUT, "none", SHARED_BY_MESSAGES, SHARED_BY_SKY),
     )
     camera: CameraConfig = section(CameraConfig)
@@ -293,7 +293,7 @@ class ShipAttitudeConfig(StarSensorsById):
     alignment_file: str = parameter("", doc="file of the saved alignment, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
     alignment_max_age_d: float = parameter(
-        30.0, doc="to an alignment older than this the configured uncertainty is added",
+        30.0, doc="age above which the configured uncertainty is added to a saved alignment",
         unit="d", minimum=0.0, maximum=36500.0,
     )
 

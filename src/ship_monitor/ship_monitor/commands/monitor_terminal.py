@@ -17,12 +17,15 @@ from ship_monitor.terminal.app import TerminalApp
 from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\
-Shows a suite in a terminal of 80 by 24 or more, as over ssh: heading, pitch, roll, azimuth and elevation with their
-95 % accuracy; SAFE, CAUTION or UNSAFE; the sources, OUT first, the events, the alerts. Unlike the page it can
-acknowledge alerts. Key ? explains the terms. Colours are not needed (NO_COLOR=1 switches them off). A terminal whose
-locale is not UTF-8 gets ASCII: deg for °, " for ″, +- for ±. ROS_DOMAIN_ID sets the ROS domain.
+Shows a suite in a terminal of 80 by 24 or more, also over ssh: heading, pitch, roll, azimuth and elevation with their
+95 % accuracy; SAFE, CAUTION or UNSAFE; the sources, OUT first, the events, the alerts. Unlike the page of monitor it
+can acknowledge alerts. Key ? explains the terms. Colours are not needed (NO_COLOR=1 switches them off). A terminal
+whose locale is not UTF-8 gets ASCII: deg for °, " for ″, +- for ±. ROS_DOMAIN_ID sets the ROS domain.
 """
-_EPILOG = "exit code: 0 left by key q; 130 by Ctrl-C, SIGTERM or SIGHUP; 2 bad input or usage, or no terminal"
+_EPILOG = (
+    "exit code: 0 left by key q; 1 ended by an exception; 130 by Ctrl-C, SIGTERM or SIGHUP; 2 bad input or usage, or no "
+    "terminal"
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -54,11 +54,11 @@ KINDS = {
         "a message with the same stamp and the values of the next message arrives 1 ms later; none after the last"
     ),
     "flood": FaultKind(
-        "times messages arrive instead of each; the additional ones have random stamps, up to spread_s earlier",
+        "each message is replaced by times messages; the additional ones have random stamps, up to spread_s earlier",
         (("times",),),
         ("spread_s",),
     ),
-    "freeze": FaultKind("new stamps, with the values of the first affected message"),
+    "freeze": FaultKind("messages keep their stamps and repeat the values of the first affected message"),
     "nan": FaultKind("NaN in a field; default: the first value (of the first star, if there is one)", (), ("field",)),
     "infinite": FaultKind("infinity in a field; default: the first value", (), ("field",)),
     "corrupt": FaultKind("a field is set to the value", (("field",),), ("value",)),
@@ -123,7 +123,7 @@ class Fault:
     north_m: float = parameter(0.0, doc="offset to the North: position_off, wrong_fix", **_WAY)
     up_m: float = parameter(0.0, doc="offset upwards: position_off, wrong_fix", **_WAY)
     count: int = parameter(0, doc="number of spots per message: false_stars, false_lights", minimum=0, maximum=1000)
-    times: int = parameter(0, doc="number of messages for each one: flood", minimum=0, maximum=10_000)
+    times: int = parameter(0, doc="number of messages that replace each message: flood", minimum=0, maximum=10_000)
     spread_s: float = parameter(2.0, doc="maximum age of the random stamps: flood", **DELAY)
 
     @property

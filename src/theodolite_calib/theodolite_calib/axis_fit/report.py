@@ -62,7 +62,7 @@ def _first_row(sightings: Sightings) -> str:
     return (
         f"read: at {np.rad2deg(sightings.azimuth[0]):.5f}, {np.rad2deg(sightings.elevation[0]):.5f} deg by encoder, "
         f"observation {sightings.labels[0]} has the true direction {azimuth_deg:.5f}, {elevation_deg:.5f} deg. If both "
-        "offsets have the wrong sign, all errors have it too, and no sighting can show it"
+        "offsets have the wrong sign, all axis errors have the wrong sign too; no sighting can show this"
     )
 
 
