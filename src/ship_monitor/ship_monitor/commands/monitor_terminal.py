@@ -23,7 +23,7 @@ can acknowledge alerts. Key ? explains the terms. Colours are not needed (NO_COL
 whose locale is not UTF-8 gets ASCII: deg for °, " for ″, +- for ±. ROS_DOMAIN_ID sets the ROS domain.
 """
 _EPILOG = (
-    "exit code: 0 left by key q; 1 ended by an exception; 130 by Ctrl-C, SIGTERM or SIGHUP; 2 bad input or usage, or no "
+    "exit code: 0 left by key q; 1 ended by an error; 130 by Ctrl-C, SIGTERM or SIGHUP; 2 bad input or usage, or no "
     "terminal"
 )
 
