@@ -6,7 +6,8 @@ Astronomical Almanac (1992, §3.281):
 - Surfaces of equal density are spheres about the Earth's centre, of radius 6 378 120 m at sea level.
 - Up to the tropopause at 11 km the temperature falls by 6.5 K/km, from the measured value; above the tropopause it is
   constant.
-- Air and vapour are ideal gases at rest under gravity, which depends on latitude and is equal at all heights.
+- Air and vapour are ideal gases at rest. Gravity depends on the latitude and height of the observer; the same value
+  is used at all heights of the air.
 - The vapour pressure is proportional to the 18.36th power of the temperature up to the tropopause, and zero above. At
   the ground it is the relative humidity times the saturation pressure (Gill, Atmosphere-Ocean Dynamics, 1982).
 - The refractivity of dry air is from the International Association of Geodesy (1999, Birmingham, Resolution 3);
