@@ -184,7 +184,7 @@ def site_packages() -> Path:
 
 
 def byte_compile() -> None:
-    """Compile the wheels' modules to byte code on all cores, without their tests and modules used only by setup."""
+    """Compile the wheels' modules to byte code on all cores, except tests and modules that only setup uses."""
     without = ["-x", r"site-packages[/\\](.*[/\\])?(tests?|testing|pip|setuptools|Cython|docutils)[/\\]"]
     command = [str(VENV / "bin" / "python"), "-m", "compileall", "-q", "-j", "0", *without, str(site_packages())]
     with step("byte code of the wheels"):

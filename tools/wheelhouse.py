@@ -35,7 +35,7 @@ SECTIONS = ("ros", "build", "python", "all")
 
 
 class WheelsRefused(Exception):
-    """Fault of the wheels of a bundle, and the action needed, in one line."""
+    """Fault of requirements.lock or of the wheels of a bundle; the text is one line."""
 
 
 def target(python: str, machine: str) -> str:
