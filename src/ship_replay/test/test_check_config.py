@@ -287,7 +287,7 @@ NODES += " or '/**'"
 
 
 def test_a_misspelt_node_is_an_error(check):
-    """The node itself refuses such a file."""
+    """The node itself refuses a file with a misspelt section."""
     misfit = "section '/star_atitude' does not fit node '/star_attitude': name it '/**/star_attitude' to fit in every"
     code, lines, _ = check(STARS.replace("star_attitude:", "star_atitude:"))
     assert code == 2
