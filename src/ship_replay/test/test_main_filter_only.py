@@ -1,4 +1,5 @@
-"""The subfilters do not change the main filter: on a voyage without faults its estimates are equal without subfilters.
+"""The subfilters do not change the main filter: its estimates on a voyage without faults are equal with and without them.
+
 So integrity does not increase the RMS error. Inconsistent subfilters only increase the covariance.
 """
 
