@@ -1,4 +1,4 @@
-"""The subfilters do not change the main filter: its estimates on a voyage without faults are equal with and without them.
+"""The subfilters do not change the main filter: without faults its estimates are equal with and without subfilters.
 
 So integrity does not increase the RMS error. Inconsistent subfilters only increase the covariance.
 """

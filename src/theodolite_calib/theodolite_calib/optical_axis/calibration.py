@@ -85,7 +85,10 @@ class CalibrationPrior:
     names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations, rad or m, shape (1,), by name with serial number (telescope: and its id)."""
+        """Return standard deviations, rad or m, shape (1,), by a text of name and serial number.
+
+        The text of a quantity of the telescope also contains the telescope's id.
+        """
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {

@@ -373,8 +373,8 @@ class OpticalAxisCore:
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """Return the sighting of an exposure with the samples at its middle.
 
-        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure is
-        at most ``lag_s`` old.
+        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure must
+        be at most ``lag_s`` old.
         """
         return self._sightings.assemble(exposure).sighting
 
@@ -410,7 +410,7 @@ class OpticalAxisCore:
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
         """Return another estimator that starts from a stored state, or else from the saved calibration or the prior.
 
-        If it starts from a stored state, it also gets the current position and air data.
+        An estimator that starts from a stored state also gets the current position and air data.
         """
         second = type(self)(self.config, None if self._sky is None else self._sky.clone(memory is not None))
         second._start = self._start
@@ -517,7 +517,7 @@ class OpticalAxisCore:
             self._stream_jumps.append(StreamJump(jump))
             self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(result.sample, ShipSample)
-        # With the INS alone the pointing uses only attitudes, so that no wrong rate can affect the pointing.
+        # If the ship's attitude is that of the INS, no rates are used, so that no wrong rate can affect the pointing.
         by_ins = self.config.ship.source == "ins/imu"
         return result.rejection, replace(result.sample, rate_d=None) if by_ins else result.sample
 
