@@ -373,8 +373,8 @@ class OpticalAxisCore:
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """Return the sighting of an exposure with the samples at its middle.
 
-        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure must
-        be at most ``lag_s`` old.
+        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure
+        must be at most ``lag_s`` old.
         """
         return self._sightings.assemble(exposure).sighting
 
