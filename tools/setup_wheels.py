@@ -196,7 +196,7 @@ def byte_compile() -> None:
 def repair_paths() -> None:
     """Replace paths of the build machine by paths of this machine in the CMake and ament files of ROS wheels.
 
-    Without this, colcon cannot find Python's and numpy's headers when it builds messages.
+    Without this replacement, colcon cannot find Python's and numpy's headers when it builds messages.
     """
     tag = f"{sys.version_info.major}.{sys.version_info.minor}"
     theirs = f"/opt/python/cp{tag.replace('.', '')}-cp{tag.replace('.', '')}"

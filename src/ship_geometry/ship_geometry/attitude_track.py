@@ -508,8 +508,8 @@ def propagate_by_rates(
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
     """Return the covariance of two errors: of a parabola, and of a clock offset estimated with interpolated attitudes.
 
-    Both errors are computed from the third derivative of the motion. Its root mean square over all samples is used,
-    because in a wave the third derivative is zero at some phases.
+    Both errors are computed from the root mean square of the third derivative of the motion over all samples, because
+    in a wave the third derivative is zero at some phases.
 
     Without measured rates the interpolation error is proportional to the third derivative, which in a swell is
     proportional to the rate. The effect of a clock offset is proportional to the rate too. A filter that estimates the

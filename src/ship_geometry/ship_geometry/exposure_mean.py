@@ -30,7 +30,7 @@ class Nodes:
     """Quadrature nodes of an exposure: the mean of a quantity over the exposure is its weighted mean over the nodes.
 
     Attributes:
-        offset_ns: time of each node relative to the middle of the exposure, increasing, shape (m,); one of them is 0.
+        offset_ns: time of each node relative to the middle of the exposure, increasing, shape (m,); one time is 0.
         weight: weight of each node, not negative, shape (m,); the sum of the weights is 1.
     """
 

@@ -1,6 +1,6 @@
 """Core of ``optical_axis``, shared by node and replay: estimates the main axis from all measurements.
 
-The core has no ROS, files or clock. It combines the calibration filter and the tracks of measured samples with the
+The core, without ROS, files or clock, combines the calibration filter and the tracks of measured samples with the
 time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which applies exposures and publishes pointings
 in the order of their stamps. This module adds the checks of encoders and ship's attitude, and the queue of readings
 that wait for the ship's attitude. A pointing is published at the stamp of each encoder reading, as soon as the ship's
@@ -81,7 +81,7 @@ _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal sta
 
 
 class _WaitingReading(NamedTuple):
-    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty if it is confirmed."""
+    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty for a confirmed reading."""
 
     sample: EncoderSample
     unconfirmed_reason: str
@@ -195,7 +195,7 @@ class OpticalAxisCore:
             self._escort.reconfigure(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add an encoder reading; the pointing at its stamp follows.
+        """Add an encoder reading; publish the pointings of waiting readings that the ship's attitudes cover.
 
         Args:
             sample: the reading.
@@ -356,7 +356,7 @@ class OpticalAxisCore:
     def calibration_to_save(self) -> CalibrationPrior | None:
         """Return the prior for the next session.
 
-        Before the first sighting, this is the prior loaded at the start, or None.
+        Before the first sighting, the result is the prior loaded at the start, or None.
         """
         if self.state.last_update_ns is None:
             return self._start[0] if self._start is not None else None
