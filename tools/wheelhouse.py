@@ -1,6 +1,6 @@
 """Wheels of a bundle, for a setup without a network, in wheels/ with a folder for each Python and machine.
 
-``SHA256SUMS`` in each of these folders lists requirements.lock and every wheel, in the format of ``sha256sum -c SHA256SUMS``.
+``SHA256SUMS`` in each folder lists requirements.lock and every wheel, in the format of ``sha256sum -c SHA256SUMS``.
 Only Python's standard library is imported: setup starts before other packages are installed.
 """
 

@@ -188,8 +188,8 @@ class RefreshedSky:
     The slow steps are computed for the middle of fixed intervals, so a direction does not depend on earlier calls. Leap
     seconds are between two intervals.
 
-    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. This short cut keeps the observer's first place, which gives
-    an error of 5″ or more after the ship has moved by 150 m.
+    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. The short cut keeps the observer's first place,
+    which gives an error of 5″ or more after the ship has moved by 150 m.
 
     Args:
         table: table of Earth orientation parameters.
