@@ -1,7 +1,7 @@
 """``make audit``: known vulnerabilities of the pinned versions; pip-audit, in its own environment, queries OSV.
 
 Exit code 0: no vulnerability is known; 1: at least one is known, or the service returned no result for a version; 2:
-the query failed.
+pip-audit is not available, or the query failed.
 """
 
 import argparse

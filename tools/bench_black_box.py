@@ -31,7 +31,7 @@ def black_box_cost() -> list[Row]:
 
 
 def _node_cpu_s(folder: Path, parameters: dict[str, str]) -> float:
-    """Return the processor time of the node for the demo bag, without its start, s."""
+    """Return the processor time of the node for the demo bag, without the start of the node, s."""
     with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", folder, parameters) as run:
         begin_s = process_cpu_s(run.node.pid)
         run.play(RATE)

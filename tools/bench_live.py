@@ -166,7 +166,7 @@ class _RoundTrips:
     Args:
         ends: node of this program.
         there: topic to which the program subscribes.
-        back: topic of its responses, which have the stamp of the message received.
+        back: topic of the program's responses, each with the stamp of the received message.
         process: the program under test.
     """
 

@@ -159,7 +159,7 @@ class _Smoother:
         self._moment, self._time_s = 0, 0.0
 
     def add(self, measured: Measured) -> tuple[FloatArray, FloatArray]:
-        """Add a measurement; return the states at its time and the covariance of the states."""
+        """Add a measurement; return the time-dependent states at its time, and their covariance."""
         graph, values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
         if self._moment == 0:
             for key, rows in ((self._CONSTANT, self._constant), (1, self._moving)):

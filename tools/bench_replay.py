@@ -57,7 +57,7 @@ def replay_cost() -> list[Row]:
 
 
 def block_cost() -> list[Row]:
-    """Measure replay in blocks relative to rosbags' copy and to replay message by message, and its peak memory."""
+    """Measure time and peak memory of replay in blocks; references: rosbags' copy, and replay message by message."""
     with tempfile.TemporaryDirectory() as name:
         long, short = Path(name) / "long", Path(name) / "short"
         long.mkdir()

@@ -27,7 +27,7 @@ class Row:
         value: the value, in ``unit``.
         unit: unit of the value; "x" for a ratio.
         greatest: bound that the value must not exceed; None for a value that is only shown.
-        yardstick: the denominator of a ratio; empty for other values.
+        yardstick: denominator of a ratio; empty for other values, and for a ratio whose name is clear without it.
     """
 
     name: str

@@ -27,8 +27,9 @@ YARDSTICK_SVDS = 5
 """Number of singular value decompositions of a matrix (3, 3)."""
 
 MOST_SVD_RATIO = 5.5
-"""Maximum ratio of the solution to these decompositions. The second linearisation, with the optics' errors,
-takes half of the solution's time."""
+"""Maximum ratio of the solution's time to that of YARDSTICK_SVDS decompositions.
+
+The second linearisation, with the optics' errors, takes half of the solution's time."""
 LATE_SENSOR_S = 1.9
 """Delay of a late sensor, s; less than the two seconds of ``lag_s``."""
 

@@ -99,7 +99,7 @@ def pins(lock: str, python: str) -> list[str]:
 
 
 def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
-    """Download and return the wheel of each pin, by name."""
+    """Download the wheel of each pin, or build it from a downloaded source; return the wheels sorted by name."""
     print(f"bundle: {len(wanted)} wheels for Python {python}, a minute or two", flush=True)
     folder.mkdir()
     platforms = [option for tag in platform_tags() for option in ("--platform", tag)]

@@ -74,7 +74,7 @@ def _errors(
 
 
 def _compare_with_peer(console: Console, pool: Executor, seeds: int) -> bool:
-    """Run a minute by the filter and GTSAM's iSAM2; return True if both are in their bands, or GTSAM is missing."""
+    """Estimate short runs by filter and GTSAM's iSAM2; return True if both are in their bands, or GTSAM is missing."""
     if find_spec("gtsam") is None:
         console.print(f"{PEER}: left out, GTSAM is not installed (pip install gtsam)")
         return True

@@ -1,8 +1,8 @@
 """Hours without faults: false exclusions, degradations, availability, errors beyond levels, NEES and RMS.
 
 Each voyage is saved as a line of a results file when complete; a run that was killed continues there.
-Exits with 1 if a voyage raised an exception or a bound is not met. In voyages of the ship the INS has 20 Hz, in one of
-ten voyages the rate of the scenario.
+Exits with 1 if a voyage raised an exception or a bound is not met. The ship's INS has 20 Hz; in one voyage of ten it
+has the rate of the scenario.
 """
 
 import argparse

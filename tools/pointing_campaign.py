@@ -37,7 +37,7 @@ class Span:
         start_s: begin of the span, excluded, s after the start of the run.
         end_s: end of the span, included, s after the start of the run.
         worst_arcsec: bound of the RMS.
-        times_better: minimum ratio of the RMS of INS and encoders to the RMS.
+        times_better: minimum ratio of the RMS of INS and encoders to the RMS of the estimated axis.
     """
 
     name: str
@@ -96,7 +96,7 @@ def _quick(scenario: Scenario) -> Scenario:
 
 
 def _squares(scenario: Scenario, seed: int) -> FloatArray:
-    """Return mean squares of one run, rad², shape (spans, 3)."""
+    """Return mean squares of one run, rad², shape (spans, 3): error, sigma, error of INS and encoders."""
     errors = pointing_errors(scenario, seed)
     return np.array([_of_span(errors, span) for span in SPANS])
 

@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def errors(model: ModelName, elevation: FloatArray, weather: Weather) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a model's refraction, its error relative to the ray, and its sigma, arcsec, at elevations without air."""
-    # Iterate the ray's zenith distance with air: each step multiplies the error by the slope of refraction, 4 % at 5°.
+    # Iterate the ray's zenith distance with air: a step multiplies the error by the slope of refraction, 2.5 % at 5°.
     ray = np.zeros_like(elevation)
     for _ in range(12):
         seen = 0.5 * np.pi - elevation - ray

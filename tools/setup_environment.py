@@ -81,8 +81,9 @@ class Plan:
     def fresh(self) -> bool:
         """True if setup starts from nothing.
 
-        A group without a stamp counts as missing, because a partly installed group looks like a complete group. Wheels
-        of an older lock may hide packages of a sourced Jazzy installation; setup then also starts from nothing.
+        A group without a stamp (except ``ALL_OTHER``) counts as missing, because a partly installed group looks like a
+        complete group. Wheels of an older lock may hide packages of a sourced Jazzy installation; setup then also
+        starts from nothing.
         """
         done = {group.name: read_stamp(group.stamp) for group in self.groups}
         if read_stamp(STAMP_VENV) != self.venv or not all(stamp for name, stamp in done.items() if name != ALL_OTHER):

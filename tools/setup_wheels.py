@@ -184,7 +184,7 @@ def site_packages() -> Path:
 
 
 def byte_compile() -> None:
-    """Compile the wheels' modules to byte code on all cores, without their tests and modules used only by setup."""
+    """Compile the wheels' modules to byte code on all cores, except tests and modules that only setup uses."""
     without = ["-x", r"site-packages[/\\](.*[/\\])?(tests?|testing|pip|setuptools|Cython|docutils)[/\\]"]
     command = [str(VENV / "bin" / "python"), "-m", "compileall", "-q", "-j", "0", *without, str(site_packages())]
     with step("byte code of the wheels"):
@@ -196,7 +196,7 @@ def byte_compile() -> None:
 def repair_paths() -> None:
     """Replace paths of the build machine by paths of this machine in the CMake and ament files of ROS wheels.
 
-    Without this, colcon cannot find Python's and numpy's headers when it builds messages.
+    Without this replacement, colcon cannot find Python's and numpy's headers when it builds messages.
     """
     tag = f"{sys.version_info.major}.{sys.version_info.minor}"
     theirs = f"/opt/python/cp{tag.replace('.', '')}-cp{tag.replace('.', '')}"

@@ -1,6 +1,6 @@
 """Wheels of a bundle, for a setup without a network, in wheels/ with a folder for each Python and machine.
 
-``SHA256SUMS`` in such a folder lists requirements.lock and every wheel, in the format of ``sha256sum -c SHA256SUMS``.
+``SHA256SUMS`` in each folder lists requirements.lock and every wheel, in the format of ``sha256sum -c SHA256SUMS``.
 Only Python's standard library is imported: setup starts before other packages are installed.
 """
 
@@ -35,7 +35,7 @@ SECTIONS = ("ros", "build", "python", "all")
 
 
 class WheelsRefused(Exception):
-    """Fault of the wheels of a bundle, and the action needed, in one line."""
+    """Fault of requirements.lock or of the wheels of a bundle; the text is one line."""
 
 
 def target(python: str, machine: str) -> str:

@@ -189,6 +189,8 @@ class InterpolatedAttitude:
     def chord_nd(self, time_ns: int) -> FloatArray:
         """Return the attitude by rotation at a constant rate between the two samples (slerp, as tf2), shape (3, 3).
 
+        The result is ``rotation_nd`` if the attitude is not interpolated.
+
         Args:
             time_ns: time of this attitude.
         """
@@ -223,7 +225,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         self._extra: list[ExtraNoise] = []
 
     def add_noise(self, extra: ExtraNoise) -> int:
-        """Add extra noise of the samples from a stamp on; return the stamp after which attitudes have changed."""
+        """Set the extra noise of the samples from a stamp on; return the stamp after which attitudes have changed.
+
+        Extra noise set before from this stamp, or from a later stamp, is replaced.
+        """
         kept = [one for one in self._extra if one.from_ns < extra.from_ns]
         # Only the last entry before the first sample of the track still applies.
         past = [one for one in kept if self._times and one.from_ns <= self._times[0]]
@@ -292,10 +297,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return RecentRates(np.array(times_ns), np.array(rates_d))
 
     def drop_rates(self, after_ns: int) -> int | None:
-        """Drop the measured rates of all samples after a stamp, because they are wrong.
+        """Drop the wrong measured rates of all samples after a stamp.
 
         Returns:
-            The stamp after which interpolated values may have changed; None if no sample had a rate.
+            The stamp after which interpolated values may have changed; None if no sample after ``after_ns`` has a rate.
         """
         start = bisect.bisect_right(self._times, after_ns)
         if all(sample.rate_d is None for sample in self._samples[start:]):
@@ -319,6 +324,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _propagate_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """Propagate the newest sample by its measured rate and the change of the rate since the sample before.
 
+        The rate is constant if the sample before is not usable.
         The difference of two rates gives the acceleration half a step before the newest sample. The error of the
         propagation therefore contains the change of the acceleration in this half step too.
         """
@@ -375,7 +381,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _motion_samples(self, index: int) -> list[int]:
         """Return the indices of the samples from which the motion of the newest sample is estimated, newest first.
 
-        These samples are the newest, its predecessor, and before them one sample every tenth of a second.
+        These samples are the newest, its predecessor, and earlier samples, each at least 0.1 s before the next one.
         """
         recent = [index]
         oldest = self._recent_from()
@@ -502,8 +508,8 @@ def propagate_by_rates(
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
     """Return the covariance of two errors: of a parabola, and of a clock offset estimated with interpolated attitudes.
 
-    Both errors are computed from the third derivative of the motion. Its root mean square over all samples is used,
-    because in a wave the third derivative is zero at some phases.
+    Both errors are computed from the root mean square of the third derivative of the motion over all samples, because
+    in a wave the third derivative is zero at some phases.
 
     Without measured rates the interpolation error is proportional to the third derivative, which in a swell is
     proportional to the rate. The effect of a clock offset is proportional to the rate too. A filter that estimates the

@@ -48,9 +48,9 @@ def _refraction(
             angles[i] = coefficients[power, i] + angles[i] * x
         angles[i] *= tan_z
     if of_observed:
-        # The two coefficients A and B belong to the observed zenith distance. One step of Newton's method from the
-        # true zenith distance takes this into account, as in ERFA's atioq. The derivatives neglect the small change of
-        # this divisor.
+        # The two coefficients A and B belong to the observed zenith distance. One step of Newton's method leads from
+        # the true to the observed zenith distance, as in ERFA's atioq. The derivatives neglect the small change of
+        # the divisor.
         divisor = 1.0 + (coefficients[0, 0] + 3.0 * coefficients[1, 0] * tan2_z) * (1.0 + tan2_z)
         for i in range(3):
             angles[i] /= divisor

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 EDGE_STEP = np.deg2rad(0.25)
-"""Spacing of points on the edge of a mask, rad. A mask that enters a field by less than this may be missed."""
+"""Spacing of points on the edge of a mask, rad. A mask that enters a field by less than this step may be missed."""
 
 BoolArray = NDArray[np.bool_]
 
@@ -139,7 +139,7 @@ class SensorMasks:
 
 
 def field_directions(half_field: FloatArray) -> FloatArray:
-    """Return a grid of directions (forward, up, right) over a rectangular field of view with its edge, shape (n, 3).
+    """Return a grid of directions (forward, up, right) over a rectangular field of view and its edge, shape (n, 3).
 
     Args:
         half_field: tangents of half the field to the right and up, shape (2,).

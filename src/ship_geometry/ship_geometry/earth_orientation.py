@@ -1,7 +1,8 @@
 """Earth orientation parameters (EOP): UT1 − UTC and polar motion from the IERS's finals2000A, with their errors.
 
-A UT1 error of one second rotates the sky by 15″. The table comes with `astropy-iers-data`. It has measured values up
-to its date of issue and predictions for a year after this date. A time outside the table raises an error.
+A UT1 error of one second rotates the sky by 15″. The table of `astropy-iers-data` has measured values up to
+its date of issue and predictions for a year after this date. A time outside the table, or after the expiry of the
+table of leap seconds, raises an error.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ p(t) over the exposure T. The mean differs from the position p(0) at the middle,
 
     mean of p - p(0) = p̈ T²/24 + p⁗ T⁴/1920 + ...          spread of p about its mean = ṗ ṗᵀ T²/12 + ...
 
-Mean and spread are computed from p at a few times, the nodes. A short exposure has the middle and two outer nodes; a
-long exposure has the nodes of Simpson's rule. The outer nodes of a short exposure are a tenth of a second from the
+Mean and spread are computed from p at a few times, the nodes. A short exposure (up to 0.2 s) has the middle and two
+outer nodes; a longer exposure has the nodes of Simpson's rule. The outer nodes of a short exposure are 0.1 s from the
 middle, whatever the length of the exposure, because with closer nodes the noise of the samples would dominate p̈.
 """
 
@@ -30,7 +30,7 @@ class Nodes:
     """Quadrature nodes of an exposure: the mean of a quantity over the exposure is its weighted mean over the nodes.
 
     Attributes:
-        offset_ns: time of each node relative to the middle of the exposure, increasing, shape (m,); one of them is 0.
+        offset_ns: time of each node relative to the middle of the exposure, increasing, shape (m,); one time is 0.
         weight: weight of each node, not negative, shape (m,); the sum of the weights is 1.
     """
 

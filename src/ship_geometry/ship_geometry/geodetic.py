@@ -73,7 +73,7 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
         [0.7071 0.7071 0.    ]
     """
     single = isinstance(latitude, float) and isinstance(longitude, float)
-    # A live node calls this for single places, for which arrays would take several times as long.
+    # A live node calls this function for single places, for which arrays would take several times as long.
     sine, cosine = (math.sin, math.cos) if single else (np.sin, np.cos)
     sin_lat, cos_lat, sin_lon, cos_lon = sine(latitude), cosine(latitude), sine(longitude), cosine(longitude)
     north = -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat

@@ -34,7 +34,7 @@ ANY_DIRECTION = 0.3
 def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = math.inf) -> FloatArray:
     """Return the covariance of an error from several estimates of the error, shape (k, k).
 
-    The estimates are assumed to be independent. Each also adds a variance of 0.3² times its square in every direction.
+    The estimates are assumed to be independent. Each estimate also adds 0.3² times its square to every variance.
 
     Args:
         errors: one estimate in each row, shape (k,) each.

@@ -34,7 +34,7 @@ def _wrapped_library() -> ModuleType:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a function of the library, which is imported on first use; a node without stars never imports it."""
+    """Return a function of the library; the library is imported on first use, and not by a node without stars."""
     if name not in _FUNCTIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     library = _wrapped_library()

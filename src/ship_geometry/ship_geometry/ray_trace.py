@@ -6,9 +6,11 @@ Astronomical Almanac (1992, §3.281):
 - Surfaces of equal density are spheres about the Earth's centre, of radius 6 378 120 m at sea level.
 - Up to the tropopause at 11 km the temperature falls by 6.5 K/km, from the measured value; above the tropopause it is
   constant.
-- Air and vapour are ideal gases at rest under gravity, which depends on latitude and is equal at all heights.
-- The vapour pressure is proportional to the 18.36th power of the temperature up to the tropopause, and zero above. At
-  the ground it is the relative humidity times the saturation pressure (Gill, Atmosphere-Ocean Dynamics, 1982).
+- Air and vapour are ideal gases at rest. Gravity depends on the latitude and height of the observer; the same value
+  is used at all heights of the air.
+- The vapour pressure is proportional to the 18.36th power of the temperature up to the tropopause, and zero above. The
+  vapour pressure at the observer is computed from relative humidity and saturation pressure (Gill, Atmosphere-Ocean
+  Dynamics, 1982).
 - The refractivity of dry air is from the International Association of Geodesy (1999, Birmingham, Resolution 3);
   vapour refracts less than the dry air that it replaces, by 11.2684e-6 K/hPa.
 
@@ -116,7 +118,7 @@ def _points(
         atmosphere: parameters of the air above the observer.
         kelvin: temperature at the observer, K, shape (w, 1).
         of_air: part of n - 1 at the observer that decreases with height as air does, shape (w, 1).
-        of_vapour: part of n - 1 at the observer that decreases as vapour does, shape (w, 1). It is subtracted.
+        of_vapour: part of n - 1 at the observer that decreases as vapour does and is subtracted, shape (w, 1).
         per_scale_k_per_m: temperature divided by the scale height of isothermal air, K/m.
     """
     thickness_m = atmosphere.tropopause_m - atmosphere.height_m

@@ -195,9 +195,9 @@ def refraction_slopes(
 ) -> tuple[float, float]:
     """Return the first and second derivative of refraction with respect to elevation, rad/rad and rad/rad².
 
-    The derivatives are NaN below the lowest elevation of the model. They have a relative error of 0.1 %/sin² E for
-    ``erfa``, because the difference between observed and true zenith distance is neglected, and are exact for the
-    other models.
+    The derivatives are NaN below the lowest elevation of the model. Derivatives of ``erfa`` have a relative error of
+    0.1 %/sin² E, because the difference between observed and true zenith distance is neglected. Derivatives of the
+    other models are exact.
 
     Args:
         model: one of MODELS.

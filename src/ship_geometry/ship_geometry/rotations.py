@@ -124,8 +124,8 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 def log_rotation(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector (rad, norm at most pi) of a rotation matrix, shape (..., 3).
 
-    The result is accurate for all angles. It is computed from the antisymmetric part of the matrix or, near half a
-    turn, from the symmetric part.
+    The result is accurate for all angles. The vector is computed from the antisymmetric part of the matrix; near half a
+    turn the axis is computed from the symmetric part.
 
     Example:
         >>> vector = np.deg2rad([10.0, -20.0, 30.0])

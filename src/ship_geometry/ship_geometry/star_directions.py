@@ -188,8 +188,8 @@ class RefreshedSky:
     The slow steps are computed for the middle of fixed intervals, so a direction does not depend on earlier calls. Leap
     seconds are between two intervals.
 
-    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. It keeps the observer's first place, which gives
-    an error of 5″ or more after the ship has moved by 150 m.
+    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used. The short cut keeps the observer's first place,
+    which gives an error of 5″ or more after the ship has moved by 150 m.
 
     Args:
         table: table of Earth orientation parameters.
@@ -225,7 +225,7 @@ class RefreshedSky:
     def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
         """Return the rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
 
-        The rotation is for the axes of a body. It does not include aberration, which shifts directions of stars only.
+        The rotation is for the axes of a body, and does not include aberration, which shifts directions of stars only.
 
         Raises:
             OutsideEarthOrientation: the table has no value for this time.

@@ -34,7 +34,7 @@ def black_box(tmp_path_factory):
 
 
 def verify(capsys, *arguments):
-    """(exit code, stdout, stderr) of ``replay --verify``."""
+    """Return exit code, stdout and stderr of ``replay --verify``."""
     code = main([*map(str, arguments), "--verify"])
     out, err = capsys.readouterr()
     return code, out, err
@@ -270,7 +270,7 @@ UNSET_INPUTS = {
 
 
 def without_an_orientation(node, folder):
-    """Return the node's bag with -1 as the first element of the covariances of its inputs from 3 s on."""
+    """Return the node's bag with orientation covariances of its Imu inputs that begin with -1 from 3 s on."""
     faults, hit = folder / "faults.yaml", folder / "hit.mcap"
     unset = "kind: corrupt, field: 'orientation_covariance[0]', value: -1.0, start_s: 3.0"
     topics = enumerate(UNSET_INPUTS[node.adapter_class][0])
@@ -295,7 +295,7 @@ def test_a_black_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_black_box_from_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
-    """The node used such orientations without the parameter, and stated no covariance of the rates in ship/imu."""
+    """Older nodes used orientations with unset covariance, and stated no covariance of the rates in ship/imu."""
     hit = without_an_orientation(node, tmp_path)
     parameters = {f"{group}.accept_unset_covariance": True for group in UNSET_INPUTS[node.adapter_class][1]}
     parameters |= {"ins.rate_sigma_arcsec_per_s": 4.0} if node is SHIP_ATTITUDE else {}

@@ -1,7 +1,7 @@
 """A replay in blocks publishes the same messages at the same times as one by one, byte for byte.
 
 The scenarios are those of the repository, shortened; the faults are drawn by seed from those of the injector.
-FAULTED_BAGS is the number of bags with drawn faults.
+FAULTED_BAGS is the number of bags of the demo with drawn faults; half as many bags of all nodes have drawn faults.
 """
 
 import os
@@ -173,7 +173,7 @@ def test_where_blocks_end_makes_no_difference(
 def test_most_of_a_healthy_ins_is_taken_in_blocks(
     suite_bag: Path, core: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise one-by-one replay would be compared with itself."""
+    """Blocks contain over 80 % of the INS samples; otherwise one-by-one replay would be compared with itself."""
     taken = []
     finish_batch = core.finish_batch
 

@@ -191,7 +191,7 @@ def test_a_saved_alignment_does_not_count_again(tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["observations", "solution", "inertial_attitude"])
 def test_every_input_of_a_star_sensor_serves(tmp_path, capsys, source):
-    """Stars of the real sky, by each input; the second sensor always gives single stars."""
+    """Each input of the first sensor calibrates with stars of the real sky; the second sensor gives single stars."""
     stars = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=1.0) for id_, sensor in stars.star_sensors.items()}
     if source == "inertial_attitude":

@@ -61,7 +61,7 @@ CALM = {"bow": "no", "up": "no", "starboard": "no"}
     ids=["still", "still, hardly known", "turn", "turn in a swell", "still, with a reference"],
 )
 def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str]) -> None:
-    """One session per seed; 99.9 % bands for the number of seeds, all six angles together and each alone."""
+    """NEES of all six angles and RMS/sigma of each angle, over one session per seed, are in their 99.9 % bands."""
     values, ratios = [], []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
@@ -77,7 +77,7 @@ def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str
 
 
 def test_a_too_narrow_prior_is_detected() -> None:
-    """The bands are exceeded by installations five times as far off as configured."""
+    """The NEES exceeds its band if installations are five times as far off as their configured sigmas."""
     scenario = session(STILL, sigma_arcsec=4.0)
     values = [
         nees(calibrate_run(simulate(session(STILL), seed), core_for(scenario)), simulate(session(STILL), seed))

@@ -56,7 +56,7 @@ def test_at_constant_heading_only_the_turn_of_all_is_unobserved() -> None:
 
 
 def test_one_observation_bounds_a_wide_prior() -> None:
-    """The INS alone gives only the sum of INS error and installation: not observed, however wide the prior."""
+    """The INS alone shows only the sum of INS error and installation, so even a wide prior stays "not observed"."""
     wide = 180.0 * PRIOR
     combos = find_combinations(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
     assert [combo.sigma / ARCSEC for combo in combos] == pytest.approx([10.0, 72.0, 10.0], rel=1e-3)

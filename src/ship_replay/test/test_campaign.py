@@ -371,7 +371,7 @@ def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path,
 
 
 class TestPooled:
-    """Two results made by hand: 100 samples of 3″ and 300 of 5″, equivalent to 10 and 30 independent ones."""
+    """Results made by hand: 100 samples of 3″ and 300 of 5″, equivalent to 10 and 30 independent ones; a failed one."""
 
     @pytest.fixture
     def results(self, scenario):

@@ -23,7 +23,7 @@ CASES = Path(__file__).parents[4] / "shared" / "cases"
 
 FORE, STARBOARD, NIGHT = "star/fore/observations", "star/starboard/observations", "theodolite/night/stars"
 IMAGE_PX = {FORE: 2047.0, NIGHT: 2199.0}
-"""Largest u and v."""
+"""Topic → largest u and v of its camera, px."""
 
 
 def deck_scenario(identified):

@@ -228,7 +228,7 @@ def test_a_topic_missing_for_two_nodes_is_reported_once_with_both(check, tmp_pat
 
 
 def test_a_camera_out_of_range_is_reported_once(check):
-    """Without this value there would be no camera, but there is no second error about a missing camera."""
+    """The value out of range leaves no camera, but there is no second error about a missing camera."""
     text = STARS.partition("star_attitude:")[0].replace(
         "input: solution}", "input: observations, camera: {focal_length_m: 50.0, pixel_pitch_m: 5.5e-6}}"
     )
@@ -287,7 +287,7 @@ NODES += " or '/**'"
 
 
 def test_a_misspelt_node_is_an_error(check):
-    """The node itself refuses such a file."""
+    """The node itself refuses a file with a misspelt section."""
     misfit = "section '/star_atitude' does not fit node '/star_attitude': name it '/**/star_attitude' to fit in every"
     code, lines, _ = check(STARS.replace("star_attitude:", "star_atitude:"))
     assert code == 2
@@ -331,7 +331,7 @@ def test_no_parameter_file_is_one_line_and_two(check, text, complaint):
 
 @pytest.mark.parametrize("id_", ["fore mast", "fore-mast", "1", "före", "fore/mast"])
 def test_an_id_that_is_no_topic_name_is_an_error(check, id_):
-    """Without this error a node with such a sensor would end with a traceback: invalid topic name."""
+    """Without this check a node with a sensor of this id would end with a traceback: invalid topic name."""
     text = STARS.replace("      fore:", f"      '{id_}':")
     code, lines, _ = check(text)
     assert code == 2

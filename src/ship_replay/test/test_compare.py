@@ -383,7 +383,8 @@ def test_invalid_outputs_only(tmp_path):
 
 
 def test_events_match_by_text_and_time(pair):
-    """Events two seconds apart, or with another number in the text, are the same; three seconds apart they differ."""
+    """Events two seconds apart with different numbers in their texts match; the event five seconds later is only in B.
+    """
     times_and_counts = {"a": [(10, 5)], "b": [(12, 7), (15, 5)]}
     histories = {
         side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} rejected in a row")
@@ -460,7 +461,7 @@ def test_it_is_written_and_not_written_over(tmp_path, capsys):
 
 
 class TestWarnings:
-    """Each warning states what differs, why it matters and what to do; it is not repeated in the summary."""
+    """Warnings of a comparison state what differs, why it matters and what to do; the summary does not repeat them."""
 
     def test_other_times(self, tmp_path):
         a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)

@@ -28,7 +28,7 @@ COVARIANCE_ENU = np.diag([2.0, 3.0, 4.0]) ** 2 * ARCSEC**2
 
 
 def write_run(path, errors_arcsec, headings=None, suite=None, ins_heading_arcsec=None):
-    """Attitudes 1 s apart with given errors of (heading, pitch, roll) and truth at the same stamps."""
+    """Write attitudes 1 s apart with given errors of (heading, pitch, roll), and the truth at the same stamps."""
     headings = np.zeros(len(errors_arcsec)) if headings is None else headings
     with BagWriter(path) as bag:
         if suite:
@@ -149,7 +149,7 @@ star_attitude:
 
 
 def write_solutions(path, error_arcsec, truth=True):
-    """Write solutions of the sensor fore and of all sensors with a heading error; the second one has no attitude."""
+    """Write three solutions of the sensor fore and of all sensors, with a heading error; the second has no attitude."""
     rotation_dv = rotation_from_angles(*np.deg2rad([30.0, 40.0, 5.0]))
     reported_nd = rotation_from_angles(1.0 + error_arcsec * ARCSEC, 0.0, 0.0)
     with BagWriter(path) as bag:

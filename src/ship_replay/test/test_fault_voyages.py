@@ -156,7 +156,7 @@ def test_time_limit_for_detection():
 
 
 def test_a_fault_counts_from_the_first_message_that_it_changed():
-    """Earlier indications do not count, and the time to detection begins at this message."""
+    """Indications before the first changed message do not count; the time to detection begins at this message."""
     before = outputs_of(not_valid=[12.0], indications=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
     assert outcome(before).detected
     assert not outcome(before, first_s=13.0).detected

@@ -100,7 +100,7 @@ def write_hostile(path, name, offset_rad, units="rad"):
 
 
 def view_page(page, name):
-    """Return the text of a page as shown by a browser, without any code run or other request."""
+    """Return the text of a page in a browser; assert that no code runs and that nothing else is requested."""
     with contextlib.closing(Browser()) as browser:
         browser.open(page.as_uri())
         assert browser.problems == []

@@ -45,7 +45,7 @@ def three_hours() -> Identification:
 
 
 def test_three_hours_determine_white_noise_and_change(three_hours: Identification) -> None:
-    # Issue: white sigma within 10 %, 2 sigma²/tau inside its own interval.
+    # Required: white sigma within 10 %, 2 sigma²/tau within its own interval of 99.9 %.
     best = three_hours.best
     assert best.model.name == "gauss_markov"
     assert three_hours.model_choice.startswith("gauss_markov fits: log likelihood ")
@@ -83,7 +83,7 @@ def free_ins() -> Identification:
 
 @pytest.mark.statistics
 def test_schuler_is_selected_and_gauss_markov_is_inconsistent(free_ins: Identification) -> None:
-    # Issue: an independent computation had 13.4″ in the outage, 2.5 times its sigma.
+    # An independent computation had an error of 13.4″ in the outage, 2.5 times its sigma.
     found = free_ins
     assert found.best.model.name == "schuler"
     assert found.best.aic + 100.0 < found.fitted[1].aic
@@ -110,7 +110,7 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
 
 
 def test_two_hundred_times_determine_sigma_and_time() -> None:
-    # Issue: sigma within 10 %, tau within 30 %.
+    # Required: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
     session = simulated_noise_session(scenario(12_000.0, **slow), 1)
     found = suite_values(fit(star_record(session), GaussMarkovModel(session.config.ins)))

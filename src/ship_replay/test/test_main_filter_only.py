@@ -1,4 +1,5 @@
-"""The subfilters do not change the main filter: on a voyage without faults its estimates are equal without subfilters.
+"""The subfilters do not change the main filter: without faults its estimates are equal with and without subfilters.
+
 So integrity does not increase the RMS error. Inconsistent subfilters only increase the covariance.
 """
 

@@ -24,7 +24,7 @@ OBSERVATIONS = "star/fore/observations"
 
 
 def entries_of(run, topic):
-    """(message, log time) of one topic, through the bytes of a bag."""
+    """Return message and log time of each message of a topic; the messages are encoded and decoded as in a bag."""
     store = message_store()
     found = [(message, log) for name, message, log in generate_messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]

@@ -92,7 +92,7 @@ def true_rate(stamp_ns):
 
 
 def write_bag_with_truth(path, count=500):
-    """Imu at 100 Hz, truth at 10 Hz that is logged later than the Imu of the same stamp."""
+    """Write Imu at 100 Hz, and truth at 10 Hz that is logged later than the Imu of the same stamp."""
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", SUITE)
         bag.add_metadata("simulation", {"seed": "1"})

@@ -215,7 +215,7 @@ class TestFiveSentences:
         assert len(shown) == 5
 
     def test_availability_counts_missing_outputs(self, recording_path):
-        """No data from 20 s to 25 s of 40 s; the first second of it is within the age limit."""
+        """The run of 40 s has no data from 20 s to 25 s; the first second without data is within the age limit."""
         share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_recording(recording_path))[0])
         assert float(share[1]) == pytest.approx(90.0, abs=1.0)
 

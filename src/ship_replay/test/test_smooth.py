@@ -174,7 +174,7 @@ def test_bad_input_is_one_line(bag, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch):
-    """The filter is corrupted after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
+    """The filter is corrupted after 15 s and replaced half a minute later; at most three attitudes are lost."""
     bag, out = simulate_bag(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
     look, adapters = ShipAttitudeAdapter._decide, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")

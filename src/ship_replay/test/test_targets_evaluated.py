@@ -28,7 +28,7 @@ def target_direction(
     target_id: str = "buoy",
     **changes: Any,
 ) -> Any:
-    """Return a target in the north, as published with errors; East, North, Up."""
+    """Return a published target in the north with errors of direction and position; the axes are East, North, Up."""
     direction = np.array([east_arcsec * ARCSEC, 1.0, up_arcsec * ARCSEC])
     fields = {
         "header": make_header(FACTORY, START_NS + number * SECOND_NS, "horizon"),

@@ -22,7 +22,7 @@ ATTITUDE = "ship/attitude"
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """Five seconds of inputs and the outputs of a replay; suite configuration."""
+    """Return inputs of five seconds, the outputs of their replay, and the suite configuration."""
     folder = tmp_path_factory.mktemp("parts")
     with read_bag(DEMO) as bag, BagWriter(folder / "in.mcap") as writer:
         # For a ship in whatever namespace.

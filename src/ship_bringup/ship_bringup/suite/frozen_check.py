@@ -60,7 +60,7 @@ class FrozenCheck:
                     entry.has_run = True
 
     def check(self, programs: Sequence[SupervisedProgram]) -> None:
-        """Report programs without a heartbeat, and kill programs that had no heartbeat for long."""
+        """Report programs without a heartbeat, and kill those without one for long; the player is not checked."""
         now_s = time.monotonic()
         if now_s < self.due_s:
             return

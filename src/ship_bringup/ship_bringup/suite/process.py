@@ -1,7 +1,7 @@
 """One process of a suite: start in a separate session, reading of its lines, begin of its work, end.
 
-A process can be started before it is needed, as a reserve. It loads its libraries, which takes one second or, on a busy
-machine, several seconds. It then waits for a line on stdin (:mod:`ship_node.live.start`).
+A process can be started before it is needed, as a reserve. A reserve process loads its libraries, which takes one
+second or, on a busy machine, several seconds, and then waits for a line on stdin (:mod:`ship_node.live.start`).
 """
 
 import contextlib

@@ -120,7 +120,7 @@ class TerminalApp(App[int]):
             self._show_note(f"message skipped: {type(problem).__name__}: {problem}")
 
     def draw(self) -> None:
-        """Draw the current state; during a pause, the state at its start with the current alerts."""
+        """Draw the current state; during a pause, the state at the start of the pause with the current alerts."""
         now, now_s = self._suite.current_state(), _now_s()
         if self._suite_state is None or math.isnan(self._paused_s):
             self._suite_state = now

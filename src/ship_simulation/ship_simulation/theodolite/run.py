@@ -34,8 +34,8 @@ class PointingTruth:
     """The true quantities that the theodolite's devices measure.
 
     Attributes:
-        encoder_index: indices of the encoder samples at whose stamps the truth is given, shape (m,). They are the first
-            sample in each tenth of a second, and the last sample of the voyage.
+        encoder_index: indices of the encoder samples at whose stamps the truth is given, shape (m,): the first sample
+            in each tenth of a second, and the last sample of the voyage.
         mount: the true mount at those stamps.
         rotation_nt: horizon from telescope at those stamps, shape (m, 3, 3).
         beacon_count: number of lights in the telescope's view at those stamps, shape (m,).

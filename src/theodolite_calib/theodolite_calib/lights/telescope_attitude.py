@@ -108,8 +108,8 @@ def solve_attitude(
 ) -> TelescopeAttitude:
     """Return the maximum-likelihood attitude of the telescope.
 
-    The attitude is not solved (NaN) if the information is insufficient. Without a prior this is the case if the beacons
-    are so close together that the rotation of the image has a sigma of more than a degree
+    The attitude is not solved (NaN) if the information is insufficient. An example, without a prior, is beacons so
+    close together that the rotation of the image has a sigma of more than a degree
     (:data:`ship_geometry.wahba.WORST_SIGMA`).
 
     Args:

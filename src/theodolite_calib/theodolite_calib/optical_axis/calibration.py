@@ -1,7 +1,7 @@
 """Calibration from the filter's state: values for the calibration topic, and a prior for the next session.
 
 :class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation. With
-star cameras it also has N' and the parallelism of the main axis in each camera, if they are estimated.
+star cameras the calibration also has N' and the parallelism of the main axis in each camera, if these are estimated.
 :class:`CalibrationPrior` has the constants, which are saved. The deformation is not saved, because it will have changed
 at the next session.
 """
@@ -85,7 +85,10 @@ class CalibrationPrior:
     names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Return standard deviations, rad or m, shape (1,), by name with serial number (telescope: and its id)."""
+        """Return standard deviations, rad or m, shape (1,), by a text of name and serial number.
+
+        The text of a quantity of the telescope also contains the telescope's id.
+        """
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {

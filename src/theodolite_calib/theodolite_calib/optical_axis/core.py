@@ -1,6 +1,6 @@
 """Core of ``optical_axis``, shared by node and replay: estimates the main axis from all measurements.
 
-The core has no ROS, files or clock. It combines the calibration filter and the tracks of measured samples with the
+The core, without ROS, files or clock, combines the calibration filter and the tracks of measured samples with the
 time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which applies exposures and publishes pointings
 in the order of their stamps. This module adds the checks of encoders and ship's attitude, and the queue of readings
 that wait for the ship's attitude. A pointing is published at the stamp of each encoder reading, as soon as the ship's
@@ -81,7 +81,7 @@ _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal sta
 
 
 class _WaitingReading(NamedTuple):
-    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty if it is confirmed."""
+    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty for a confirmed reading."""
 
     sample: EncoderSample
     unconfirmed_reason: str
@@ -195,7 +195,7 @@ class OpticalAxisCore:
             self._escort.reconfigure(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
-        """Add an encoder reading; the pointing at its stamp follows.
+        """Add an encoder reading; publish the pointings of waiting readings that the ship's attitudes cover.
 
         Args:
             sample: the reading.
@@ -356,7 +356,7 @@ class OpticalAxisCore:
     def calibration_to_save(self) -> CalibrationPrior | None:
         """Return the prior for the next session.
 
-        Before the first sighting, this is the prior loaded at the start, or None.
+        Before the first sighting, the result is the prior loaded at the start, or None.
         """
         if self.state.last_update_ns is None:
             return self._start[0] if self._start is not None else None
@@ -373,8 +373,8 @@ class OpticalAxisCore:
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """Return the sighting of an exposure with the samples at its middle.
 
-        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure is
-        at most ``lag_s`` old.
+        The result is None if samples are missing, or if the baselines of all its beacons are rejected. The exposure
+        must be at most ``lag_s`` old.
         """
         return self._sightings.assemble(exposure).sighting
 
@@ -410,7 +410,7 @@ class OpticalAxisCore:
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
         """Return another estimator that starts from a stored state, or else from the saved calibration or the prior.
 
-        If it starts from a stored state, it also gets the current position and air data.
+        An estimator that starts from a stored state also gets the current position and air data.
         """
         second = type(self)(self.config, None if self._sky is None else self._sky.clone(memory is not None))
         second._start = self._start
@@ -517,7 +517,7 @@ class OpticalAxisCore:
             self._stream_jumps.append(StreamJump(jump))
             self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(result.sample, ShipSample)
-        # With the INS alone the pointing uses only attitudes, so that no wrong rate can affect the pointing.
+        # If the ship's attitude is that of the INS, no rates are used, so that no wrong rate can affect the pointing.
         by_ins = self.config.ship.source == "ins/imu"
         return result.rejection, replace(result.sample, rate_d=None) if by_ins else result.sample
 

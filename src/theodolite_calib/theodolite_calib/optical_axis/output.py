@@ -207,7 +207,7 @@ class PointingOutput:
         """Return the pointings at N readings; see :meth:`CorrectedAxis.axes` for single readings.
 
         Args:
-            encoders: readings, not earlier than the state.
+            encoders: the readings.
             ship: ship's attitude at the readings.
             state: state after the last exposure applied before the readings.
         """
@@ -257,7 +257,7 @@ class PointingOutput:
         return series
 
     def _is_recent(self, time_ns: StampArray, used_ns: int | None) -> NDArray[np.bool_]:
-        """True for each time at which the last accepted sighting is recent, shape (N,)."""
+        """True for each time at which the sighting at ``used_ns`` is recent, shape (N,); False without a sighting."""
         if used_ns is None:
             return np.zeros(len(time_ns), dtype=bool)
         recent: NDArray[np.bool_] = time_ns - used_ns <= self._recent_ns
