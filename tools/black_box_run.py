@@ -2,7 +2,7 @@
 
 The run has four accepted parameter changes (two of them remove and add a star sensor), a rejected change, a save, a
 reset and a load. Then the node is restarted with the saved alignment.
-Exit code 0 all boxes verified; 1 a box was not, or a process failed; 2 bad input or usage.
+Exit code 0 all boxes verified; 1 a black box was not verified, or a process failed; 2 bad input or usage.
 """
 
 import argparse
