@@ -194,7 +194,7 @@ class RecoveringAdapter(BatchAdapter):
         return published
 
     def _is_valid_or_above_limit(self) -> bool:
-        """Return True if the last output is VALID, or DEGRADED only because of the alert limit.
+        """Return True if the last output is VALID, or DEGRADED with a level above its alert limit or without a level.
 
         A second estimator would not lower a protection level below its alert limit.
         """

@@ -113,7 +113,7 @@ class ReportingAdapter(ABC):
     Attributes:
         config: the current parameters.
         core: the estimator.
-        latest: the last published estimate; None before the first.
+        latest: the last published estimate; None before the first, also after a reset or a step of the time base.
         pending_budget: the last estimate until its error budget is published; None after an INVALID output.
         conflicts: source → text, for sources in persistent conflict.
         innovation_report: innovation diagnoses of the sources.

@@ -69,7 +69,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
     def velocity_at(self, time_ns: int) -> FloatArray:
         """Return the drone's velocity relative to the ship (N, U, E) where :meth:`baseline_at` is valid, m/s.
 
-        The velocity is zero at the stamp of a baseline between two gaps.
+        The velocity is zero at the stamp of a baseline without a valid neighbour.
         """
         interval = self._interval(time_ns)
         assert interval is not None
