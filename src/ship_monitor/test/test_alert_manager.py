@@ -121,7 +121,10 @@ def test_clean_voyage_has_no_alert_of_a_source(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
-    """After a crash at any time and a restart from the file: the same alerts and states, none raised again."""
+    """After a crash at the end of the voyage, a restart from the file gives the same alerts, and none is raised again.
+
+    The voyage is run without and with acknowledged alerts.
+    """
     state = tmp_path / "alerts.json"
     for acknowledge in (False, True):
         state.unlink(missing_ok=True)
@@ -169,7 +172,7 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
 
 
 def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
-    """An hour of sleep is not a timeout of the suite: no alert for ten seconds, so that data can arrive again."""
+    """An hour of sleep is not a timeout of the suite: no alert changes for nine seconds, so that data can arrive."""
     voyage = Voyage(faulty)
     before = voyage.manager.alerts
     later_ns = voyage.end_ns + 3600 * NS_PER_S

@@ -202,7 +202,7 @@ def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
 
 
 def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
-    """The error is one line with file, line, key and expected value; the exit code is 2."""
+    """The error is one line with file, line, unknown key and similar known key; the exit code is 2."""
     limits = tmp_path / "limits.yaml"
     limits.write_text("tilt_arcsec: 3.0\nhedding_arcsec: 5.0\n")
     assert main(["--limits", str(limits)]) == 2

@@ -86,7 +86,7 @@ def test_step_back_in_time_resets_the_state(live_suite, ship, until):
 def test_busy_display_causes_no_timeout(live_suite, ship, until):
     sail(ship, live_suite, until)
     stamp_ns = heading(live_suite).stamp_ns
-    # Two seconds without an update of the display while the ship publishes; an attitude is old after one.
+    # Two seconds without an update of the display while the ship publishes; an attitude is old after 1 s.
     for number in range(1, 101):
         ship.publish("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
         time.sleep(0.02)
@@ -135,7 +135,7 @@ def test_queue_depths(topic, type_name, count):
 
 
 def test_page_terminal_and_alerts_show_one_state(ship, until):
-    """Displays show the state of an alert node with tight limits, and their own state after its end."""
+    """Displays show the state of an alert node with tight limits; after the node has ended, they show their own."""
     tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
     context = Context()
     rclpy.init(context=context)

@@ -1,4 +1,4 @@
-"""The page and the Foxglove server answer or refuse requests by Host and Origin; also with a real browser."""
+"""The page and the Foxglove server answer or refuse requests by Host and Origin; one test uses a real browser."""
 
 import http.client
 import http.server

@@ -113,7 +113,7 @@ def test_font_sizes_for_reading_at_a_distance(browser, source, page, selector, l
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp_path, monkeypatch):
-    """Without B612 the server provides DejaVu, which is wider, also for the plots."""
+    """Without B612 the server provides DejaVu for page and plots; DejaVu is wider."""
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
     (tmp_path / "fonts.conf").write_text(
         f'<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig><dir>{fonts}</dir>'

@@ -55,7 +55,7 @@ def status(page, path="/health"):
 
 
 def ends(connection):
-    """True if the server has closed a connection."""
+    """Return True after the server has closed a connection; a connection that stays open raises TimeoutError."""
     try:
         while connection.recv(65536):
             pass

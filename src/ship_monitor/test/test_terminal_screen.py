@@ -121,7 +121,7 @@ def test_nothing_looks_good_without_outputs():
 
 
 def test_consequence_is_indented_below_its_cause():
-    """Lights need the ship's attitude, which is late: the consequence is below its cause, which is named once."""
+    """Lights need the ship's attitude, which is late: the row of the lights is indented below that of the attitude."""
     late = source_out("ship_attitude", "81 rejected in a row: late")
     lights = source_out("lights", "needs ship_attitude", because_of="ship_attitude")
     rows = texts(state_with_mounting_shift(sources=(late, lights, source("ins"))))[12:15]

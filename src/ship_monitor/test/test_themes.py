@@ -29,7 +29,7 @@ def test_contrasts_against_the_panel(name: str, text: float, second_text: float,
 
 @pytest.mark.parametrize("theme", THEMES.values(), ids=lambda theme: theme.name)
 def test_words_on_fills_are_legible(theme: Theme) -> None:
-    # WCAG 2.1, 1.4.3: 4.5 for text; 3 for large text, as that of the states.
+    # WCAG 2.1, 1.4.3: 4.5 for text; 3 for large text, such as the word CAUTION.
     assert contrast(theme.unsafe_word, theme.unsafe_fill) >= 4.5
     assert contrast(theme.caution_word, theme.caution_fill) >= 3.0
 

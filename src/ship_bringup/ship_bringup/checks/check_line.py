@@ -69,7 +69,7 @@ def summary_text(lines: Sequence[CheckLine]) -> str:
 
 
 def worst_first(checks: Iterable[Iterable[CheckLine]]) -> list[CheckLine]:
-    """Return the rows of all checks: failures first, then warnings, then other rows, in the order of the checks."""
+    """Return the rows of all checks: failures, warnings, unchecked and good rows, each in the order of the checks."""
     lines = [line for check in checks for line in limit_rows(check)]
     return sorted(lines, key=lambda line: _ORDER.index(line.result))
 

@@ -44,7 +44,7 @@ On one machine discovery takes 0.06 s to 1.6 s. If the first announcements of a 
 after 3 s.
 """
 _FIRST_MESSAGE_TIMEOUT_S = 12.0
-"""Additional timeout for the first message of a required topic, s.
+"""Additional timeout for the first message of a required or configured topic, s.
 
 On a busy machine the publisher of the topic may be discovered late, and connected even later.
 """
@@ -77,7 +77,7 @@ class ObservedTopic:
         rate_hz: messages per second, by :func:`observed_rate_hz`; 0 for fewer than two messages.
         message_bytes: mean length of a message; 0 without messages.
         count: number of messages.
-        age_s: median of time of receipt minus stamp, negative for stamps in the future; None without stamps.
+        age_s: median age of the messages at receipt, negative for stamps in the future; None without stamps.
     """
 
     input: InputTopic

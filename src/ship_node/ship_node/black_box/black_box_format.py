@@ -1,8 +1,8 @@
 """Format of a black box: events of a node besides its messages, and names of topics and records.
 
 A black box is an MCAP bag. Inputs and outputs have their own topics; events are JSON texts on :data:`EVENTS_TOPIC`. The
-order in the file is the order of use, and the results of a use follow it. The sequence numbers count all entries from
-1. The log time is the node time of the use, which may go back; the publish time is the timeout-clock time
+order in the file is the order of use; an input or event is followed by its results. The sequence numbers count all
+entries from 1. The log time is the node time of the use, which may go back; the publish time is the timeout-clock time
 (:class:`ship_node.edge.adapter.Adapter`).
 """
 

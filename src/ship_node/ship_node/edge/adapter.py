@@ -62,7 +62,7 @@ class Adapter(Protocol):
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """Publish no valid output while the node is behind its inputs.
 
-        Called when messages are dropped, and when the node keeps up again.
+        The node runtime calls this method when messages are dropped, and when the node keeps up again.
         """
         ...
 

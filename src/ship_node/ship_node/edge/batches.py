@@ -21,7 +21,7 @@ StampArray = NDArray[np.int64]
 
 
 class ReadBatch(NamedTuple):
-    """Leading messages of a batch that were read without remarks.
+    """Leading messages of a batch that were read and passed all checks.
 
     Attributes:
         samples: input of the core, with the stamps ``times_ns``, shape (N,). The message after the last sample must be
@@ -100,8 +100,8 @@ class BatchOutput(NamedTuple):
     """Part of the outputs of a batch.
 
     Attributes:
-        place: index in the batch of a message, or of the first message with estimates.
-        published: messages to publish with that message.
+        place: index of an input message in the batch; with ``estimates``, index of the first of their input messages.
+        published: messages to publish at that input message.
         estimates: outputs still to be converted to messages, one for each message of the batch from ``place`` on; None
             if there are no outputs.
     """
@@ -141,8 +141,7 @@ def outputs_with_levels(
         published: the published protection levels; ``protection_level_messages`` changes them.
         redundancy_keys: attributes of each output that determine, together with its state, the redundancy of its
             sources.
-        directions: for each output, the matrix that maps errors of the state to errors of the output's angles, shape
-            (N, 3, 3).
+        directions: directions of each output, as in :meth:`PublishedLevels.covered_count`, shape (N, k, l).
         protection_level_messages: returns the protection levels of one output if the published levels do not cover it.
     """
     start, count = 0, len(run.time_ns)

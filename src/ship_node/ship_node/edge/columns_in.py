@@ -2,7 +2,8 @@
 
 Each check returns, for every message, True only if :mod:`ship_node.edge.messages_in` accepts the message without
 remark. The values of these messages are bit for bit the values that ``messages_in`` returns. The other messages are
-read one by one and may still be used. A message with NaN is not valid, because NaN fails every comparison.
+read one by one and may still be used. A message with NaN in a checked value is not valid, because NaN is within no
+limit.
 """
 
 from collections.abc import Callable, Iterator

@@ -95,7 +95,7 @@ class DuplicatePublishers:
         self._newest_stamps: dict[str, tuple[int | None, int]] = {}
 
     def end_timed_out(self, waiting_ns: int) -> list[str]:
-        """End each pair of streams that had no value for the timeout; return the topics of these pairs.
+        """End each pair of streams without a value for 30 s; return the topics of these pairs.
 
         Args:
             waiting_ns: time by the timeout clock.

@@ -12,14 +12,14 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
 FIRST_MESSAGE_TIMEOUT_NS = 5_000_000_000
-"""Maximum time from the start to the first message of a topic, and between its first messages, ns."""
+"""Maximum time from the start to the first message of a topic, and between its first three messages, ns."""
 
 REJECTION_SHOWN_NS = 2_000_000_000
 """Time for which a single rejection is shown, ns."""
 
 TIMEOUT_PERIODS = 3.0
 TIMEOUT_ERROR_NS = 1_000_000_000
-"""Time without data of a required topic after which the level is ERROR, ns."""
+"""Time without data after which the timeout of a required topic is an ERROR, ns; before, it is a WARN."""
 
 MIN_TIMEOUT_NS = 100_000_000
 """Minimum timeout, ns: the evaluation runs once per tick."""
@@ -59,7 +59,7 @@ class InputHealthMonitor(InputRecords):
     The node runtime adds the information of the middleware, which is unknown offline.
 
     Args:
-        inputs: the input topics; any other topic raises KeyError.
+        inputs: the input topics.
         max_age_s: maximum age of a stamp, s; see :data:`ship_node.edge.input_record.MAX_AGE_S`.
 
     Attributes:

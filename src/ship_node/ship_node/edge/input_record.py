@@ -156,7 +156,7 @@ class InputRecord:
     def rate_hz(self, waiting_ns: int) -> float:
         """Return the mean arrival rate, Hz; NaN before two messages.
 
-        The time since the last message counts as an interval if it is longer than every earlier interval.
+        The time since the last message is added to the time span if it is longer than every stored interval.
         """
         if self.last_arrival_ns is None or not self._intervals_ns:
             return math.nan
@@ -236,7 +236,7 @@ class InputRecords:
     def record_batch(
         self, topic: str, receive_ns: np.ndarray, stamps_ns: np.ndarray, covariance_known: bool
     ) -> None:
-        """Record a batch of messages that were all used without remarks, as :meth:`record_input` does for each.
+        """Record a batch of messages that were all used, as :meth:`record_input` does for each.
 
         Args:
             topic: the input topic.
@@ -255,7 +255,7 @@ class InputRecords:
     def record_unreadable(
         self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection
     ) -> None:
-        """Record a message that could not be read; the receive times are as in :meth:`record_input`."""
+        """Record a message that was rejected before the core; the receive times are as in :meth:`record_input`."""
         self.record_arrival(topic, waiting_ns)
         self.record_rejected(topic, rejection, receive_ns, stamp_ns)
 

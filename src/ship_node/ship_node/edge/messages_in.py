@@ -1,7 +1,7 @@
 """Checks of a message's fields before any of them reaches a filter.
 
-Each check returns the value in the form that cores use, or raises :class:`MessageRejected`. The packages' readers are
-built from these checks.
+A failed check raises :class:`MessageRejected`. Values are returned in the form that cores use. The packages' readers
+are built from these checks.
 """
 
 import math
@@ -130,7 +130,7 @@ def exposure_length_s(exposure_s: float, longest_s: float) -> float:
     """Return the length of an exposure, s; 0 if it is not given (NaN or 0).
 
     Raises:
-        MessageRejected: NON_FINITE, or UNITS if it is negative or longer than ``longest_s``.
+        MessageRejected: NON_FINITE if the length is infinite; UNITS if it is negative or above ``longest_s``.
     """
     if math.isnan(exposure_s):
         return 0.0
@@ -171,7 +171,7 @@ def optional_sigma(sigma: float, largest: float) -> float | None:
     """Return a standard deviation; None if it is not given (NaN or 0).
 
     Raises:
-        MessageRejected: NON_FINITE, or BAD_COVARIANCE if it is negative or above ``largest``.
+        MessageRejected: NON_FINITE if ``sigma`` is infinite; BAD_COVARIANCE if it is negative or above ``largest``.
     """
     if math.isnan(sigma) or sigma == 0.0:
         return None
@@ -288,7 +288,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
     """Return an angular velocity in the axes of the message, rad/s, shape (3,).
 
     Raises:
-        MessageRejected: NON_FINITE, or UNITS if it is too large for a ship.
+        MessageRejected: NON_FINITE, or UNITS if a component exceeds :data:`MAX_RATE`.
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
     if np.max(np.abs(rate_ros)) > MAX_RATE:

@@ -1,4 +1,4 @@
-"""Messages that every node publishes: innovations, error budgets, integrity, diagnostics."""
+"""Messages that several nodes publish: innovations, error budgets, integrity, diagnostics."""
 
 import enum
 import struct

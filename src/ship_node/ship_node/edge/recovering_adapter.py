@@ -79,7 +79,7 @@ class RecoveringAdapter(BatchAdapter):
 
     @abstractmethod
     def remedy(self, displaced: Mapping[str, float]) -> str:
-        """Return the advice for the operator about sources whose mountings have shifted permanently.
+        """Return the advice for the operator about sources that have moved and not moved back.
 
         Args:
             displaced: source → shift, rad.
@@ -194,7 +194,7 @@ class RecoveringAdapter(BatchAdapter):
         return published
 
     def _is_valid_or_above_limit(self) -> bool:
-        """Return True if the last output is VALID, or DEGRADED only because of the alert limit.
+        """Return True if the last output is VALID, or DEGRADED with a level above its alert limit or without a level.
 
         A second estimator would not lower a protection level below its alert limit.
         """
@@ -268,7 +268,7 @@ class RecoveringAdapter(BatchAdapter):
 
     @property
     def recovery_counts(self) -> dict[str, str]:
-        """Numbers of second estimators started and adopted, for diagnostics."""
+        """Number of troubles in which a second estimator was started, and number of adoptions, for diagnostics."""
         recovery = self.recovery
         return {"second estimators started": str(recovery.started), "second estimators adopted": str(recovery.adopted)}
 

@@ -113,7 +113,7 @@ class ReportingAdapter(ABC):
     Attributes:
         config: the current parameters.
         core: the estimator.
-        latest: the last published estimate; None before the first.
+        latest: the last published estimate; None before the first, also after a reset or a step of the time base.
         pending_budget: the last estimate until its error budget is published; None after an INVALID output.
         conflicts: source → text, for sources in persistent conflict.
         innovation_report: innovation diagnoses of the sources.
@@ -137,7 +137,7 @@ class ReportingAdapter(ABC):
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"]
     """Attributes of an output that determine, together with its state, the redundancy of its sources."""
     directions: ClassVar["attrgetter[np.ndarray]"]
-    """Attribute of an output: the matrix that maps errors of the state to errors of the output's angles."""
+    """Attribute of an output: the ``directions`` of :class:`ship_estimation.published_levels.PublishedLevels`."""
     integrity_frame: str = ""
     required_sources: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be switched off."""
@@ -395,7 +395,7 @@ class ReportingAdapter(ABC):
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Record an outcome of the core and return its messages: decisions, failures, estimates.
 
-        The estimates of a node that is behind are not used.
+        The estimates of a node that is behind are not published.
         """
         decisions = []
         for decision in outcome.decisions:
@@ -474,7 +474,7 @@ class ReportingAdapter(ABC):
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
 
     def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Return, once a second, the INVALID output of a node that is behind and the reason."""
+        """Return, once a second while the node is behind, the reason and the INVALID output."""
         if self.behind is None or waiting_ns < self._next_invalid_ns:
             return []
         self._next_invalid_ns = waiting_ns + _SECOND_NS

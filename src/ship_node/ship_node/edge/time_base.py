@@ -1,7 +1,8 @@
 """Detection of steps of the time base: all clocks that stamp the inputs jump by the same time at once.
 
 The offset of an input's clock is the stamp of a message minus the timeout-clock time, which never steps. A late message
-looks like a clock that is behind. A clock has moved only if no delay explains the change of its offset:
+looks like a clock that is behind. A clock has moved only if no delay explains the change of its offset. Changes below
+0.5 s count only in the last of these cases:
 
 - A clock has moved back if a stamp is not newer than the newest stamp of the same input.
 - A clock has moved forward if a stamp is ahead of the node's clock, or if the offset has grown by more than
@@ -225,9 +226,10 @@ class TimeBase:
         clock.level_ns, clock.newest_ns, clock.arrival_ns = stamp_ns - arrival_ns, stamp_ns, arrival_ns
 
     def ahead_ns(self, topic: str) -> int:
-        """Return the lead of an input's clock, ns, if no delay explains it and other inputs are present; else 0.
+        """Return the lead of an input's clock, ns, if other frequent inputs are present; else 0.
 
-        Messages of this input are not used until it is decided whether the other clocks have moved too.
+        A lead up to :data:`_LONGEST_DELAY_NS` counts as 0, except within a second after a step of the computer's clock.
+        Messages of an input with a lead are not used until it is decided whether the other clocks have moved too.
         """
         clock = self._clocks[topic]
         if clock.moved_ns <= (_LONGEST_DELAY_NS if self._computer is None else 0):

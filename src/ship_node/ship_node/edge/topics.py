@@ -15,7 +15,7 @@ class InputTopic:
         topic: relative name, as ``"ins/imu"``.
         type_name: type of the messages, as ``"sensor_msgs/msg/Imu"``.
         required: True if the node cannot work without the topic.
-        depth: queue depth, number of messages in one second of data.
+        depth: queue depth, number of messages.
         is_configured: True if the configuration names the device; then it is a fault if no message ever arrives.
         is_occasional: True if messages come only occasionally, so that there is no timeout.
         is_valid_until_next: True if a message, for example a position, is valid until the next message arrives, and is

@@ -1,10 +1,10 @@
 """Sightings of lights in a bag as the table that ``fit_axes`` reads: encoder angles and true directions of the axis.
 
-The node ``optical_axis`` processes the bag and accepts or rejects every exposure. For each accepted exposure of two
-lights or more, the attitude of the telescope on the deck is computed from the lights alone. The main axis follows from
-this attitude and the configured parallelism. The offsets of the true direction from the encoder angles contain
-correlated errors: the deck's deformation, the ship's error, errors of baselines, levers and refraction. The table
-therefore lists the effect of each such error on each sighting.
+The node ``optical_axis`` processes the bag and accepts or rejects every exposure. For each exposure with two lights or
+more that are all accepted, the attitude of the telescope is computed from the lights alone. The ship's attitude
+transforms the telescope's attitude to the deck. The main axis follows with the configured parallelism. The offsets of
+the true direction from the encoder angles contain correlated errors: the deck's deformation, the ship's error, errors
+of baselines, levers and refraction. The table therefore lists the effect of each such error on each sighting.
 """
 
 from dataclasses import dataclass, field

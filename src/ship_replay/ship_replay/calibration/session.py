@@ -30,7 +30,7 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word
-"""Reasons of rejections due to an installation whose error exceeds its sigma."""
+"""Reasons of rejections that an installation error beyond its sigma causes; other errors may cause them too."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Exposures of a camera in a bag: identified stars, and the focal length that fits the angles between them.
 
-Stars without a catalogue number are identified with the predicted attitude of the camera, but without their
-magnitudes, which may be wrong too.
+Stars without a catalogue number are identified with the predicted attitude of the camera. Their magnitudes are not
+used, because the magnitudes may be wrong.
 """
 
 from collections.abc import Callable, Sequence

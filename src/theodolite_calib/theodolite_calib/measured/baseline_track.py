@@ -67,7 +67,10 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return baseline.vector, baseline.noise_gain * nearest.covariance_n + baseline.error_covariance
 
     def velocity_at(self, time_ns: int) -> FloatArray:
-        """Return the drone's velocity relative to the ship (N, U, E) at a valid baseline, m/s; zero next to gaps."""
+        """Return the drone's velocity relative to the ship (N, U, E) where :meth:`baseline_at` is valid, m/s.
+
+        The velocity is zero at the stamp of a baseline without a valid neighbour.
+        """
         interval = self._interval(time_ns)
         assert interval is not None
         left, fraction = interval

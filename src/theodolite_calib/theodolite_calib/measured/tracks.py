@@ -47,7 +47,7 @@ class ShipAt:
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         correlated_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
         noise: variance of each component due to white error and interpolation, rad².
-        status: status stated by the source; between two attitudes the worse status.
+        status: status of the last attitude up to this time; DEGRADED if the next attitude is DEGRADED.
         chord_nd: horizon from deck, interpolated as in tf2 with a constant rate between two messages of ship/attitude;
             None if the source is ins/imu.
     """
@@ -211,7 +211,7 @@ class MeasuredTracks:
         if nodes is not None:
             gain = self.ship.noise_gain_of_mean(nodes.times_and_weights(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
-        # Between two attitudes the worse status applies, because the source may have jumped in between.
+        # Before a DEGRADED attitude the status is DEGRADED, because the source may have jumped in between.
         after = attitude.next_sample
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
         status = Status.DEGRADED if degraded else sample.status
