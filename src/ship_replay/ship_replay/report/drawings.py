@@ -146,7 +146,7 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
 
 
 def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
-    """Return figures of the errors with their ±3σ, one figure for all sources with the same channels.
+    """Return figures of the errors with their ±3σ, one figure for each group of sources with the same channels.
 
     Without errors, the list contains one figure of the innovations with their ±3σ. The list is empty if no innovation
     was accepted either.
@@ -171,7 +171,10 @@ def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
 
 
 def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
-    """Return the figure of each angle's variances, stacked by source of error; the axis shows their square roots."""
+    """Return the figure of each angle's variances, stacked by source of error; empty text without points of the budget.
+
+    The axis shows the square roots of the variances.
+    """
     points = [point for point in points if point.by_angle]
     if not points:
         return ""
@@ -253,7 +256,10 @@ def decimate_errors(errors: AttitudeErrors) -> AttitudeErrors:
 
 
 def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
-    """Return decimated innovations; the extremes of largest absolute and of least residual per stamp are kept."""
+    """Return decimated innovations.
+
+    The extremes over time of two values of each stamp are kept: the largest absolute residual and the least residual.
+    """
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part

@@ -58,7 +58,7 @@ class ErrorRow:
 
     @property
     def ratio(self) -> float:
-        """RMS of B over RMS of A."""
+        """RMS of B over RMS of A; NaN if the RMS of A is zero or NaN."""
         return self.rms[1] / self.rms[0] if self.rms[0] > 0.0 else math.nan
 
 
