@@ -32,7 +32,7 @@ class AttitudeQuality(Enum):
 
     NORMAL = "A", 0
     ESTIMATED = "E", 1
-    """Reduced set of sources: COASTING (recent stars) or DEGRADED (no stars)."""
+    """COASTING or DEGRADED."""
     SIMULATED = "S", 1
     """Played or simulated: the node follows /clock."""
     VOID = "V", 2

@@ -46,7 +46,10 @@ ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 
 """Tick values of a logarithmic axis."""
 
 MARK_ID_PREFIX = "mark-"
-"""Prefix of the id of the line that marks a second in the status figure; the POSIX second follows."""
+"""Prefix of the id of the line that marks a second in the status figure; the POSIX second follows.
+
+:func:`svg` adds ``status-`` in front.
+"""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
 _SOURCE_COLOURS = ("#0b3c6f", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5fa8", "#8a6d3b")

@@ -47,8 +47,7 @@ class SessionRow:
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """Return the MCAP files and rosbag2 folders in a folder, sorted by name; empty if ``folder`` is a bag or no folder.
-    """
+    """Return the MCAP files and rosbag2 folders in a folder, sorted by name; empty if it is a bag or no folder."""
     if not folder.is_dir() or (folder / INFORMATION_FILE).exists():
         return []
     return sorted(

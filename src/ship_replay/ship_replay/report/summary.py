@@ -35,8 +35,7 @@ def summary(recording: RecordedHistory) -> list[str]:
 
 
 def worst_source(recording: RecordedHistory) -> str:
-    """Return the source that was out longest in all, without outages caused by another source; empty if there is none.
-    """
+    """Return the source that was out longest in all, not counting outages by another source; empty if there is none."""
     seconds = _seconds_out(recording, root_outages(outages(recording)))
     return max(seconds, key=lambda source: seconds[source], default="")
 
