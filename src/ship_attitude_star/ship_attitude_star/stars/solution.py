@@ -55,7 +55,7 @@ _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS
 """Index in SOLUTION_TERMS of each shared error."""
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
-"""Up component of the forward axis above which azimuth and roll are not separated."""
+"""Magnitude of the Up component of the forward axis above which azimuth and roll are not separated."""
 
 
 _MAX_STEPS, _SMALL_TURN = 10, 1e-3
