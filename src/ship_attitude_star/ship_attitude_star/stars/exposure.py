@@ -391,7 +391,7 @@ def _identification_rejection(nearest: float, fitting: int, masks: str) -> Rejec
 def _with_identities(
     exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], local_sky: LocalSky
 ) -> StarExposure:
-    """Return the exposure with the identities of the catalogue stars ``chosen`` in its rows ``rows``."""
+    """Return the exposure with its rows ``rows`` identified as the catalogue stars ``chosen``."""
     catalogue = local_sky.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]

@@ -1,7 +1,8 @@
 """Attitude from all stars of one or all sensors, with a covariance that includes every error.
 
 [P15] (13)-(16) gives the attitude as the solution of Wahba's problem. The error of the attitude is linear in the errors
-of :mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains its sensitivity to each error. The
+of :mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains the sensitivity of the attitude to each
+error. The
 noise of the stars averages over the stars; errors that the stars share do not.
 """
 

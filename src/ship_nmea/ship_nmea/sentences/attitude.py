@@ -102,7 +102,7 @@ def rot(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEAS
 
 
 def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Return time, heading, roll, pitch and their standard deviations, which have one decimal more and are never zero.
+    """Return time, heading, roll, pitch, and sigmas of the angles, which have one more decimal and are never zero.
 
     The last two fields are 1 if there is an attitude, otherwise 0. NovAtel calls these fields "position" and "after
     alignment".
