@@ -58,7 +58,7 @@ class Distortion:
         return matrix
 
     def undistort(self, distorted: FloatArray) -> FloatArray:
-        """Return the ideal points of distorted points, shape (..., 2); NaN where the model is not invertible."""
+        """Return the ideal points of distorted points, shape (..., 2); NaN where Newton's method does not converge."""
         ideal = np.array(distorted, dtype=float)
         for _ in range(_NEWTON_STEPS):
             step = _solve_symmetric(self.jacobian(ideal), distorted - self.distort(ideal))
@@ -106,7 +106,7 @@ class StarCamera:
     def pixels(self, directions_s: FloatArray) -> FloatArray:
         """Return pixels (u, v), shape (..., 2), of directions (forward, up, right), shape (..., 3).
 
-        A direction behind the sensor gives NaN.
+        A direction 90° or more from the boresight gives NaN.
         """
         forward = np.where(directions_s[..., 0] > 0.0, directions_s[..., 0], np.nan)
         point = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
@@ -117,7 +117,8 @@ class StarCamera:
     def measured_directions(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the directions of centroids, with their standard deviations.
 
-        A pixel that is not finite gives a NaN direction and sigma; a sigma that is not finite gives a NaN sigma.
+        A pixel that is not finite gives a NaN direction and sigma. A sigma that is not finite gives a sigma that is not
+        finite.
 
         Args:
             pixels: centroids (u, v), shape (k, 2).

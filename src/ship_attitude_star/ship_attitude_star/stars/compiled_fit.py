@@ -291,7 +291,8 @@ def attitude_covariances(
         jacobian: Jacobian of the stars, shape (k, 3, q).
         share: sigma of this kind of error divided by the white sigma, for each star, shape (k,); 0 for a star that is
             not used.
-        term_of: index of the error source of each of the other unknowns, which are in units of sigma, shape (q - 3,).
+        term_of: index of the error source of each unknown after the attitude, shape (q - 3,). These unknowns are in
+            units of sigma.
         terms: number of error sources.
 
     Returns:

@@ -32,7 +32,7 @@ class StarSensorsById:
     star_sensors: Mapping[str, "SensorWithCamera"]
 
     def __post_init__(self) -> None:
-        """Check that no sensor has the id JOINT, and that the masks of each sensor leave part of its field free.
+        """Check that no sensor has the id JOINT, and that masks do not cover the whole of a known field of view.
 
         Raises:
             ParameterError: a check fails; the text names the parameter.

@@ -7,7 +7,8 @@ variance s², and along a streak of L pixels s² + L²/12. The variance σ² of 
 the streak, to σ² (1 + L²/(12 s²)), and is unchanged across the streak (docs/explanation/star_camera.md).
 
 The gate of a detection without an identity is centred on the direction that the predicted attitude of the sensor gives.
-The detection is identified if exactly one catalogue star is within the gate, and no other detection matches this star.
+The detection is identified if exactly one catalogue star is within the gate, and no other detection matches this star
+or already has its identity.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
 """Empty array of mounting errors, for stars that are compared in the frame of their sensor."""
 
 _OUT_OF_VIEW_VARIANCE = 1.0
-"""Variance of a star that leaves the field of view during the exposure, rad²; it removes the star's weight."""
+"""Variance of a star whose streak leaves the range of the camera model, rad²; the star has practically no weight."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ class StarExposure:
 def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExposure:
     """Return the stars with their directions at mid-exposure and the errors that their streaks add.
 
-    A star that leaves the field of view during the exposure keeps its direction, but has no weight.
+    A star whose streak leaves the range of the camera model keeps its direction, but has practically no weight.
 
     Args:
         exposure: exposure with a known length.
@@ -390,7 +391,7 @@ def _identification_rejection(nearest: float, fitting: int, masks: str) -> Rejec
 def _with_identities(
     exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], local_sky: LocalSky
 ) -> StarExposure:
-    """Return the exposure with the identities of the catalogue stars ``chosen`` in its rows ``rows``."""
+    """Return the exposure with its rows ``rows`` identified as the catalogue stars ``chosen``."""
     catalogue = local_sky.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]

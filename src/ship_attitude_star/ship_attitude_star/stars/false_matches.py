@@ -26,7 +26,7 @@ WRONG_IDENTITY_RATIO = 0.01
 
 
 def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
-    """True if the expected number of false matches of a single star is at most :data:`MAX_FALSE_MATCHES`.
+    """True if the expected number of false matches of every single star is at most :data:`MAX_FALSE_MATCHES`.
 
     A set of several stars has fewer false matches, so a larger set needs no further test. The result is also True if
     there are no stars, or if the stars have no false match densities.

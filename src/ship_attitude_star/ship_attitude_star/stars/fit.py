@@ -94,7 +94,7 @@ class MatchedStars:
 
     @property
     def max_sigma(self) -> FloatArray:
-        """Upper bound of each star's standard deviation along any axis, streaks included, rad, shape (k,)."""
+        """Standard deviation of each star's direction with the variance of its streak on each axis, rad, shape (k,)."""
         if self.smear_b is None:
             return self.single_star_sigma
         sigma: FloatArray = np.sqrt(self.single_star_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))

@@ -76,8 +76,8 @@ def find_candidates(
         smear_s: covariance of the errors due to motion during the exposure, rad², shape (k, 3, 3); None without motion.
         prior: attitude of the sensor.
         local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
-        masks: deck masks in the sensor's view; None without masks. A masked star is no candidate, and a masked
-            detection has no candidates.
+        masks: deck masks in the sensor's view; None without masks. A masked star is no candidate. A masked detection
+            has no candidates, except with so wide a prior.
     """
     rows, catalogue = _rows_in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
     apparent = local_sky.apparent_stars(catalogue.at_j2000[rows])

@@ -35,7 +35,7 @@ def check_focal_length(
 ) -> Rejection | None:
     """Return the rejection of an exposure whose stars contradict the focal length; None without a contradiction.
 
-    The result is also None if too few stars are consistent with one attitude.
+    The result is also None if the stars do not determine the focal length.
 
     Args:
         exposure: all detections.

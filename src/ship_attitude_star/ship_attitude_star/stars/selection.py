@@ -1,6 +1,6 @@
 """Selection of correctly identified stars, by the attitude with which most of them are consistent.
 
-A trial is a possible attitude. It is computed from a pair of stars whose measured angle fits the sky. If an attitude is
+A trial is a possible attitude, computed from a pair of stars whose measured angle fits the sky. If an attitude is
 known beforehand (the prior), each trial is the prior corrected by a single star. All stars with
 Mahalanobis² < 16 are members of the trial. While the probability of the members is below 1e-3, the worst member is
 dropped. The last members (three without a prior, one with a prior) need only a probability above 1e-6. A trial is
@@ -43,7 +43,7 @@ AMBIGUITY_THRESHOLD = 13.8
 """Threshold of the chi² difference between two explanations (two degrees of freedom, 1 in 1000)."""
 
 LINEAR_RANGE = 5e-4
-"""Maximum standard deviation of a predicted attitude for which one linearisation suffices, rad.
+"""Maximum root of the summed variances of a predicted attitude for which one linearisation suffices, rad.
 
 The neglected second-order term, half the square of the error, is 0.2″ for an error of three standard deviations.
 """
@@ -313,7 +313,7 @@ def mahalanobis_squared(residual: FloatArray, covariance: FloatArray) -> FloatAr
 
 
 def perpendicular_basis(direction: FloatArray) -> FloatArray:
-    """Return two unit vectors perpendicular to each direction, shape (k, 2, 3), for directions in any frame, (k, 3)."""
+    """Return two unit vectors, shape (..., 2, 3), perpendicular to each direction, shape (..., 3), in any frame."""
     # The axis farthest from the direction defines the first vector, so that no direction is singular.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(direction, axis)

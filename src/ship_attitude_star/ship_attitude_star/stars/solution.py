@@ -1,7 +1,8 @@
 """Attitude from all stars of one or all sensors, with a covariance that includes every error.
 
 [P15] (13)-(16) gives the attitude as the solution of Wahba's problem. The error of the attitude is linear in the errors
-of :mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains its sensitivity to each error. The
+of :mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains the sensitivity of the attitude to each
+error. The
 noise of the stars averages over the stars; errors that the stars share do not.
 """
 
@@ -55,7 +56,7 @@ _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS
 """Index in SOLUTION_TERMS of each shared error."""
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
-"""Up component of the forward axis above which azimuth and roll are not separated."""
+"""Magnitude of the Up component of the forward axis above which azimuth and roll are not separated."""
 
 
 _MAX_STEPS, _SMALL_TURN = 10, 1e-3

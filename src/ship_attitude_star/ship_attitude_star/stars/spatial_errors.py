@@ -7,7 +7,8 @@ current and interpolation of the centroid. Neither error averages over exposures
 
 The field-spatial errors in u and in v are random functions of the position with a Gaussian correlation, whose length is
 three quarters of the detector's side. Each function, a map, is represented by a polynomial of third degree in both
-coordinates, which contains all but 0.1 % of its variance. The mean of a map over the detector is left out, because it
+coordinates, which contains all but 0.1 % of the variance of the map. The mean of a map over the detector is left out,
+because it
 is an error of the mounting. The maps are constant, so their coefficients are observable from stars that cross the
 field.
 

@@ -167,7 +167,11 @@ class VerticalTrack:
     # -- results --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> LocalVertical:
-        """Return the vertical at a time, the same object within an interval until an input changes the vertical."""
+        """Return the vertical at a time.
+
+        Calls for times in one interval return the same object until an input changes the vertical, except for intervals
+        before the stored ones.
+        """
         return self._grid_point(time_ns // STEP_NS).vertical
 
     def missing_data_text(self, time_ns: int) -> str:

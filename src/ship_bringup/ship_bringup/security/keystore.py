@@ -268,7 +268,7 @@ def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:
-    """Yield the faults of permissions: another domain, fewer or more rights than the code declares, or out of date."""
+    """Yield the faults of permissions: wrong domain, rights unlike those in the code, default ALLOW, out of date."""
     if not permissions.is_for(domain_id):
         yield f"domains: no rule for domain {domain_id}, in which the suite runs"
         return

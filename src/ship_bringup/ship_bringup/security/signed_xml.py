@@ -163,7 +163,7 @@ def read_permissions(file: SignedFile) -> Permissions:
     """Return the permissions in the first grant of a signed file.
 
     Raises:
-        BadInput: the permissions are invalid; the text contains file, line and key.
+        BadInput: the permissions are invalid; the text contains the file and, if found, the line.
     """
     grant = file.root().find("permissions/grant")
     if grant is None:

@@ -1,6 +1,7 @@
 """Send alerts to the bridge: each change at once, list and heartbeat periodically. Execute commands of the bridge.
 
-Acknowledgements of the bridge are passed to the alert node; commands that cannot be executed are answered with ARC.
+Acknowledgements of the bridge are passed to the alert node. Commands that cannot be executed are answered with ARC,
+except commands from addresses that are not allowed.
 """
 
 import time

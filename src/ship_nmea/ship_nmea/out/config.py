@@ -31,7 +31,7 @@ _ALLOWED_PARAMETERS = {
 
 @dataclass(frozen=True)
 class SinkConfig:
-    """Destination of sentences, their kinds and rate."""
+    """Destination, kinds and rate of sentences."""
 
     kind: str = parameter(doc="how the sentences are sent", choices=(UDP, TCP_SERVER, SERIAL, FILE))
     sentences: tuple[str, ...] = parameter(

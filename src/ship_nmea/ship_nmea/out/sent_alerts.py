@@ -41,7 +41,8 @@ class SentAlerts:
     """All alerts of the suite as sent to the bridge.
 
     The number of an alert follows from its id, so that the number is the same after a restart and on other ships. Only
-    two ids with the same checksum may exchange numbers. After a restart, revisions start at 1 again.
+    ids whose checksums give the same or adjacent numbers may exchange numbers. After a restart, revisions start at 1
+    again.
 
     Attributes:
         omitted_count: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.

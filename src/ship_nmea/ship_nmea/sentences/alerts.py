@@ -72,7 +72,9 @@ class AlertCommand:
 
 
 def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
-    """Return an alert in one sentence, or in two if it has a description; the second repeats only the alert's identity.
+    """Return an alert in one sentence, or in two if it has a description.
+
+    The second sentence contains identity, revision, escalation and description of the alert.
 
     Args:
         alert: the alert.

@@ -32,7 +32,7 @@ class AttitudeQuality(Enum):
 
     NORMAL = "A", 0
     ESTIMATED = "E", 1
-    """Reduced set of sources: COASTING (recent stars) or DEGRADED (no stars)."""
+    """COASTING or DEGRADED."""
     SIMULATED = "S", 1
     """Played or simulated: the node follows /clock."""
     VOID = "V", 2
@@ -102,7 +102,7 @@ def rot(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEAS
 
 
 def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
-    """Return time, heading, roll, pitch and their standard deviations, which have one decimal more and are never zero.
+    """Return time, heading, roll, pitch, and sigmas of the angles, which have one more decimal and are never zero.
 
     The last two fields are 1 if there is an attitude, otherwise 0. NovAtel calls these fields "position" and "after
     alignment".

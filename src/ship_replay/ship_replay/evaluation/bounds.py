@@ -87,7 +87,7 @@ def read_bounds(path: Path) -> Bounds:
     """Read a file of bounds.
 
     Raises:
-        BadInput: the file is invalid; the text gives file, line, key and what was expected.
+        BadInput: the file cannot be read or is invalid.
     """
     try:
         root = compose(str(path), path.read_text(encoding="utf-8"))

@@ -139,7 +139,8 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
         namespace: namespace of the ship in the bags; bags written by a replay may have none.
 
     Raises:
-        BadInput: a bag cannot be read, ``bag_path`` contains nothing to evaluate, or ``skip_s`` exceeds its length.
+        BadInput: a bag or its suite file cannot be read, ``bag_path`` contains nothing to evaluate, or ``skip_s`` is
+            negative or exceeds the length of this bag.
     """
     with read_bag(bag_path) as bag:
         others = [] if against is None or against.resolve() == bag_path.resolve() else [read_bag(against)]

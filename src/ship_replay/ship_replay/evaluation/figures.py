@@ -1,4 +1,4 @@
-"""Figures of a run: attitude errors and residuals with their ±3σ. Used by evaluate, demo and docs."""
+"""Figures of a run: attitude errors and residuals with their ±3σ."""
 
 import io
 from collections.abc import Mapping, Sequence

@@ -22,7 +22,7 @@ _UNKNOWN = np.full((3, 3), np.nan)
 class TargetErrors:
     """Errors of one target's directions and positions, one for each stamp of the truth with a usable direction.
 
-    A published direction is usable unless it is INVALID.
+    A published direction is usable unless it is INVALID or malformed.
 
     Attributes:
         unavailable_ns: stamps of the truth at which the published direction was INVALID, malformed or missing.

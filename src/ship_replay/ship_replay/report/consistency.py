@@ -58,7 +58,7 @@ class SigmaFit:
 
 
 def consistency(evaluation: Evaluation) -> list[SigmaFit]:
-    """Return a result for each source of errors, then for each source of innovations."""
+    """Return a result for each source of errors, then for each source with accepted innovations."""
     fits = [nees_fit(errors) for errors in evaluation.errors]
     return fits + [nis_fit(name, part) for name, part in evaluation.innovations.items() if part.accepted]
 

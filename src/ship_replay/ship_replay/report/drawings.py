@@ -46,7 +46,10 @@ ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 
 """Tick values of a logarithmic axis."""
 
 MARK_ID_PREFIX = "mark-"
-"""Prefix of the id of the line that marks a second in the status figure; the POSIX second follows."""
+"""Prefix of the id of the line that marks a second in the status figure; the POSIX second follows.
+
+:func:`svg` adds ``status-`` in front.
+"""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
 _SOURCE_COLOURS = ("#0b3c6f", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5fa8", "#8a6d3b")
@@ -146,7 +149,7 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
 
 
 def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
-    """Return figures of the errors with their ±3σ, one figure for all sources with the same channels.
+    """Return figures of the errors with their ±3σ, one figure for each group of sources with the same channels.
 
     Without errors, the list contains one figure of the innovations with their ±3σ. The list is empty if no innovation
     was accepted either.
@@ -171,7 +174,10 @@ def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
 
 
 def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
-    """Return the figure of each angle's variances, stacked by source of error; the axis shows their square roots."""
+    """Return the figure of each angle's variances, stacked by source of error; empty text without points of the budget.
+
+    The axis shows the square roots of the variances.
+    """
     points = [point for point in points if point.by_angle]
     if not points:
         return ""
@@ -253,7 +259,10 @@ def decimate_errors(errors: AttitudeErrors) -> AttitudeErrors:
 
 
 def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
-    """Return decimated innovations; the extremes of largest absolute and of least residual per stamp are kept."""
+    """Return decimated innovations.
+
+    The extremes over time of two values of each stamp are kept: the largest absolute residual and the least residual.
+    """
     stamps = np.array(sorted(part.accepted))
     if len(stamps) <= MAX_POINTS:
         return part

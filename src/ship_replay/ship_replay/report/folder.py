@@ -25,9 +25,10 @@ class SessionRow:
         start_ns: UTC at which the outputs begin, ns.
         length_s: length of the recording, s.
         shares: "ship/attitude VALID", "heading SAFE" → share of the time.
-        worst_source: source with the longest outage not caused by another source; empty if no source was out.
+        worst_source: source that was out longest in all, without outages caused by another source; empty if there is
+            none.
         faults: number of outages not caused by another source.
-        to_do: recommended action, one sentence.
+        to_do: last sentence of the summary: the recommended actions, or that no attitude and no pointing was published.
     """
 
     name: str
@@ -46,7 +47,7 @@ class SessionRow:
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """Return the bags of a folder, sorted by name: MCAP files and rosbag2 folders; empty if the folder is a bag."""
+    """Return the MCAP files and rosbag2 folders in a folder, sorted by name; empty if it is a bag or no folder."""
     if not folder.is_dir() or (folder / INFORMATION_FILE).exists():
         return []
     return sorted(

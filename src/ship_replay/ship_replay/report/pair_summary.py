@@ -180,7 +180,10 @@ def _split_outage(outage: SourceOutage, other: SourceOutage) -> list[SourceOutag
 
 
 def _unrecorded_spans(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
-    """Return the times that the recording of a letter does not cover, as outages of the source."""
+    """Return the times that the recording of a letter does not cover, as outages of the source.
+
+    The time after the end of this recording is returned only if the other recording ends more than two seconds later.
+    """
     (start_ns, end_ns), (_, other_end_ns) = (
         recording.span_ns for recording in (pair.recordings if letter == "A" else reversed(pair.recordings))
     )

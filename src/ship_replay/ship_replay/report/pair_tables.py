@@ -25,7 +25,7 @@ SAME_TIME_NS = 2 * NS_PER_S
 """Maximum time difference of events that count as the same, ns."""
 
 DIFFERENT_SIGMAS = 3.0
-"""Difference of two estimates, in units of the root sum square of their sigmas, above which it is marked."""
+"""Difference of two estimates above which the difference is marked, in units of the root sum square of their sigmas."""
 
 _DIGITS = re.compile(r"[\d.]+")
 _PART = TypeVar("_PART")
@@ -58,7 +58,7 @@ class ErrorRow:
 
     @property
     def ratio(self) -> float:
-        """RMS of B over RMS of A."""
+        """RMS of B over RMS of A; NaN if the RMS of A is zero or NaN."""
         return self.rms[1] / self.rms[0] if self.rms[0] > 0.0 else math.nan
 
 

@@ -65,7 +65,7 @@ class PairWarning:
 
 
 def pair_warnings(pair: Pair, problems: Sequence[str]) -> list[PairWarning]:
-    """Return the warnings about two recordings: different inputs or commits, and problems of the bags.
+    """Return the warnings: different or unknown inputs, different times or commits, and problems of the bags.
 
     Args:
         pair: both recordings.

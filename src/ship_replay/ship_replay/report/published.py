@@ -75,7 +75,7 @@ class OutputDifference:
 
     @property
     def all_equal(self) -> bool:
-        """True if all messages of A and B are equal to the last bit."""
+        """True if A and B have the same outputs, equal to the last bit; INVALID outputs are not compared."""
         return self.messages_equal == len(self.time_ns) and self.unpaired_counts == (0, 0)
 
     def largest(self, channel: int) -> tuple[float, int]:

@@ -130,7 +130,7 @@ class RecordedHistory:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """UTC at which the outputs begin and end; the length is the span of the log times."""
+        """UTC at which the outputs begin, and this time plus the difference of last and first log time, ns."""
         return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
 
     def seconds(self, angle: str) -> Counter[Safety]:
@@ -142,7 +142,7 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
     """Read a bag with outputs of the suite.
 
     Raises:
-        BadInput: the bag cannot be read or contains no output; the text gives the file and the expected topics.
+        BadInput: the bag cannot be read or contains no output.
     """
     limits = limits or Limits()
     with read_bag(path) as bag:

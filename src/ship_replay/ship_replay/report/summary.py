@@ -21,7 +21,7 @@ _CONSEQUENCE_SUFFIX = ".degraded"
 
 
 def summary(recording: RecordedHistory) -> list[str]:
-    """Return the five sentences; a single sentence if no output was published."""
+    """Return the five sentences; a single sentence if neither an attitude nor a pointing was published."""
     if not any(recording.safety_states.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
     found = outages(recording)
@@ -35,7 +35,7 @@ def summary(recording: RecordedHistory) -> list[str]:
 
 
 def worst_source(recording: RecordedHistory) -> str:
-    """Return the source with the longest outage not caused by another source; empty if no source was out."""
+    """Return the source that was out longest in all, not counting outages by another source; empty if there is none."""
     seconds = _seconds_out(recording, root_outages(outages(recording)))
     return max(seconds, key=lambda source: seconds[source], default="")
 

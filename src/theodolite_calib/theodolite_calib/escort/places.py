@@ -70,7 +70,7 @@ class AllowedPlaces:
         """Return positions from the ship's antenna (N, U, E), m, shape (..., 3).
 
         Args:
-            box: elevation, azimuth and range as fractions of their allowed intervals, shape (..., 3).
+            box: elevation, azimuth and logarithm of the range as fractions of their allowed intervals, shape (..., 3).
         """
         inside = np.clip(box, _BOX_MARGIN, 1.0 - _BOX_MARGIN)
         elevation = self.least_elevation + inside[..., 0] * (self.greatest_elevation - self.least_elevation)

@@ -69,7 +69,7 @@ class StationDirections:
         self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
 
     def has_direction_at(self, time_ns: int) -> bool:
-        """True if a direction has this stamp, or can be interpolated between two valid directions without a gap."""
+        """True if a valid direction has this stamp, or can be interpolated between valid directions without a gap."""
         return self.track.at(time_ns) is not None
 
     def direction_at(self, time_ns: int) -> tuple[StationDirection, Status] | None:

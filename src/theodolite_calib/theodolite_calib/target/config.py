@@ -104,7 +104,7 @@ class TriangulationConfig(PositioningConfig):
         """Check that each theodolite has a topic of its own, with a relative name.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: the check fails; the text names the parameter.
         """
         station_by_topic: dict[str, str] = {}
         for name, station in self.stations.items():

@@ -36,7 +36,7 @@ class PendingTargets:
         return len(self._waiting)
 
     def add(self, sample: TargetSample, waiting_ns: int) -> Rejection | None:
-        """Add an image; return the rejection of this or the replaced image, None if its stamp is new for the target."""
+        """Add an image; return the rejection of this or the replaced image, None if the stamp is new for the target."""
         key = sample.time_ns, sample.target_id
         waits = self._waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)

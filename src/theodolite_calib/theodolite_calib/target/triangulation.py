@@ -26,10 +26,13 @@ from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
 _STEPS = 20
 _SMALL_STEP_M = 1e-5
 _LEAST_ANGLE = 1e-4
-"""Minimum angle between two directions, rad; below it they count as parallel."""
+"""Minimum angle between two directions, rad; directions with a smaller angle count as parallel."""
 _WORST_DISTANCE = 0.15
-"""Maximum ratio of the standard deviation of a distance to the distance. Beyond it the position is not normally
-distributed, because the distance is inversely proportional to the uncertain angle between the lines of sight."""
+"""Maximum ratio of the standard deviation of a distance to the distance.
+
+Beyond it the position is not normally distributed, because the distance is inversely proportional to the uncertain
+angle between the lines of sight.
+"""
 
 
 @dataclass(frozen=True)

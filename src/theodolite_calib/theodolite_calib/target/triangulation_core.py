@@ -177,7 +177,7 @@ class TriangulationCore:
         return target
 
     def _forget(self, target_id: str, outcome: TriangulationOutcome) -> None:
-        """Drop a target and answer its pending directions as INVALID; if it returns, it gets only later positions."""
+        """Drop a target, answer its pending directions as INVALID; a target that returns gets only later positions."""
         target = self._targets.pop(target_id)
         rejection = Rejection(Reason.OVERFLOW, f"more than {MAX_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
