@@ -33,7 +33,7 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
     if has_security is not True:
         is_missing = has_security is False
         why = "this installation's DDS was built without security" if is_missing else "unknown for this DDS"
-        found.append((f"no DDS security: {why}", "use ROS 2 Jazzy of Ubuntu's packages: they have it"))
+        found.append((f"no DDS security: {why}", "use the Ubuntu packages of ROS 2 Jazzy, which have DDS security"))
     if not is_security_requested(environment):
         given = environment.get(ENABLE)
         found.append((f"{ENABLE} is {given or 'not set'}: nodes run unprotected", f"export {ENABLE}=true"))

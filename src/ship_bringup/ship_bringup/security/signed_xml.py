@@ -50,7 +50,7 @@ class SignedFile:
         try:
             return ET.fromstring(self.text.strip())
         except ET.ParseError as problem:
-            raise BadInput(f"holds no XML: {problem}", file=self.path) from problem
+            raise BadInput(f"is not XML: {problem}", file=self.path) from problem
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def read_signed(path: Path) -> SignedFile:
     """
     try:
         if path.stat().st_size > _LARGEST_BYTES:
-            raise BadInput(f"is larger than {_LARGEST_BYTES} bytes: no governance and no permissions are", file=path)
+            raise BadInput(f"is larger than {_LARGEST_BYTES} bytes: expected governance or permissions", file=path)
         message = email.message_from_bytes(path.read_bytes())
     except OSError as problem:
         raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem

@@ -187,7 +187,7 @@ def _check_place(name: str, source: NmeaSourceConfig) -> None:
         raise _error(f"{name}.interface", source.interface, "expected an IPv4 address of this machine")
     for address in source.from_:
         if not is_ipv4(address):
-            raise _error(f"{name}.from", address, "expected IPv4 addresses, as 10.0.0.7")
+            raise _error(f"{name}.from", address, "expected IPv4 addresses, for example 10.0.0.7")
     if source.kind == SERIAL and not source.device:
         raise _error(f"{name}.device", "", "a serial source needs one, as /dev/ttyUSB0")
     if source.kind != SERIAL and not source.port:

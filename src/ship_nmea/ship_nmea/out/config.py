@@ -76,10 +76,10 @@ class SinkConfig:
                 return name, f"does not apply to kind {self.kind}, which takes {', '.join(allowed)}"
         for address in self.from_:
             if not is_ipv4(address):
-                return "from", f"names '{address}': expected IPv4 addresses, as 10.0.0.7"
+                return "from", f"names '{address}': expected IPv4 addresses, for example 10.0.0.7"
         for name in ("address", "interface"):
             if getattr(self, name) and not is_ipv4(getattr(self, name)):
-                return name, f"is '{getattr(self, name)}': expected an IPv4 address as 192.168.1.255"
+                return name, f"is '{getattr(self, name)}': expected an IPv4 address, for example 192.168.1.255"
         if not self.sentences:
             return "sentences", "is empty: expected at least one sentence"
         for name in self.sentences:

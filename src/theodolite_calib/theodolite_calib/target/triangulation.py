@@ -113,7 +113,7 @@ def triangulate(
             a theodolite, and for a too uncertain distance.
     """
     if len(directions) < 2:
-        return Rejection(Reason.GAP, f"theodolites that see the target: {len(directions)}, at least two are needed")
+        return Rejection(Reason.GAP, f"theodolites that see the target: {len(directions)}, two or more are needed")
     numbers = [value for each in directions for value in (*each.direction_n, *each.covariance_n.ravel())]
     if not np.all(np.isfinite(numbers)):
         return Rejection(Reason.NON_FINITE, "a direction contains NaN or infinity")
