@@ -54,7 +54,7 @@ def case_at_length(name: str, recording: Path | None = None) -> Scenario:
 
     Args:
         name: of CASES.
-        recording: bag with the ship's motion, of the case ``recorded``.
+        recording: bag with the ship's motion, for the case ``recorded`` only.
     """
     case = CASES[name]
     whole = load_scenario(SCENARIOS / f"{case.file}.yaml", recording=recording)
@@ -126,7 +126,7 @@ CASES = {
     "outage": Case("outage", ShortRun(1860.0, 10.0, 1.0, clouds_s=60.0)),
     # Data up to 1.3 s late and out of order.
     "late_shuffled": Case("late_shuffled", ShortRun(40.0, 20.0, 2.0)),
-    # Waves of a spectrum, other ones each seed.
+    # The waves follow a spectrum, and differ between seeds.
     "sea_state_5": Case("sea_state_5", ShortRun(60.0, 20.0, 2.0)),
     # The hull bends between INS and sensors while a wave passes.
     "flexure": Case(
@@ -151,7 +151,7 @@ CASES = {
     "schuler": Case("schuler", ShortRun(3600.0, 0.05, 0.025, clouds_s=1800.0), _without_waves),
     # The vertical changes by 60 arcseconds under clouds; the suite has a table of this change.
     "deflection": Case("deflection", ShortRun(3600.0, 0.05, 0.05), _without_waves),
-    # On the motion of a ship at sea.
+    # The ship's motion is that of a recording made at sea.
     "recorded": Case("recorded", ShortRun(60.0, 20.0, None)),
 }
 WITHOUT_RECORDING = tuple(name for name in CASES if name != "recorded")

@@ -133,7 +133,7 @@ def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
 
 
 def monitor_voyage(*paths: Path) -> MonitoredVoyage:
-    """Return a voyage monitored at 10 Hz; inputs of the same bag may be given in addition to its outputs."""
+    """Return a voyage monitored at 10 Hz; ``paths`` are the bag of its outputs and, optionally, the bag of inputs."""
     voyage: MonitoredVoyage | None = None
     due_ns, before = 0, {}
     for time_ns, topic, message in records(*paths):
