@@ -1,6 +1,6 @@
 """Share of exposures with attitude errors below a limit: joint solution and the methods that [P15] replaces.
 
-Exposures of the scenario ``paper_stars``: two sensors at right angles under the real sky, each centroid with 3″ of
+Exposures of the scenario ``paper_stars``: two sensors 90° apart in azimuth under the real sky, each centroid with 3″ of
 noise, the ship at any roll and heading, in any night of 2014. Errors of mounting, air, UT1, place, catalogue and INS
 are drawn for each exposure. Every method gets the same stars.
 

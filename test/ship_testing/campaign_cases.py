@@ -116,7 +116,7 @@ def _on_the_same_pixels(scenario: Scenario) -> Scenario:
 
 
 CASES = {
-    # Two sensors at right angles.
+    # Two sensors 90° apart in azimuth.
     "paper": Case("paper", ShortRun(60.0, 20.0, 2.0)),
     # The error of one sensor about its boresight is large, so the error ellipsoid of the attitude is long.
     "one_sensor": Case("one_sensor", ShortRun(60.0, 20.0, 2.0)),

@@ -1,8 +1,8 @@
 """Peer of the ship's filter: INS and star attitudes of a run in a factor graph, solved by GTSAM's iSAM2.
 
 The peer reads the samples directly and shares no model with the filter: the peer has its own interpolation of the INS,
-residuals and noise. The unknowns are the INS's slow error at each exposure, the mounting of each sensor, and the INS's clock.
-Python 3.10 has no wheel of GTSAM.
+residuals and noise. The unknowns are the INS's slow error at each exposure, the mounting of each sensor, and the INS's
+clock. Python 3.10 has no wheel of GTSAM.
 """
 
 from importlib import import_module

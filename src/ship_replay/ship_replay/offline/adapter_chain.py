@@ -230,7 +230,7 @@ def suite_chain(
 
 
 def _sort_by_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
-    """Sort the adapters so that each adapter comes after the adapters that publish its inputs."""
+    """Sort the adapters so that each adapter comes after the adapters that publish its inputs, unless in a cycle."""
     ordered, rest = [], list(adapters)
     while rest:
         free = [
