@@ -125,8 +125,7 @@ class Verification:
 
     @property
     def is_verified(self) -> bool:
-        """True if no number or name differs and the bag was compared completely, or up to the sudden end of the file.
-        """
+        """True if no number or name differs and all was compared, at least up to the sudden end of the file."""
         return self.difference is None and (self.is_truncated or not self.incomplete_reason)
 
     def add(self, topic: str, difference: Difference | None) -> None:
