@@ -111,7 +111,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         files: access to the alignment file.
 
     Raises:
-        BadInput: the alignment file cannot be used (:class:`SavedStart`); an unreadable file is only reported.
+        BadInput: the path of the alignment file or the computer's state does not allow a start (:class:`SavedStart`).
+            A file with unusable content is only reported.
         ParameterError: the camera of a sensor that gives single stars is incomplete, or there are more filters than
             ``integrity.max_hypotheses``.
     """

@@ -128,7 +128,9 @@ class SavedStart(Generic[Prior]):
         return not is_first
 
     def autosave(self) -> None:
-        """Write the core's content if its stamp has changed since the last save or start, unless the file is better.
+        """Write the core's content if its stamp has changed since the last save or start, unless it would be worse.
+
+        The content is worse if a sigma is clearly larger than in the file (:func:`less_certain_quantity`).
 
         A reason not to save becomes :attr:`autosave_problem`, and a notice when the reason changes.
         """
