@@ -160,7 +160,7 @@ class _Ins:
         self._white = (run.scenario.ins.white_sigma_arcsec * ARCSEC) ** 2
 
     def has_samples_around(self, time_ns: int) -> bool:
-        """True if two samples or more are on each side, or one at the time itself: a margin for the clock offset."""
+        """True from the second sample to the last but one, which leaves a margin for the clock offset."""
         return bool(self.time_ns[1] <= time_ns <= self.time_ns[-2])
 
     def attitude_at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:

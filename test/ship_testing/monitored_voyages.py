@@ -65,10 +65,10 @@ class MonitoredVoyage:
         monitor: monitor after the last message.
         start_ns: log time of the first message.
         end_ns: log time of the last message.
-        out_s: source → times of its exclusion, s.
-        back_s: source → times of its return, s.
-        shown_sources: source → its states at the times of exclusion.
-        root_causes: (time, name) of each exclusion that is due to a fault of the source itself, s.
+        out_s: source → times at which it became OUT, s.
+        back_s: source → times at which it was IN again, s.
+        shown_sources: source → its states at the times of ``out_s``.
+        root_causes: (time, name) of each source that became OUT by a fault of its own, s.
         state_at: whole second → suite state.
     """
 
