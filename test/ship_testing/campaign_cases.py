@@ -124,7 +124,7 @@ CASES = {
     "turn": Case("turn", ShortRun(280.0, 5.0, 1.0)),
     # Thirty minutes of clouds: the covariance grows as the INS's errors do.
     "outage": Case("outage", ShortRun(1860.0, 10.0, 1.0, clouds_s=60.0)),
-    # Data up to 1.3 s late and out of order.
+    # Star data 0.5 s to 1.3 s late, and out of order.
     "late_shuffled": Case("late_shuffled", ShortRun(40.0, 20.0, 2.0)),
     # The waves follow a spectrum, and differ between seeds.
     "sea_state_5": Case("sea_state_5", ShortRun(60.0, 20.0, 2.0)),
@@ -136,7 +136,7 @@ CASES = {
     "poor_clock": Case("paper", ShortRun(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
     # A late exposure rewinds the filter over exposures of the other sensor.
     "two_rates_late": Case("paper", ShortRun(25.0, 20.0, None), _late_at_two_rates),
-    # Single stars of the real sky, eight an exposure.
+    # Single stars of the real sky, at most eight an exposure.
     "paper_stars": Case("paper_stars", ShortRun(30.0, 10.0, 1.0)),
     # Stars to fourth magnitude alone: none to three in a field of 13°.
     "few_stars": Case(
