@@ -19,7 +19,7 @@ _END_S = 20.0
 
 
 class StateSource:
-    """Source of suite states: returns the state that was set last, at a time that runs."""
+    """Source of suite states: returns the state that was set last, with a time that advances."""
 
     label = "SIMULATED · bag"
     name = "demo"

@@ -21,7 +21,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed.
+"""Prefixes of device topics, next to occasional inputs. A node whose devices are all missing in a bag is not replayed.
 
 The first configured node is an exception."""
 
