@@ -1,9 +1,10 @@
 """Short simulated voyages with every input of the nodes, for tests of unusable messages.
 
 ``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, two antennas, the fix and the
-weather; ``star_attitude`` has the same voyage and uses only its camera. ``optical_axis`` has lights, baselines, drones
-and images of targets. The ship's attitude is from ``ship/attitude``. In ``optical_axis by ins`` it is from ``ins/imu``,
-and the drones get advised positions. ``triangulation`` has directions of three theodolites to a buoy.
+weather; ``star_attitude`` has the same voyage, with the camera as its only star sensor. ``optical_axis`` has lights,
+baselines, drones and images of targets, and the ship's attitude from ``ship/attitude``. ``optical_axis by ins`` has the
+attitude from ``ins/imu``, and the drones get advised positions. ``triangulation`` has directions of three theodolites
+to a buoy.
 """
 
 import functools

@@ -12,7 +12,7 @@ from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
 _MAX_SIGMA_RATIO = 1.1
-"""Ratio of a new sigma to the saved sigma above which the new sigma is worse; smaller changes depend on the stars."""
+"""Ratio of a new sigma to the saved sigma above which the new sigma is worse; lower ratios are due to other stars."""
 
 _FATAL_ERRORS = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is wrong

@@ -31,7 +31,7 @@ class Identification:
         session: session that is evaluated.
         record: record of the session.
         fitted: fitted models, the best model first.
-        outages: model → checks of its predictions.
+        outages: name of a model → checks of the model's predictions.
     """
 
     session: NoiseSession
