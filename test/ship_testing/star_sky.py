@@ -1,4 +1,4 @@
-"""A ship under the real sky, for tests: configuration, filter, and exposures of real stars in its sensors."""
+"""A ship under the real sky, for tests: configuration, sky model, INS track, and exposures of real stars."""
 
 from dataclasses import replace
 
