@@ -140,7 +140,7 @@ def delay_arrivals(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
 
 
 def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
-    """Return ``factor`` arrivals for each of a topic: the message, and copies with random earlier stamps."""
+    """Return the arrivals, and ``factor - 1`` copies of each arrival of ``topic`` with random earlier stamps."""
     rng = np.random.default_rng(seed)
 
     def set_earlier_stamp(message: Any) -> None:
@@ -152,7 +152,7 @@ def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, see
 
 
 def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
-    """Return the arrivals without the messages of a topic that innovations report as rejected, by their stamps."""
+    """Return the arrivals without the messages of ``topic`` whose stamps are the stamps of ``innovations``."""
     rejected_ns = {stamp_of(message) for message in innovations}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in rejected_ns)
 
@@ -166,8 +166,8 @@ def assert_flood_costs_little(
     source: str,
     other_measurements: int = 0,
 ) -> None:
-    """Assert that a flood, 50 measurements for each one, costs few steps, and that rejected measurements change
-    nothing.
+    """Assert that a topic with 50 times its measurements causes few steps, and that results without the rejected
+    measurements are equal.
 
     Args:
         monkeypatch: counts the steps.

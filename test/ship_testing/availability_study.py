@@ -1,12 +1,12 @@
 """Share of exposures with attitude errors below a limit: joint solution and the methods that [P15] replaces.
 
-Exposures of the scenario ``paper_stars``: two sensors at right angles under the real sky, each centroid with 3″ of
+Exposures of the scenario ``paper_stars``: two sensors 90° apart in azimuth under the real sky, each centroid with 3″ of
 noise, the ship at any roll and heading, in any night of 2014. Errors of mounting, air, UT1, place, catalogue and INS
-are drawn for each. Every method has the same stars.
+are drawn for each exposure. Every method gets the same stars.
 
-Clouds are a random field over the sky: Gaussian, with correlation exp(-θ²/2ℓ²) at an angle θ, a star is hidden below
-the quantile of the cover. A star is hidden with a probability equal to the cover for any ℓ: with ℓ = 0 stars vanish
-independently, with ℓ as large as a field (10°) they vanish in patches.
+Clouds are a Gaussian random field over the sky, with correlation exp(-θ²/2ℓ²) at an angle θ. A star is hidden where
+the field is below its quantile of the cover, so with a probability equal to the cover for any ℓ. With ℓ = 0 stars
+vanish independently, with ℓ as large as a field of view (10°) they vanish in patches.
 """
 
 import functools
@@ -73,7 +73,7 @@ class Scene:
         erfa_sky: sky by ERFA from the ship's input of time, place and air.
         rotation_nd: true attitude, shape (3, 3).
         ins: attitude of the deck by the INS.
-        order: of each sensor's stars, for cases with only some of them.
+        order: random order of each sensor's stars, for cases with only the first of them.
         clouds: one standard normal number per star, sensor by sensor.
     """
 
@@ -186,7 +186,7 @@ def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.
 
 
 def _correlated_numbers(white: FloatArray, directions: FloatArray, length: float) -> FloatArray:
-    """Return standard normal numbers correlated by the places of the stars; the given ones where the length is 0."""
+    """Return standard normal numbers correlated by the places of the stars; ``white`` if the length is 0."""
     if not length:
         return white
     cosine = np.clip(directions @ directions.T, -1.0, 1.0)

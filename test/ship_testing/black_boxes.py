@@ -118,7 +118,7 @@ def make_black_box(
         plan.append((7_800_000_000, lambda ns: calls.overload(Overload(0.0, 2, 12.0), ns)))
     planned = len(plan)
     grid = TickGrid()
-    # With ``part_bytes``, wait for a new file at each third of the records, so that there are at least three files.
+    # With ``part_bytes``, wait for a new file at a third and at two thirds of the records, for at least three files.
     pauses = {len(records) // 3: 2, 2 * len(records) // 3: 3} if part_bytes else {}
     for number, record in enumerate([*records, *records[:300]]):
         if number in pauses:

@@ -115,13 +115,13 @@ class Browser:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Return the result of a method of the protocol; record events received before it."""
+        """Return the result of a method of the protocol; record events received before the result."""
         self._count += 1
         number = self._count
         return self._run(self._call(number, {"id": number, "method": method, "params": parameters}))
 
     async def _leave(self) -> None:
-        """Close the connection in the browser's event loop: an earlier test may have left the thread without a loop."""
+        """Close the connection in the browser's event loop; after an earlier test the thread may have no loop."""
         self._socket.close()
 
     async def _call(self, number: int, request: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Simulated calibration sessions: two star sensors at right angles, on a ship that is still, turns or heels."""
+"""Simulated calibration sessions: two star sensors 90° apart in azimuth, on a ship that is still, turns or heels."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -54,7 +54,7 @@ def case_at_length(name: str, recording: Path | None = None) -> Scenario:
 
     Args:
         name: of CASES.
-        recording: bag with the ship's motion, of the case ``recorded``.
+        recording: bag with the ship's motion, for the case ``recorded`` only.
     """
     case = CASES[name]
     whole = load_scenario(SCENARIOS / f"{case.file}.yaml", recording=recording)
@@ -116,7 +116,7 @@ def _on_the_same_pixels(scenario: Scenario) -> Scenario:
 
 
 CASES = {
-    # Two sensors at right angles.
+    # Two sensors 90° apart in azimuth.
     "paper": Case("paper", ShortRun(60.0, 20.0, 2.0)),
     # The error of one sensor about its boresight is large, so the error ellipsoid of the attitude is long.
     "one_sensor": Case("one_sensor", ShortRun(60.0, 20.0, 2.0)),
@@ -124,9 +124,9 @@ CASES = {
     "turn": Case("turn", ShortRun(280.0, 5.0, 1.0)),
     # Thirty minutes of clouds: the covariance grows as the INS's errors do.
     "outage": Case("outage", ShortRun(1860.0, 10.0, 1.0, clouds_s=60.0)),
-    # Data up to 1.3 s late and out of order.
+    # Star data 0.5 s to 1.3 s late, and out of order.
     "late_shuffled": Case("late_shuffled", ShortRun(40.0, 20.0, 2.0)),
-    # Waves of a spectrum, other ones each seed.
+    # The waves follow a spectrum, and differ between seeds.
     "sea_state_5": Case("sea_state_5", ShortRun(60.0, 20.0, 2.0)),
     # The hull bends between INS and sensors while a wave passes.
     "flexure": Case(
@@ -136,7 +136,7 @@ CASES = {
     "poor_clock": Case("paper", ShortRun(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
     # A late exposure rewinds the filter over exposures of the other sensor.
     "two_rates_late": Case("paper", ShortRun(25.0, 20.0, None), _late_at_two_rates),
-    # Single stars of the real sky, eight an exposure.
+    # Single stars of the real sky, at most eight an exposure.
     "paper_stars": Case("paper_stars", ShortRun(30.0, 10.0, 1.0)),
     # Stars to fourth magnitude alone: none to three in a field of 13°.
     "few_stars": Case(
@@ -151,7 +151,7 @@ CASES = {
     "schuler": Case("schuler", ShortRun(3600.0, 0.05, 0.025, clouds_s=1800.0), _without_waves),
     # The vertical changes by 60 arcseconds under clouds; the suite has a table of this change.
     "deflection": Case("deflection", ShortRun(3600.0, 0.05, 0.05), _without_waves),
-    # On the motion of a ship at sea.
+    # The ship's motion is that of a recording made at sea.
     "recorded": Case("recorded", ShortRun(60.0, 20.0, None)),
 }
 WITHOUT_RECORDING = tuple(name for name in CASES if name != "recorded")

@@ -1,4 +1,4 @@
-"""Functions for a campaign's items that kill their process, as the kernel does when memory is short."""
+"""Functions that run a campaign's items; two of them kill their process, as the kernel does when memory is short."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ def dies_once(item: Item, folder: Path) -> Result:
 
 
 def dies_always(item: Item, folder: Path) -> Result:
-    """Kill the process of one seed each time, and record it."""
+    """Kill the process of one seed each time; before this, write the item's folder into ``deaths``."""
     if item.seed == DEADLY_SEED:
         with item.source.path.with_name("deaths").open("a", encoding="utf-8") as notes:
             notes.write(f"{folder}\n")

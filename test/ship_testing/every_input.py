@@ -1,9 +1,10 @@
 """Short simulated voyages with every input of the nodes, for tests of unusable messages.
 
 ``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, two antennas, the fix and the
-weather; ``star_attitude`` has the same voyage and uses only its camera. ``optical_axis`` has lights, baselines, drones
-and images of targets. The ship's attitude is from ``ship/attitude``. In ``optical_axis by ins`` it is from ``ins/imu``,
-and the drones get advised positions. ``triangulation`` has directions of three theodolites to a buoy.
+weather; ``star_attitude`` has the same voyage, with the camera as its only star sensor. ``optical_axis`` has lights,
+baselines, drones and images of targets, and the ship's attitude from ``ship/attitude``. ``optical_axis by ins`` has the
+attitude from ``ins/imu``, and the drones get advised positions. ``triangulation`` has directions of three theodolites
+to a buoy.
 """
 
 import functools
@@ -47,7 +48,7 @@ class Voyage:
 
     Attributes:
         new_adapter: makes the node's adapter.
-        arrivals: all its inputs in order of arrival; change only copies of them.
+        arrivals: all inputs of the node in order of arrival; change only copies of the messages.
         truth: the true attitude or pointing by stamp, as a message.
     """
 
@@ -56,9 +57,9 @@ class Voyage:
     truth: dict[int, Any]
 
     def run(self, arrivals: Arrivals | None = None) -> AdapterRun:
-        """Give all arrivals to a new adapter, and continue for three seconds, also if arrivals are added in that time.
+        """Give arrivals, by default the voyage's, to a new adapter; end three seconds after the voyage's last arrival.
 
-        Arrivals after the end make a run longer, with one more INVALID output.
+        Only arrivals after this end make the run longer, with one more INVALID output.
         """
         taken = self.arrivals if arrivals is None else arrivals
         run = AdapterRun(self.new_adapter())
@@ -125,7 +126,7 @@ def worst_error_in_sigmas(
 
 
 def topics(node: str) -> tuple[str, ...]:
-    """Return the input topics of a node, sorted."""
+    """Return the topics on which the voyage of a node has arrivals, sorted."""
     return tuple(sorted({arrival.topic for arrival in voyage(node).arrivals}))
 
 

@@ -1,6 +1,6 @@
 """Names in a layout of Foxglove or Lichtblick, compared with the outputs of a suite.
 
-Both read message paths: ``/topic.field[0].field``, ``/topic{name=="value"}.field``. ``$name`` is a variable of
+Both viewers read message paths: ``/topic.field[0].field``, ``/topic{name=="value"}.field``. ``$name`` is a variable of
 the layout.
 """
 
@@ -92,7 +92,7 @@ def single_item(found: list[str]) -> str:
 
 
 def split(path: str) -> tuple[str, list[re.Match[str]]]:
-    """Return topic and steps of a message path without modifiers, most of which Lichtblick's plots ignore."""
+    """Return topic and steps of a message path; refuse modifiers, because Lichtblick's plots ignore most of them."""
     topic = single_item(re.findall(r"^/?[\w/]+", path))
     steps, at = [], len(topic)
     while at < len(path):

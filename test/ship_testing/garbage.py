@@ -31,7 +31,7 @@ def paths(message: Any, prefix: Path = ()) -> list[Path]:
 
 
 def put_garbage(message: Any, fields: list[Path], rng: np.random.Generator) -> None:
-    """Put random values of the right type into one to three fields."""
+    """Put random values of the right type into at most three fields."""
     for index in rng.integers(0, len(fields), rng.integers(1, 4)).tolist():
         *parents, name = fields[index]
         holder = functools.reduce(value_at, parents, message)

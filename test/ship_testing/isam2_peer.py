@@ -1,8 +1,8 @@
 """Peer of the ship's filter: INS and star attitudes of a run in a factor graph, solved by GTSAM's iSAM2.
 
-It reads the samples directly and shares no model with the filter: it has its own interpolation of the INS, residuals
-and noise. The unknowns are the INS's slow error at each exposure, the mounting of each sensor, and the INS's clock.
-Python 3.10 has no wheel of GTSAM.
+The peer reads the samples directly and shares no model with the filter: the peer has its own interpolation of the INS,
+residuals and noise. The unknowns are the INS's slow error at each exposure, the mounting of each sensor, and the INS's
+clock. Python 3.10 has no wheel of GTSAM.
 """
 
 from importlib import import_module
@@ -32,7 +32,7 @@ class _Graph:
     """The graph of a run; star sensors give attitudes in the horizon with noise as their only error.
 
     Args:
-        run: run whose samples and configured sigmas are used, and not its truth.
+        run: run whose samples and configured sigmas are used; its truth is not used.
     """
 
     def __init__(self, run: SimulatedRun) -> None:
@@ -88,7 +88,7 @@ class _Graph:
         return self._gtsam.CustomFactor(self._gtsam.noiseModel.Diagonal.Sigmas(sigma), [key], error)
 
     def _add_state(self, key: int, previous_ns: int | None, time_ns: int) -> tuple[Any, Any]:
-        """Add a new time, with the Gauss–Markov change of the INS's slow error since the time before."""
+        """Return factor and initial value of the INS's slow error at a new time, a Gauss–Markov process."""
         gtsam, ins = self._gtsam, self._run.scenario.ins
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         sigma = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]) * ARCSEC
@@ -160,7 +160,7 @@ class _Ins:
         self._white = (run.scenario.ins.white_sigma_arcsec * ARCSEC) ** 2
 
     def has_samples_around(self, time_ns: int) -> bool:
-        """True if there are samples on both sides, also with the largest offset of its clock."""
+        """True from the second sample to the last but one, which leaves a margin for the clock offset."""
         return bool(self.time_ns[1] <= time_ns <= self.time_ns[-2])
 
     def attitude_at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:
@@ -173,7 +173,7 @@ class _Ins:
         return by_left @ exp_rotation(part * log_rotation(by_left.T @ by_right)), rate_d
 
     def last_attitude(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return attitude and rate at the last stamp, from the last sample alone, extrapolated by its rates."""
+        """Return attitude and rate at the last stamp: the last sample, its attitude moved by the clock offset."""
         _, halfway_d = self.attitude_at(int(self.time_ns[-1]), 0.5 * offset_s)
         return self._rotation_nd[-1] @ exp_rotation(-halfway_d * offset_s), self._rate_d[-1]
 

@@ -40,7 +40,7 @@ def certificate_of(
     authority: Authority | None = None,
     now: datetime.datetime = NOW,
 ) -> x509.Certificate:
-    """Return a certificate of an authority; without one, self-signed."""
+    """Return a certificate of ``authority``, or a self-signed one if ``authority`` is None."""
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, subject)])
     issuer = name if authority is None else authority.certificate.subject
     builder = x509.CertificateBuilder().subject_name(name).issuer_name(issuer).public_key(key.public_key())
@@ -63,7 +63,7 @@ def sign_text(text: str, authority: Authority) -> bytes:
 
 
 class Keystore:
-    """Keystore created at some time; files written later replace those written before."""
+    """Keystore created at the time ``now``; a file written later replaces the earlier file of the same path."""
 
     def __init__(self, path: Path, authority: Authority, domain_id: int = 7, now: datetime.datetime = NOW) -> None:
         self.path, self.authority, self.domain_id, self.now = path, authority, domain_id, now

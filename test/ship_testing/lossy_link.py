@@ -23,7 +23,7 @@ _REALTIME_PRIORITY = "chrt", "--rr", "1"
 """Prefix of a command: real-time priority, if that is permitted."""
 _START_S = 15.0
 _LONGEST_S = 600
-# netem.py finds its namespaces below /run/netns. With a private /run, two links do not meet and nothing is left.
+# netem.py finds its namespaces below /run/netns. With a private /run, two links do not meet and no namespace is left.
 _PRIVATE_RUN = 'mount -t tmpfs tmpfs /run && mkdir /run/netns && exec "$@"'
 # The loss is a variable of netem.py, which is read for each packet.
 _SWITCHABLE_LOSS = f"""

@@ -1,7 +1,7 @@
 """Ten minutes of a monitored suite, drawn with a seed: input of panels in tests without a suite.
 
 A star sensor is displaced 40 s before the end, stars are missing for 27 s about six minutes before the end, and an
-event reports the return of a light: the situation of the page's design.
+event reports the return of a light. This is the example in the design of the page.
 """
 
 from collections import deque
@@ -23,7 +23,7 @@ from ship_watch.history import (
 from ship_watch.suite_state import Event, SuiteState
 
 NOW_NS = 1_404_907_207_000_000_000
-"""2014-07-09 12:00:07 UTC, as in the figures of the design."""
+"""2014-07-09 12:00:07 UTC, as in the figures of the page's design."""
 
 SHIFT_AGE_S = 40.0
 SHIFT_RIGHT_ARCSEC = 49.0

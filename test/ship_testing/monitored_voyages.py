@@ -65,10 +65,10 @@ class MonitoredVoyage:
         monitor: monitor after the last message.
         start_ns: log time of the first message.
         end_ns: log time of the last message.
-        out_s: source → times of its exclusion, s.
-        back_s: source → times of its return, s.
-        shown_sources: source → its states at the times of exclusion.
-        root_causes: (time, name) of each exclusion that is due to a fault of the source itself, s.
+        out_s: source → times at which it became OUT, s.
+        back_s: source → times at which it was IN again, s.
+        shown_sources: source → its states at the times of ``out_s``.
+        root_causes: (time, name) of each source that became OUT by a fault of its own, s.
         state_at: whole second → suite state.
     """
 
@@ -133,7 +133,7 @@ def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
 
 
 def monitor_voyage(*paths: Path) -> MonitoredVoyage:
-    """Return a voyage monitored at 10 Hz; inputs of the same bag may be given in addition to its outputs."""
+    """Return a voyage monitored at 10 Hz; ``paths`` are the bag of its outputs and, optionally, the bag of inputs."""
     voyage: MonitoredVoyage | None = None
     due_ns, before = 0, {}
     for time_ns, topic, message in records(*paths):

@@ -1,7 +1,7 @@
 """Stars in a camera on the theodolite, with all errors drawn: exposures for the filter, and the true main axis.
 
-The camera is that of [W18]: 100 mm, 6.5 µm pixels, centroids to a tenth of a pixel. The stars are real, drawn at random
-within ±4°.
+The camera is that of [W18]: 100 mm, 6.5 µm pixels, centroids to a tenth of a pixel. The stars are real ones, within ±4°
+of the camera's axis.
 """
 
 from collections.abc import Iterator
@@ -49,7 +49,7 @@ def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxi
 
 
 def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyModel:
-    """Return the sky of a ship at anchor with measured weather, for this many seconds."""
+    """Return the sky of a ship at anchor, with weather readings, and with position fixes for ``seconds``."""
     sky_model = load_sky_model(settings.sky)
     for reading in anchored_readings(start_ns, seconds):
         sky_model.surroundings.insert(reading)
@@ -73,7 +73,7 @@ class MountErrors:
         deformation_d: rotation vector, rad, shape (3,).
         ship_n: error of the ship's attitude, rotation vector, rad, shape (3,).
         parallelism: error of the camera's parallelism, rad, shape (3,).
-        sky: errors that all stars share, in sigmas, shape (4,), or (5,) where UTC may be wrong.
+        sky: errors that all stars share, in sigmas, shape (4,), or (5,) if ``sky.utc_sigma_s`` is positive.
     """
 
     axes: FloatArray
@@ -194,7 +194,7 @@ class MountSession:
         return EncoderSample(time_ns, encoder + sigma * self.rng.standard_normal(2), sigma)
 
     def exposure(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarExposure:
-        """Return this many stars of the field, at random or the brightest, as measured by the camera."""
+        """Return ``count`` measured stars of the field: random ones, or the brightest if there is a ``detector``."""
         camera = self.settings.telescopes[CAMERA_ID]
         rotation_sm = rotation_from_angles(*(camera.parallelism + self.errors.parallelism))
         rotation_ns = self.main_axis(encoder) @ rotation_sm.T

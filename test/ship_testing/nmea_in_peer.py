@@ -114,7 +114,7 @@ class NmeaInPeer:
         self._socket.sendto(data, ("127.0.0.1", self.config.sources[id_].port))
 
     def set_time(self, time_ns: int) -> None:
-        """Set the node's time by /clock, and wait until it is received; for a node in a thread."""
+        """Set the node's time by /clock, and wait until the node has this time; for a node in a thread."""
         assert self.live is not None
         live = self.live
         publisher = self.peer.create_publisher(Clock, "/clock", QoSProfile(depth=10))
@@ -126,7 +126,7 @@ class NmeaInPeer:
         self.peer.destroy_publisher(publisher)
 
     def source_status(self, id_: str) -> tuple[int, str, dict[str, str]]:
-        """Return level, text and values of a source in the last report."""
+        """Return level, text and values of a source in the last report; level -1 before the first report."""
         status = self._diagnostics.get(f"{NAME}: source {id_}")
         if status is None:
             return -1, "", {}

@@ -22,7 +22,7 @@ STILL = CarrierMotion(
 
 
 def scenario(duration_s: float, rate_hz: float = 0.1, star: dict[str, Any] | None = None, **ins: Any) -> Scenario:
-    """Return a scenario: two star sensors at right angles, a ship with constant attitude, all devices at one rate."""
+    """Return a scenario: two star sensors 90° apart in azimuth, a constant attitude, all devices at one rate."""
     mounted = {"elevation_deg": 45.0, "rate_hz": rate_hz} | (star or {})
     return Scenario(
         carrier=STILL,

@@ -19,7 +19,7 @@ _END_S = 20.0
 
 
 class StateSource:
-    """Source of suite states: returns the state that was set last, with the current time."""
+    """Source of suite states: returns the state that was set last, with a time that advances."""
 
     label = "SIMULATED · bag"
     name = "demo"
@@ -32,7 +32,7 @@ class StateSource:
         self._start_s = time.monotonic()
 
     def current_state(self) -> SuiteState:
-        """Return the state that was set, at the current time."""
+        """Return the state that was set last, with ``utc_ns`` later by the age of this source."""
         if self.fails:
             raise RuntimeError("no picture: requested by the test")
         return replace(self.state, utc_ns=self.state.utc_ns + round((time.monotonic() - self._start_s) * 1e9))

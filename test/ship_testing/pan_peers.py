@@ -91,7 +91,7 @@ class ErfaSky:
 
 
 def refraction_on_reference(view: SensorView, sky: ErfaSky, fewest: int = MIN_STARS) -> FloatArray | None:
-    """Return horizon from sensor by one sensor's stars, refraction in the reference; None with too few stars."""
+    """Return horizon from sensor by one sensor's stars, refraction added to the references; None with too few stars."""
     return _wahba(sky.directions(view.stars), view.measured_s) if len(view) >= fewest else None
 
 
@@ -123,7 +123,7 @@ def attitude_from_boresights(rotation_ns: Sequence[FloatArray], rotation_ds: Seq
 
 
 def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = MIN_STARS) -> FloatArray | None:
-    """Return horizon from deck by [6], refraction on the reference; None where a sensor has too few stars."""
+    """Return horizon from deck by [6], refraction added to the references; None if a sensor has too few stars."""
     found = [refraction_on_reference(view, sky, fewest) for view in views]
     solved = [one for one in found if one is not None]
     return attitude_from_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
@@ -132,7 +132,7 @@ def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = MIN_
 def two_boresights_by_iteration(
     views: Sequence[SensorView], sky: ErfaSky, fewest: int = MIN_STARS
 ) -> FloatArray | None:
-    """Return horizon from deck by [5] and [6], the method before [P15]; None where a sensor has too few stars."""
+    """Return horizon from deck by [5] and [6], the method before [P15]; None if [5] fails for a sensor."""
     found = [refraction_on_observed(view, sky, fewest) for view in views]
     solved = [one[0] for one in found if one is not None]
     return attitude_from_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None

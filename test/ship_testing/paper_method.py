@@ -14,7 +14,7 @@ def triad(first_n: FloatArray, second_n: FloatArray, first_t: FloatArray, second
 def mean_of_two_triads(direction_n: FloatArray, direction_t: FloatArray) -> FloatArray:
     """Return the mean of two TRIADs, each exact for another light, orthogonalised once: [W18] (14)-(22).
 
-    (22) as corrected: K* = ½ K (3 I - Kᵀ K), models.md §5.
+    Equation (22) is used as corrected in models.md §5: K* = ½ K (3 I - Kᵀ K).
 
     Args:
         direction_n: lines of sight of two lights, unit vectors, shape (..., 2, 3).

@@ -1,6 +1,6 @@
 """Names in a layout of PlotJuggler, compared with the outputs of a suite.
 
-PlotJuggler names each number ``/topic/field[0]/field``, and those of diagnostics ``/topic/node/status/key``.
+PlotJuggler names a number ``/topic/field[0]/field``, and a number of diagnostics ``/topic/node/status/key``.
 """
 
 import xml.etree.ElementTree as ET

@@ -45,7 +45,7 @@ def turn_ship_attitude(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: 
 
 
 def move_baseline(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """Move the baseline to a drone (North, Up, East), m, from FAULT_S on; it remains FIXED."""
+    """Move the baseline to a drone (North, Up, East), m, from FAULT_S on; the baseline's status remains FIXED."""
     found = run.theodolite.baselines[beacon]
     moved = found.baseline_n + _is_faulty(run, found.time_ns, until_s)[:, None] * np.array(moved_n)
     baselines = {**run.theodolite.baselines, beacon: replace(found, baseline_n=moved)}
@@ -153,7 +153,7 @@ class PointingErrors:
         levels: their protection levels, rad, shape (k, 3); NaN where there is none.
         estimates: the outputs.
         core: core after the session.
-        rejected_count: number of inputs and exposures that were not used.
+        rejected_count: number of rejected inputs and of rejected measurement decisions.
         start_ns: start of the session.
         excluded_sources: sources that were ever excluded.
     """

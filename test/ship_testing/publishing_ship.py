@@ -29,7 +29,7 @@ class SuitePublisher:
     def wait_for_subscribers(
         self, wait_until: Callable[[Callable[[], Any]], Any], act: Callable[[], Any], *topics: str
     ) -> None:
-        """Call ``act`` repeatedly, which lets the node under test receive, until each topic has a subscriber."""
+        """Call ``act``, which lets the node under test receive and returns True, until each topic has a subscriber."""
         wait_until(lambda: act() and all(self.publishers[topic].get_subscription_count() for topic in topics))
 
     def stop(self) -> None:

@@ -2,9 +2,9 @@
 
 Two lights at 2 km are at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis.
 
-Each epoch has four kinds of random error. Their standard deviations are 2.7 cm for each axis of each baseline and 2"
-for the refraction of each light. They are 0.1 mm for the focal length of 100 mm, and 0.65 µm, a tenth of a pixel, for
-each image coordinate.
+Each epoch of :func:`paper_epochs` has four kinds of random error. Their default standard deviations are 2.7 cm for each
+axis of each baseline, 2" for the refraction of each light, 0.1 mm for the focal length of 100 mm, and 0.65 µm for each
+image coordinate.
 """
 
 from dataclasses import dataclass, replace

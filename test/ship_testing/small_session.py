@@ -110,7 +110,7 @@ def deck(t_s: float) -> FloatArray:
 
 
 def line_of_sight(t_s: float) -> FloatArray:
-    """Return the upright frame (n) of the main axis, which drifts over the bow."""
+    """Return horizon from the upright frame of the main axis, which drifts over the bow."""
     return rotation_from_angles(*np.deg2rad([34.4 - 4.0 + 1.5 * t_s, 30.0 + 2.0 * np.sin(t_s / 3.0), 0.0]))
 
 
@@ -127,7 +127,7 @@ def drone_attitude(t_s: float) -> FloatArray:
 
 
 def beacon_n(name: str, t_s: float) -> FloatArray:
-    """Return the vector from lens to light, m."""
+    """Return the vector from lens to light in the horizon, m."""
     right, up = np.tan(np.deg2rad(BEACONS_DEG[name]))
     around = np.array([1.0, up, right])
     return line_of_sight(t_s) @ (DISTANCE_M * around / np.linalg.norm(around))

@@ -1,4 +1,4 @@
-"""A small ship for the tests of the adapter: it rolls and pitches, with an INS at 25 Hz and two star sensors at 5 Hz.
+"""A short voyage for the tests of the adapter: a ship in a swell, with an INS at 25 Hz and two star sensors at 5 Hz.
 
 All values are computed from formulas and one seed, so two runs differ only if their messages differ.
 """

@@ -36,7 +36,7 @@ def core_with_solutions(run: SimulatedRun) -> ShipAttitudeCore:
 def outcomes_with_solutions(
     core: ShipAttitudeCore, run: SimulatedRun, output_samples: Container[int]
 ) -> Iterator[AttitudeOutcome]:
-    """Return the core's outcome of each input; attitudes are computed only at the wanted samples of the INS."""
+    """Yield the core's outcome of each input; attitudes are computed only at the INS samples ``output_samples``."""
     star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
     solver = StarCore(star_config, load_sky_model(star_config.sky))
     for _, source, index in run.arrivals():

@@ -1,6 +1,6 @@
 """Least squares over a whole run, by scipy's sparse solver: the reference of smoothers and filters.
 
-It shares no code with the estimators, and computes its derivatives by differences.
+The solver shares no code with the estimators, and computes derivatives by differences.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 Row = tuple[Sequence[slice], Callable[..., np.ndarray]]
-"""Slices of the unknowns that a residual depends on, and the function of their values that returns it in sigmas."""
+"""Slices of the unknowns that a residual depends on, and the function from these unknowns to the residual in sigmas."""
 
 
 def solve(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
@@ -18,7 +18,7 @@ def solve(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
 
     Args:
         rows: all residuals.
-        steps: for the differences, one for each unknown, shape (n,).
+        steps: step of each unknown for the differences, shape (n,).
     """
     unknowns = np.zeros(len(steps))
     for _ in range(4):

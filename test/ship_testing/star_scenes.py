@@ -9,7 +9,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 FIELD_RADIUS_DEG = 6.0
-"""Radius of a round field in which the error terms are those of models.md §2; that section states no field."""
+"""Radius of the round field of view, chosen here: models.md §2, the source of the error terms, states none."""
 SIGMA = 3.0 * ARCSEC
 INSTALLATION_SIGMA = np.array([20.0, 1.0, 1.0]) * ARCSEC
 UT1_SIGMA_S, POSITION_SIGMA_M, REFRACTION_SIGMA = 0.01, 5.0, 0.01

@@ -1,4 +1,4 @@
-"""A ship under the real sky, for tests: configuration, filter, and exposures of real stars in its sensors."""
+"""A ship under the real sky, for tests: configuration, sky model, INS track, and exposures of real stars."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def configuration(**ship) -> ShipAttitudeConfig:
 
 
 def sky_at_anchor(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyModel:
-    """Return the sky of a ship at anchor with continuous fixes."""
+    """Return the sky of a ship at anchor, with a fix each second from 2 s before TIME_NS to 59 s after it."""
     sky_model = load_sky_model(config.sky)
     for second in range(-2, 60):
         sky_model.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))

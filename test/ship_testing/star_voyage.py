@@ -1,7 +1,7 @@
 """A ship under the real sky for the tests of ``star_attitude``: two star sensors at 5 Hz, an INS, fixes, weather.
 
-The ship and its INS are those of small_voyage. Stars are placed by the exact chain of ship_geometry.star_directions,
-which the node does not use, and projected by the camera.
+The ship and its INS are those of small_voyage. The directions of the stars are computed by the functions of
+ship_geometry.star_directions, which the node does not use, and projected by the camera.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Hand-made suite states: a suite with a theodolite, its variants, and the two example faults of the design."""
+"""Hand-made suite states: a suite with a theodolite, its variants, and the two example faults of the page's design."""
 
 import math
 from collections import deque

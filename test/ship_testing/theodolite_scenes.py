@@ -84,11 +84,11 @@ def without_errors(scenario):
 
 
 _HANGING_DEG = {"a": (3.0, 11.0), "b": (-1.0, 9.0)}
-"""Azimuth and elevation of fixed lights over which the telescope sweeps."""
+"""Azimuth and elevation at the start of the two lights over which the telescope sweeps."""
 
 
 def sweep_over_beacons(exposure_s):
-    """Return a telescope that sweeps over two lights, without errors of the images."""
+    """Return a scenario in which the telescope sweeps over two lights, without errors of the images."""
     scenario = without_errors(with_theodolite(bag_scenario(duration_s=2.0), telescope__exposure_s=exposure_s))
     flights = {
         key: Flight(hover=Hover(azimuth_deg=azimuth, elevation_deg=elevation, distance_m=2000.0, north_m_per_s=8.0))

@@ -28,7 +28,7 @@ def with_exact_focal_length(scenario: Scenario) -> Scenario:
 
 
 def with_wrong_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float) -> SimulatedRun:
-    """Return the run with a suite whose configured focal lengths are shorter than the true ones.
+    """Return the run with configured focal lengths that are shorter than the true ones (longer if ``scale`` < 0).
 
     Args:
         run: simulated with exact focal lengths.
@@ -48,7 +48,10 @@ def with_wrong_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[s
 
 
 def change_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s: float) -> SimulatedRun:
-    """Return the run with all focal lengths longer by ``scale`` in a time span after the first exposure."""
+    """Return the run with all true focal lengths longer by the ratio ``scale`` in a time span.
+
+    ``from_s`` and ``until_s`` count from each sensor's first exposure.
+    """
     stars = dict(run.stars)
     for id_, seen in stars.items():
         configured = run.scenario.star_sensors[id_].camera

@@ -22,7 +22,7 @@ from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
 _MAX_LISTED = 12
-"""Maximum number of names listed in an error text; if there are more and one is similar, only that name is given."""
+"""Number of known names above which an error text gives only a similar name; without a similar name, all are listed."""
 _TIMEOUT_S = 5.0
 
 _NOTHING = "[]"

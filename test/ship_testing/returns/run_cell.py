@@ -1,7 +1,7 @@
 """Run one cell of the return matrix: give its messages, created in memory, to the nodes in a fork of this process.
 
-A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded,
-contradicted or rejected. It also ends 5 s after the bound of the return time.
+A run ends when every output has been VALID for :data:`STEADY_S` after the last fault, and no source is excluded,
+contradicted or rejected. Otherwise the run ends 5 s after the longest bound of the return times.
 """
 
 import copy
@@ -204,7 +204,7 @@ class _Run:
         data: the voyage.
         sink: records the outputs of the nodes.
         steps: (time, size) of the steps of the time base, ns.
-        next_ns: messages that arrive before it have been processed.
+        next_ns: time before which all arrived messages have been processed.
     """
 
     def __init__(self, data: VoyageData) -> None:

@@ -1,7 +1,7 @@
 """Voyages of the return matrix: small scenarios without faults, their bags, and the messages of a bag in memory.
 
 Rates are the lowest realistic ones, because the cells are many. Each scenario is one of ``bags/scenarios`` with other
-rates, and each has inputs that the others lack.
+rates, and some scenarios have additional or changed devices.
 """
 
 import functools

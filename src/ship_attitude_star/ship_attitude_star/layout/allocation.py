@@ -121,7 +121,10 @@ def _errors(layout: Layout) -> Iterator[_Error]:
 
 
 def _max_alone_arcsec(layout: Layout, error: _Error, limits_arcsec: FloatArray) -> float:
-    """Return the largest sigma of one error that meets the requirement; the joint error grows with this sigma."""
+    """Return the largest sigma of one error that meets the requirement; the joint error grows with this sigma.
+
+    Infinite if any size meets the requirement, NaN if no size meets it.
+    """
 
     def is_met(sigma_arcsec: float) -> bool:
         return bool(requirement_use(error.with_sigma(layout, sigma_arcsec).sigmas_arcsec(), limits_arcsec) <= 1.0)

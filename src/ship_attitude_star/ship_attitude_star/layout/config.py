@@ -24,7 +24,7 @@ DEFAULT_SENSORS = {
     "fore": {"azimuth_deg": 0.0, "elevation_deg": 35.0},
     "starboard": {"azimuth_deg": 90.0, "elevation_deg": 35.0},
 }
-"""Sensors of a study whose file contains no sensors: two at right angles, with elevation and errors of [Z14]."""
+"""Sensors of a study whose file contains no sensors: two 90° apart in azimuth, with elevation and errors of [Z14]."""
 
 # Names of sensors are used as names of files and headings.
 _SENSOR_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

@@ -4,8 +4,8 @@
     R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)           as computed by [Z14] for its figures
 
 To first order the error of heading, pitch and roll is ``J_s [dAs, dEs, droll_s] + J_0 [dA0, dE0, droll_0]``. Both
-Jacobians follow exactly from B of :mod:`ship_geometry.frames`, for every layout. Angles are arrays (..., 3) of
-azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. The model is
+Jacobians follow exactly from the matrix B of :mod:`ship_geometry.frames`, for every layout. Angles are arrays (..., 3)
+of azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. The model is
 described in docs/how-to/mount_a_sensor.md. A sweep is one of the six figures: the errors while one angle varies and the
 other angles stay fixed.
 """

@@ -127,7 +127,7 @@ def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
 
 
 def _fields(optics: Optics) -> Iterator[FloatArray]:
-    """Return the stars in the field of each drawn direction: unit vectors in the sensor frame, each of shape (k, 3)."""
+    """Yield the stars in the field of each drawn direction: unit vectors in the sensor frame, shape (k, 3)."""
     stars = _stars_up_to(optics.magnitude_limit)
     half = optics.half_field()
     rotations_sc = _draw_rotations()

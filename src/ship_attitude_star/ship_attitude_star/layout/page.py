@@ -176,7 +176,7 @@ def _result(study: LayoutStudy) -> str:
 
 
 def _advice(study: LayoutStudy) -> str:
-    """Return the recommended azimuths with their tolerances as a list."""
+    """Return the recommended azimuths with their tolerances; for a single sensor, the effect of its azimuth."""
     if len(study.layout.names) == 1:
         return (
             "<p>With one sensor the total error is the same at every azimuth: rotating the sensor only moves the error "

@@ -149,7 +149,7 @@ def evaluate_layouts(
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
         candidates += evaluator.best_of_map(layout, number, moved, allowed)
     candidates.append(evaluator.search(candidates, layout))
-    # The sort is stable: of equally good layouts the earlier candidate comes first. The first candidate is as given.
+    # The sort is stable: of equally good layouts the earlier candidate comes first. The layout as given is first.
     ranking = sorted(
         candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use))
     )

@@ -111,7 +111,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         files: access to the alignment file.
 
     Raises:
-        BadInput: the alignment file cannot be used (:class:`SavedStart`); an unreadable file is only reported.
+        BadInput: the path of the alignment file or the computer's state does not allow a start (:class:`SavedStart`).
+            A file with unusable content is only reported.
         ParameterError: the camera of a sensor that gives single stars is incomplete, or there are more filters than
             ``integrity.max_hypotheses``.
     """
@@ -326,7 +327,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
-        """Return the observability diagnostics, with a recommended turn, once a minute; empty without an attitude."""
+        """Return the observability diagnostics with a recommended turn, computed once a minute; empty while INVALID."""
         state, latest = self.core.state, self.latest
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
@@ -454,7 +455,7 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, 
 
 
 def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -> dict[str, str]:
-    """Return the frame of each star sensor by id: the configured frame_id if it is unique, else star_<id>."""
+    """Return the frame of each star sensor by id: its frame_id if no other frame has this name, else star_<id>."""
     count = Counter(star.frame_id for star in star_sensors.values())
     frames = {}
     for id_, star in star_sensors.items():

@@ -148,7 +148,7 @@ def surroundings_feeds(
 
 
 def position_feed(config: SkyConfig, process: Callable[[Any, int], Any]) -> Feed:
-    """Return the row of an adapter's table for the position alone, if no sensor needs air data."""
+    """Return the row of an adapter's table for the position alone, for a node without sensors that need air data."""
     return _surroundings_feed("gnss/fix", config, process, required=True)
 
 

@@ -68,7 +68,7 @@ def listening_sockets(host: str, port: int, option: str) -> list[socket.socket]:
         option: command line option for the port, for the error text.
 
     Raises:
-        BadInput: the port is in use, or the address does not belong to this machine.
+        BadInput: the port is in use, or the system does not allow to listen on the address and port.
     """
     try:
         return bind_sockets(port, host)

@@ -69,7 +69,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], last_is_sum: boo
 
 
 def table_body(rows: Iterable[Sequence[str]], last_is_sum: bool) -> str:
-    """Return the body of a table with a special header; arguments as in :func:`table`."""
+    """Return the body of a table, for a table whose header :func:`table` cannot make; arguments as in :func:`table`."""
     lines = ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
     if last_is_sum:
         lines[-1] = lines[-1].replace("<tr>", '<tr class="sum">')

@@ -33,7 +33,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class FileUse:
-    """File read or written once.
+    """One use of a file: read, written or set aside.
 
     Attributes:
         path: path given by the adapter.

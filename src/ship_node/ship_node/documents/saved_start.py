@@ -12,7 +12,7 @@ from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
 _MAX_SIGMA_RATIO = 1.1
-"""Ratio of a new sigma to the saved sigma above which the new sigma is worse; smaller changes depend on the stars."""
+"""Ratio of a new sigma to the saved sigma above which the new sigma is worse; lower ratios are due to other stars."""
 
 _FATAL_ERRORS = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is wrong
@@ -128,7 +128,9 @@ class SavedStart(Generic[Prior]):
         return not is_first
 
     def autosave(self) -> None:
-        """Write the core's content if its stamp has changed since the last save or start, unless the file is better.
+        """Write the core's content if its stamp has changed since the last save or start, unless it would be worse.
+
+        The content is worse if a sigma is clearly larger than in the file (:func:`less_certain_quantity`).
 
         A reason not to save becomes :attr:`autosave_problem`, and a notice when the reason changes.
         """

@@ -36,7 +36,8 @@ def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
     """Return the checked configuration of a node; see :func:`read_node_parameters`.
 
     Raises:
-        BadInput: a parameter is wrong; the text names the file, the line, the parameter and what is expected.
+        BadInput: as for :func:`read_node_parameters`, or a parameter is wrong; the text then names the file, the line,
+            the parameter and what is expected.
     """
     file = read_node_parameters(source, node)
     try:
@@ -129,7 +130,7 @@ def error_with_location(error: InputError, sources: Sequence[Path], node: str) -
     If several files give the parameter, the last of them is named.
 
     Args:
-        error: error about a parameter of the node; any other error gets no file and line.
+        error: error about a parameter of the node; any other error keeps its own file and line, if any.
         sources: files that the node was started with.
         node: full name.
     """

@@ -126,7 +126,7 @@ def _inputs_with(
     Args:
         adapter_class: adapter of the node.
         values: values of the parameters.
-        given: values of a device's parameters that are zero by default; used only if ``values`` alone are invalid.
+        given: maxima of a device's parameters that are zero by default; used only if ``values`` alone are invalid.
         factory: makes the adapter's messages.
     """
     for attempt in (values, values | given):

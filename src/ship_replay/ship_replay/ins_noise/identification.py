@@ -31,7 +31,7 @@ class Identification:
         session: session that is evaluated.
         record: record of the session.
         fitted: fitted models, the best model first.
-        outages: model → checks of its predictions.
+        outages: name of a model → checks of the model's predictions.
     """
 
     session: NoiseSession
@@ -70,7 +70,10 @@ class Identification:
         ]
 
     def _inconsistent_predictions(self, model: str) -> list[str]:
-        """Return a warning for tilt and for heading if the errors of predictions are too large, with the worst case."""
+        """Return a warning about tilt, and a warning about heading, if prediction errors are too large for their sigma.
+
+        Only ``gauss_markov`` and the best model are checked; a warning contains the worst horizon.
+        """
         if model not in (GAUSS_MARKOV, self.best.model.name):
             return []
         lines = []

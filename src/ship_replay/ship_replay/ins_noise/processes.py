@@ -1,10 +1,10 @@
 """The two models of an INS's error as processes with parameters, and the corresponding suite parameters.
 
 A fit searches logarithms of parameters, which are chosen so that a record determines them well. A Gauss-Markov process
-has 2 sigma² / correlation time, the noise variance per second: even a record much shorter than the correlation time
-determines it. To determine sigma and time separately, many correlation times are needed. For the Schuler process these
-quantities are the noise of the sensors and the errors at the start. The time constants of drift and bias, the latitude
-error at the start, and the damping are taken from the configuration.
+has 2 sigma² / correlation time, the noise variance per second, which even a record much shorter than the correlation
+time determines. To determine sigma and time separately, many correlation times are needed. For the Schuler process the
+fitted parameters are noise, drift and bias of the sensors, and errors at the start. The time constants of drift and
+bias, the latitude error at the start, and the damping are taken from the configuration.
 """
 
 import math
@@ -45,7 +45,7 @@ class Parameter(NamedTuple):
 
 
 class SuiteParameter(NamedTuple):
-    """A parameter of ``ship_attitude`` from parameters of the fit: log value = constant + weights · log parameters.
+    """A parameter of ``ship_attitude``, computed from the fit: log value = constant + weights · log fit parameters.
 
     Attributes:
         name: name in the parameter file, after ``ins.``.

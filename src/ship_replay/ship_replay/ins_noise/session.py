@@ -187,7 +187,7 @@ def run_session(
 
 
 def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
-    """Return the configuration of a session: only star sensors and a Gauss-Markov INS with larger sigmas.
+    """Return the configuration of a session: no references, all sources on, a Gauss-Markov INS with larger sigmas.
 
     A saved alignment is not loaded, because it may result from the same bag. The deflection of the vertical is always
     modelled, whether it is relevant or not.

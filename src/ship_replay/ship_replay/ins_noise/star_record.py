@@ -141,7 +141,7 @@ class _OtherStates(NamedTuple):
 
 
 def _other_states(session: NoiseSession) -> _OtherStates:
-    """Return the states with a non-zero sigma on which a comparison depends."""
+    """Return the states with a non-zero sigma or random walk on which a comparison depends."""
     model = session.model
     covariance, time_s, walk = np.zeros((model.size, model.size)), np.zeros(model.size), np.zeros(model.size)
     names = np.empty(model.size, dtype=object)

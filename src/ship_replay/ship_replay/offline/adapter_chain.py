@@ -21,7 +21,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""Prefixes of device topics. A node whose devices are all missing in a bag is not replayed.
+"""Prefixes of device topics, next to occasional inputs. A node whose devices are all missing in a bag is not replayed.
 
 The first configured node is an exception."""
 
@@ -230,7 +230,7 @@ def suite_chain(
 
 
 def _sort_by_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
-    """Sort the adapters so that each adapter comes after the adapters that publish its inputs."""
+    """Sort the adapters so that each adapter comes after the adapters that publish its inputs, unless in a cycle."""
     ordered, rest = [], list(adapters)
     while rest:
         free = [

@@ -63,8 +63,8 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
     """Return the configuration for the replay, from the black box or from a file; a file adds a line to ``notes``.
 
     Raises:
-        BadInput: the black box is of another version of the suite or lacks an attachment, and no file was given; or the
-            parameters do not fit this node.
+        BadInput: the black box is of another version of the suite or lacks an attachment, and no file was given. Also
+            if the attachment of the versions cannot be read, or if the parameters do not fit this node.
     """
     _check_versions(bag, adapter_class, config_path, notes)
     name = adapter_class.node_name

@@ -43,7 +43,7 @@ class ExclusionHistory:
                 self._exclusions.append(exclusion)
 
     def lines(self, start_ns: int) -> list[str]:
-        """Return one line per exclusion; times count from `start_ns`."""
+        """Return one line per exclusion, with times in seconds from `start_ns`."""
         lines = []
         for one in self._exclusions:
             line = f"  {one.source} excluded at {(one.start_ns - start_ns) / NS_PER_S:.1f} s"

@@ -112,7 +112,7 @@ class Gaps:
 
     @property
     def rate_hz(self) -> float:
-        """Rate from the median gap; 0 without gaps."""
+        """Rate from the median gap; 0 without gaps, or if the median gap is below the resolution."""
         lengths_s, counts = self.seconds()
         if not len(counts):
             return 0.0
@@ -148,7 +148,7 @@ def gap_limits(config: Any) -> Iterator[GapLimit]:
     """Yield the parameters that limit the gaps between a node's inputs.
 
     Args:
-        config: configuration of a node of the suite; for another node nothing is yielded.
+        config: configuration of a node; only for ``optical_axis`` and nodes with an INS a parameter is yielded.
     """
     if isinstance(config, OpticalAxisConfig):
         group = "ins" if config.ship.source == "ins/imu" else "ship"

@@ -54,7 +54,7 @@ class TopicBlock(NamedTuple):
 def read_ahead(
     adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
 ) -> Sequence[ReadMessage[Any] | None]:
-    """Let a node read messages of a topic ahead of their turn; None for those that it must read at their turn."""
+    """Let a node read messages of a topic ahead of their turn; None for messages that it must read at their turn."""
     if isinstance(adapter, BatchAdapter) and adapter.can_read_rows(topic):
         return adapter.read_rows(topic, messages, times_ns)
     return [None] * len(times_ns)

@@ -103,7 +103,7 @@ class StatusHistory:
 
     @property
     def diagnostic_lines(self) -> list[str]:
-        """Diagnostic texts about poor outputs, most frequent first, each with the numbers of its last occurrence."""
+        """The four most frequent diagnostic texts about poor outputs, each with the numbers of its last occurrence."""
         total = self._diagnostic_counts.total()
         most = self._diagnostic_counts.most_common(_MAX_DIAGNOSTICS)
         return [f"diagnostics, {count} of {total}: {self._last_diagnostic[reason]}" for reason, count in most]
@@ -111,7 +111,7 @@ class StatusHistory:
     @property
     def spans(self) -> list[Span]:
         """Spans in order of time; a span begins with its first stamp and ends where the next span begins."""
-        # INVALID outputs are not published in order of stamps, so they are sorted before grouping.
+        # INVALID outputs are not published in order of stamps, so the runs are sorted before grouping.
         groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.status)]
         starts_ns = [group[0].first_ns for group in groups]
         ends_ns = [*starts_ns[1:], max((run.last_ns for run in self._runs), default=0)]
@@ -176,7 +176,7 @@ def _reference_only_reasons(config: Any) -> list[str]:
 
 
 def low_use_text(health: Any) -> str:
-    """Return a line about an input of which at most half was used; empty otherwise."""
+    """Return a line about an input without messages, or of which at most half was used; empty otherwise."""
     if not health.received:
         return f"no messages on '{health.topic}'"
     if 2 * health.accepted > health.received:

@@ -103,10 +103,12 @@ class Verification:
 
     Attributes:
         input_counts: input topic or kind of event → number of messages or events that the adapter received.
-        equal_counts: output topic → number of messages whose numbers and names are equal to the last bit.
-        other_texts: output topic, service or file → number of messages, answers or contents that differ in texts only.
+        equal_counts: output topic → number of messages whose numbers and names are equal to the last bit, before
+            ``difference``.
+        other_texts: output topic, service or file → number of messages, answers or contents that differ in texts only,
+            before ``difference``.
         difference: first difference in a number or name; None if all are equal.
-        text_difference: first difference in a text; None if all are equal.
+        text_difference: first difference in a text before ``difference``; None if there is none.
         notes: further lines for the user.
         incomplete_reason: reason for which a part of the bag could not be compared; empty if all was compared.
         is_truncated: True if the comparison is incomplete only because the file ends suddenly.
@@ -123,7 +125,7 @@ class Verification:
 
     @property
     def is_verified(self) -> bool:
-        """True if no number or name differs, at least up to the sudden end of a file."""
+        """True if no number or name differs and all was compared, at least up to the sudden end of the file."""
         return self.difference is None and (self.is_truncated or not self.incomplete_reason)
 
     def add(self, topic: str, difference: Difference | None) -> None:

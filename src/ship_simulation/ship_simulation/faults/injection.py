@@ -26,7 +26,7 @@ def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") ->
     """Return the cameras of the devices that the attached suite file describes.
 
     Raises:
-        BadInput: a fault needs a camera that is not described.
+        BadInput: the suite file is invalid, or a fault needs a camera that is not described.
     """
     text = bag.attachments.get(SUITE_ATTACHMENT, b"").decode("utf-8", errors="replace")
     optics = optics_of_suite(text) if text else Optics()

@@ -209,7 +209,7 @@ def _shift_baseline(value_fault: ValueFault, message: Any, since_s: float) -> No
 
 
 def _add_false_stars(value_fault: ValueFault, message: Any, since_s: float) -> None:
-    """Add spots anywhere on the detector; if the sensor identifies stars, each has the identity of a bright star."""
+    """Add spots anywhere on the detector; each spot has the identity of a bright star if the first star has one."""
     if not message.stars:
         return
     camera, rng = value_fault.optics.stars[value_fault.fault.topic], value_fault.rng
