@@ -228,7 +228,7 @@ def test_signature_of_another_ship(keystore, name):
     ("right", "wrong", "expected"),
     [("grant", "gift", "has no grant"), ("subject_name>", "name>", "has no subject_name"),
      ("2027-06-01T12:00:00", "next year", "not_after is 'next year': expected a date as 2026-05-01T00:00:00"),
-     ("<default>DENY</default>", "", "has no default"), ("</dds>", "", "holds no XML")],
+     ("<default>DENY</default>", "", "has no default"), ("</dds>", "", "is not XML")],
 )  # fmt: skip
 def test_signed_permissions_with_invalid_content(keystore, right, wrong, expected):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
