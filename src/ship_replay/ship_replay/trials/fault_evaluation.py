@@ -32,7 +32,7 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
 SETTLING_S = 3.0
-"""Time after the end of a fault within which its effects are still reported, s."""
+"""Time after the end of a fault within which indications still count for this fault, s."""
 
 _SAME_TIME_NS = NS_PER_S // 2
 """A status is ignored if the fault-free voyage has an equal or worse status within this time, ns."""

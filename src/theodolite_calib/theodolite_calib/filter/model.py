@@ -175,7 +175,7 @@ class ShipErrorStep:
 
 
 class ShipErrorProcess:
-    """Process of the ship's attitude error, whose covariance the messages state, or the configuration for the INS.
+    """Process of the ship's attitude error; the messages or, for the INS, the configuration state its covariance.
 
     Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary covariance. If
     a stated variance changes by more than a factor of two, for example because stars became available, the error has a
