@@ -1,8 +1,8 @@
 """Hours without faults: exclusions, availability, protection levels and consistency of the covariances.
 
-A voyage is simulated and passed to the core of its node in this process, without messages and files, so that a hundred
-hours of voyage take about one hour. One output a second is compared with the truth. Exclusions, and unresolved faults
-of a ship, are recorded after every measurement.
+A voyage is simulated and passed to the core of ``ship_attitude`` or ``optical_axis`` in this process, without messages
+and files, so that a hundred hours of voyage take about one hour. One output a second is compared with the truth.
+Exclusions, and unresolved faults of a ship, are recorded after every measurement.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """Evaluation of the faults of a voyage: detection, named source, and errors of the outputs published meanwhile.
 
 Only outputs are evaluated (:mod:`ship_replay.trials.voyage_outputs`). Indications that also occur in the same voyage
-without faults are ignored. A fault begins with the first message that it changes.
+without faults are ignored. A fault begins with the first message that it affects.
 
 **The named source** is the first source reported to a watch officer:
 
@@ -52,11 +52,11 @@ class FaultOutcome:
     """Outcome of one fault.
 
     Attributes:
-        changed: number of messages that the fault changed.
+        changed: number of messages that the fault changed, dropped, delayed or multiplied.
         detected: True if an output left VALID, an indication refers to the faulty source, or any source was excluded; a
             status caused by an earlier fault does not count.
         attributed: True if the named source is the faulty source.
-        alert_s: time from the first changed message to the first indication of the faulty source or non-VALID output;
+        alert_s: time from the first affected message to the first indication of the faulty source or non-VALID output;
             NaN if there is neither.
         named: source → number of indications.
         worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
@@ -83,7 +83,7 @@ def evaluate_fault(
 
     Args:
         fault: the fault.
-        changed_ns: original arrival times (without faults) of the messages that the fault changes, in order; at least
+        changed_ns: original arrival times (without faults) of the messages that the fault affects, in order; at least
             one.
         outputs: outputs of the voyage.
         fault_free: replay of the same voyage without faults.

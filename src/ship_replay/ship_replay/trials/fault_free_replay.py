@@ -74,8 +74,8 @@ class FaultFreeReplay:
         """Return the undetectable case that a fault belongs to; empty if the fault is detectable.
 
         Args:
-            fault: fault that changes at least one message.
-            first_ns: arrival time of the first changed message.
+            fault: fault that affects at least one message.
+            first_ns: original arrival time of the first affected message.
         """
         return next((row for row, holds in _UNDETECTABLE.items() if holds(self, fault, first_ns)), "")
 
