@@ -138,10 +138,10 @@ def first_named_sources(indications: Sequence[FaultIndication]) -> set[str]:
 def is_faulty_source(name: str, fault: Fault) -> bool:
     """True if a name in the outputs refers to the source with the fault.
 
-    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a, as do
-    ``baseline.a``, ``drone.a`` and ``light.a``. These names also refer to a fault of a single light in the image, but
-    not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the ship's attitude in the theodolite's filter,
-    and therefore also to faults of the INS.
+    A name is a topic, or a source of a topic. ``beacon.a``, ``baseline.a``, ``drone.a`` and ``light.a`` refer to the
+    baseline and the attitude of drone a. Such names of any drone also refer to a fault of a single light in the image,
+    but not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the ship's attitude in the theodolite's
+    filter, and therefore also to faults of the INS.
     """
     topic = fault.topic
     kind, _, rest = topic.partition("/")

@@ -31,7 +31,7 @@ output exceeds five sigmas."""
 
 _SMALL_STEP_SIGMAS = 11.0
 """INS step, in sigmas of a sample, below which several samples may be needed for detection
-(:mod:`ship_estimation.integrated_rates`)."""
+(:mod:`ship_estimation.ins_step_detector`)."""
 
 _MIN_SENSORS_TO_ISOLATE = 3
 """Minimum number of star sensors to isolate a faulty sensor or a faulty INS."""
@@ -154,7 +154,7 @@ _UNDETECTABLE: dict[str, Callable[[FaultFreeReplay, Fault, int], bool]] = {
 }
 
 UNDETECTABLE_CASES = tuple(_UNDETECTABLE)
-"""Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
+"""Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table of threats."""
 
 UNREPORTED_CASES = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
 """Undetectable cases that need not be reported. In the other cases an output may be VALID and wrong until detection."""

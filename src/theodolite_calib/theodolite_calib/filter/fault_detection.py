@@ -199,7 +199,7 @@ class FaultDetector:
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
-        """Restart the reinstatement timers of drones whose beacons were not measured recently before a sighting.
+        """Restart the reinstatement timers of a sighting's drones that were not sighted in the 10 s before.
 
         After a gap in all beacons, the timers of encoders, ship's attitude, telescope and unresolved fault restart too.
 

@@ -221,7 +221,10 @@ class CalibrationFilter:
         )
 
     def add_unknown_errors(self, state: CalibrationState) -> CalibrationState:
-        """Add the unknown error changes of excluded sources to all filters, and of its own source to each subfilter."""
+        """Add the unknown error changes of excluded sources to all filters, before a sighting.
+
+        Each subfilter also gets the unknown error change of the source that it excludes.
+        """
         excluded, parts = state.fault_state.excluded_sources, state.covariance_by_source
         if excluded:
             parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
@@ -232,8 +235,8 @@ class CalibrationFilter:
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to the values that a sighting gives.
 
-        These errors may be degrees, too large for the linearised gate. The previous values have no weight, because
-        their covariance is large.
+        These errors may reach degrees, which is too large for the linearised gate. The previous values have no weight,
+        because their covariance is large.
         """
         comparison = self.compare(state, sighting)
         if comparison is None:

@@ -159,9 +159,9 @@ class StarModel:
     ) -> StarComparison | Rejection:
         """Compare an exposure with a state at the same time, or return the reason why no star is usable.
 
-        The stars are linearised again until the updated state converges, at most six times (Gauss–Newton). The NIS is
-        then the minimum, over all states, of a sum: the normalised squares of the star residuals and of the difference
-        from the prediction.
+        The stars are linearised until the updated state converges, at most six times (Gauss–Newton). The NIS is then
+        the minimum, over all states, of a sum: the normalised squares of the star residuals and of the difference from
+        the prediction.
 
         Args:
             mean: mean of the propagated state, shape (n,).

@@ -294,7 +294,10 @@ class SightingStep:
     def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Exclude an isolated source; a source without a subfilter gets the means of ``explaining_subfilter``."""
+        """Exclude an isolated source.
+
+        If the source has no subfilter, the innovation means restart from those of ``explaining_subfilter``.
+        """
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
