@@ -1,4 +1,4 @@
-"""Kill by SIGKILL of a recorder or of a node with a black box at a random time, and the data left on the disk."""
+"""Kill of a recorder or of a node with a black box, by SIGKILL at a random time, and the data left on the disk."""
 
 import os
 import random
