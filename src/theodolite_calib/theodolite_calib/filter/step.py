@@ -381,7 +381,7 @@ def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) ->
 def count_rejection(
     state: CalibrationState, decision: ExposureDecision, gate: GateConfig, measured: str
 ) -> tuple[CalibrationState, ExposureDecision]:
-    """Count a rejected sighting; after consecutive rejections report a conflict and inflate the covariance.
+    """Count a rejection; after consecutive rejections report a conflict and inflate the main filter's covariance.
 
     A conflict between the lights themselves is only counted.
 
