@@ -46,7 +46,7 @@ def regular(count: int, with_rate: bool, first_ns: int = 0) -> list[AttitudeSamp
 
 
 def irregular(seed: int, count: int = 24) -> list[AttitudeSample]:
-    """Return samples with uneven stamps and four gaps too long to bridge; none, half or all samples have rates."""
+    """Return samples with uneven stamps and up to four gaps too long to bridge; none, about half or all have rates."""
     rng = np.random.default_rng(seed)
     steps_ns = rng.integers(10_000_000, 300_000_000, count)
     steps_ns[rng.choice(count, 4, replace=False)] = 600_000_000
@@ -108,7 +108,7 @@ def test_interpolation_agrees_with_scipys_rotation_spline() -> None:
 
 @pytest.mark.parametrize("with_rate", [True, False])
 def test_constant_rotation_is_interpolated_exactly_up_to_half_a_turn(with_rate: bool) -> None:
-    """Interpolation is exact for constant rate, whatever the rate: 170° from sample to sample here."""
+    """Interpolation is exact for a constant rate below half a turn per step: 170° from sample to sample here."""
     rate = np.deg2rad(1700.0) * np.array([0.6, 0.0, 0.8])
     track = AttitudeTrack(MAX_GAP_NS)
     for k in range(6):

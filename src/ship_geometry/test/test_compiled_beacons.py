@@ -1,6 +1,6 @@
 """The compiled lines of sight and image points against plain numpy.
 
-The users of both also test the derivatives by finite differences. "Close" is 1e-13 of the numbers' size.
+Tests of the callers also compare the derivatives with finite differences. "Close" is 1e-13 of the numbers' size.
 """
 
 import numpy as np

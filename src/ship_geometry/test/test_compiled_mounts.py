@@ -30,7 +30,7 @@ def drawn_states(count: int = COUNT) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return the main frame in the horizon by the formula of the module's docstring."""
+    """Return the main frame in the horizon by the formula in the docstring of ``compiled_mounts``."""
     g, h, c, tilt, beta_x, beta_y, flexure, time_s = errors[6:]
     azimuth, elevation = angles
     axes = exp_rotation(np.array([beta_y, 0.0, -beta_x])) @ exp_rotation(-(azimuth - g) * Y) @ exp_rotation(-tilt * X)
@@ -66,7 +66,7 @@ def test_derivatives_equal_finite_differences() -> None:
 
 
 def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
-    """Return the arguments of ``pointings``: the arrays with one row for each reading, and those of the estimate."""
+    """Return the arguments of ``pointings``: arrays with one row for each reading, and the values of the estimate."""
     rng = np.random.default_rng(RNG_SEED)
     errors, rotations, rates, angles = drawn_states()
     roots = rng.standard_normal((COUNT, 3, 3))

@@ -1,4 +1,4 @@
-"""Compiled interpolation against the same by numpy: Newton's polynomial, a cubic with differenced slopes."""
+"""Compiled interpolation by Newton's polynomial, and by a cubic with differenced slopes, against numpy."""
 
 import itertools
 

@@ -14,7 +14,7 @@ from ship_geometry.sample_track import hermite_weights
 
 RNG_SEED = 5
 SIZES = [0.0, 1e-9, 0.99e-4, 1.01e-4, 0.01, 1.0, 2.5, 3.1]
-"""Angles, rad: zero, angles within the series, on both sides of its end at 1e-4, beyond it, and near half a turn."""
+"""Angles, rad: zero, below 1e-4 (computed by a series), on both sides of 1e-4, above it, and near half a turn."""
 
 
 def vectors(count: int) -> FloatArray:
@@ -48,7 +48,8 @@ def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
 
 
 def test_composed_attitude_is_the_product_with_derivatives_of_small_steps() -> None:
-    """Four links: a base that rotates between two clocks follows the third; the last has a factor of 0.7."""
+    """Four links: a base that rotates between two clocks follows the third link; the fourth link has a factor of
+    0.7."""
     rng = np.random.default_rng(RNG_SEED)
     links, fixed, base = np.array([9, 3, 0, 6]), exp_rotation(vectors(9)[5:]), exp_rotation(np.array([0.3, -1.0, 0.2]))
     mean, rate, signs, root = np.zeros(14), rng.standard_normal(3), np.array([1.0, -1.0]), rng.standard_normal((3, 3))

@@ -51,7 +51,7 @@ def test_mean_and_spread_equal_those_of_many_times(exposure_s):
 
 
 def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None) -> AttitudeTrack:
-    """Return samples of the ship from -1 s to 1 s, each rotated by its noise (rotation vector) if there is any."""
+    """Return a track of the ship from -1 s to 1 s; each sample is rotated by its noise (rotation vector), if given."""
     found = AttitudeTrack(round(2.5 * SECOND_NS / rate_hz))
     for row, number in enumerate(range(round(-rate_hz), round(rate_hz) + 1)):
         time_s = number / rate_hz

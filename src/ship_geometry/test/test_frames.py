@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
 
 
 def attitudes(count: int, seed: int, elevation_to_deg: float = 89.0) -> np.ndarray:
-    """Return azimuth, elevation and roll (rad) over the whole sphere, shape (count, 3)."""
+    """Return azimuth, elevation (up to ± ``elevation_to_deg``) and roll, rad, shape (count, 3)."""
     rng = np.random.default_rng(seed)
     limit = np.sin(np.deg2rad(elevation_to_deg))
     azimuth, roll = rng.uniform(0, 2 * np.pi, count), rng.uniform(-np.pi, np.pi, count)

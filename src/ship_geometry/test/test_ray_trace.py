@@ -113,7 +113,10 @@ BASES_K = 288.15 + np.concatenate([[0.0], np.cumsum(SLOPES * np.diff(LAYERS_M))]
 
 
 def standard_1976(height_m: float) -> tuple[float, float]:
-    """U.S. Standard Atmosphere 1976; geopotential heights taken as heights, and the last layer isothermal."""
+    """Return temperature, K, and its change with height, K/m, of the U.S. Standard Atmosphere 1976.
+
+    Geopotential heights are taken as heights, and the last layer is isothermal.
+    """
     layer = min(int(np.searchsorted(LAYERS_M, max(height_m, 0.0), "right")) - 1, len(SLOPES) - 1)
     return float(BASES_K[layer] + SLOPES[layer] * (height_m - LAYERS_M[layer])), float(SLOPES[layer])
 

@@ -93,7 +93,7 @@ def test_derivatives_equal_finite_differences(model):
         less = replace(PAPER, **{name: getattr(PAPER, name) - 0.1})
         difference = (refraction(model, elevation, more).angle - refraction(model, elevation, less).angle) / 0.2
         usable = ~np.isnan(difference)
-        # Below 10° the derivatives neglect terms of some percent.
+        # Below 10° the derivatives of erfa neglect terms of some percent.
         assert derivative[usable] == pytest.approx(difference[usable], rel=0.03 if model == "erfa" else 1e-4)
         assert derivative[2:] == pytest.approx(difference[2:], rel=2e-3)
 

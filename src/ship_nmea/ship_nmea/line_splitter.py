@@ -34,7 +34,8 @@ class LineSplitter:
 def _split_long_line(line: bytes, is_skipping: bool) -> tuple[bytes, bytes]:
     """Split a line that is too long into its first part, cut, and the sentence at its end.
 
-    A sentence may follow binary data without a line end. A line that is not too long is returned as the second part.
+    A sentence may follow binary data without a line end. A line that is not too long, and whose first part was not cut,
+    is returned as the second part.
 
     Args:
         line: the line, or the part of it received so far.

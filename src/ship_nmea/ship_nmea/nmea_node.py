@@ -187,7 +187,7 @@ class NmeaNode:
             return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overriding_options())
 
     def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
-        """Call a function periodically, by a steady clock; ``name`` stands for it in reports of exceptions."""
+        """Call a function periodically, by a steady clock; reports of exceptions contain ``name``."""
         self.node.create_timer(
             period_s, partial(self._call, name, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

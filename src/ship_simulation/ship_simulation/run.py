@@ -57,8 +57,8 @@ class VoyageTruth:
     """True quantities that the devices measure, and true errors of the devices.
 
     Attributes:
-        ins_index: indices of the INS samples at whose stamps the true attitude is given, shape (m,). They are the first
-            sample in each tenth of a second, and the last sample of the voyage.
+        ins_index: indices of the INS samples at whose stamps the true attitude is given, shape (m,). These samples are
+            the first in each tenth of a second, and the last of the voyage.
         rotation_nd: true attitude at those stamps, shape (m, 3, 3).
         rate_d: true angular velocity at those stamps, rad/s, shape (m, 3).
         ins: errors of the INS.

@@ -5,8 +5,8 @@ u = a + G d. The correlated error a of the INS decays with time. The deflection 
 over ground. G is the Jacobian of the horizon's rotation with respect to d (:attr:`LocalVertical.deflection_jacobian`).
 The state ``ins.attitude`` is u, the state ``gravity.deflection`` is d.
 
-Over the time t and the distance s, with correlation time T, correlation length L, and the known deflection before (g)
-and after (g'), zero if unknown:
+The time is t, the distance s, the correlation time T, the correlation length L, and the known deflection is g before
+and g' after. If g alone is unknown, g = g'; if g' is unknown, both are zero:
 
     a' = exp(-t / T) a + noise        d' = g' + exp(-s / L) (d - g) + noise        u' = a' + G d'
 

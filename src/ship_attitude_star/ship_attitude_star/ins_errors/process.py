@@ -35,7 +35,7 @@ class Vertical(Protocol):
     """Source of the vertical at any time."""
 
     def at(self, time_ns: int) -> LocalVertical:
-        """Return the vertical at a time; the same object for an interval of two seconds until an input changes it."""
+        """Return the vertical at a time: one object per two seconds, until an input changes the vertical."""
 
 
 class InsProcess(Protocol):

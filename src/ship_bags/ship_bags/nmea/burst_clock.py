@@ -3,8 +3,8 @@
 Instruments send bursts of sentences. The ZDA is the first sentence of a burst for Seapath and the last sentence for
 other instruments. Therefore the ZDA before an attitude may belong to the previous burst. The pairing is decided by the
 receive times: the delay from stamp to receive time must be the usual delay of the instrument, within half a period. The
-usual delay is the delay of a recent GGA, which contains a time. Without a recent GGA, or with several attitudes in a
-burst, the usual delay is the delay of the ZDA.
+usual delay is the delay of a recent GGA, which contains a time. Without a recent GGA of similar delay, or with several
+attitudes in a burst, the usual delay is the delay of the ZDA.
 """
 
 from collections import deque

@@ -3,7 +3,7 @@
 ========== ========================================================================================================
 PRDID      Teledyne RD Instruments; also sent by POS MV: Applanix, POS MV V5 Installation and Operation Guide, table 21.
            Signs: QPS driver manual, "NMEA PRDID (R-P)": roll positive to starboard, pitch positive bow up. No time.
-           The angles of POS MV are Tait-Bryan angles unless it is set to PRDID-TSS.
+           The angles of POS MV are Tait-Bryan angles unless POS MV is set to PRDID-TSS.
 PTNTHPR    Honeywell HMR3000 User's Guide, sections 3.10 and 3.12, and compasses of True North Technologies. Letters:
            N normal, M and O low and high warning; values with L, P (alarm) or C (tuning) are not used. Angles without a
            decimal point are mils of a compass in mil mode. No time.

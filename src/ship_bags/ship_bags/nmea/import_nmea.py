@@ -79,7 +79,7 @@ def import_logs(order: ImportRequest, out_path: Path) -> list[LogReport]:
         Report on the lines of each file.
 
     Raises:
-        BadInput: a file is missing or empty, or has no usable sentences for its purpose, or the bag cannot be created.
+        BadInput: a file is missing, empty or unusable for its purpose, or the bag cannot be created.
         OSError: the bag cannot be written.
     """
     factory = RosbagsFactory()

@@ -1,6 +1,7 @@
 """Conversion of an instrument's lines, from a log or a live source, to messages.
 
-Attitude systems give sensor_msgs/Imu, receivers NavSatFix, weather stations temperature, humidity and pressure.
+Attitude systems and gyrocompasses give sensor_msgs/Imu, receivers NavSatFix, weather stations temperature, humidity and
+pressure.
 """
 
 from collections.abc import Iterator

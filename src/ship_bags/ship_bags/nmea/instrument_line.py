@@ -17,7 +17,7 @@ _MAX_EXAMPLES = 3
 _LONGEST_DELAY_NS = 60 * NS_PER_S
 """Maximum difference of an instrument's time from the receive time, ns; no network delays a sentence by more."""
 _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
-"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses rollovers is behind by a multiple of it."""
+"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses rollovers is behind by a multiple."""
 _AHEAD_NS = NS_PER_S // 20
 """Time ahead of the receive time above which an instrument's clock is reported, ns; estimators reject such stamps."""
 _BEHIND_NS = 5 * NS_PER_S
@@ -58,7 +58,7 @@ class LineReport:
         name: name of the instrument or its file, for texts.
         lines: number of lines of a log that are not empty, or of texts of a live source.
         used: kind → number of lines used.
-        unused: name of the sentence → number of irrelevant lines.
+        unused: name of the sentence, or talker that is not used → number of irrelevant lines.
         rejected: reason → number of unusable lines.
         corrected: correction → number of used lines with this correction.
         examples: the first few lines of each reason, with line number.

@@ -78,7 +78,7 @@ def _parse_text(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | U
 
 
 def is_talker(text: str) -> bool:
-    """Return True for the two letters of a talker."""
+    """Return True for two capital letters or digits, the form of a talker."""
     return len(text) == 2 and text.isascii() and text.isalnum() and text.isupper()
 
 

@@ -118,7 +118,7 @@ def _line(
 
 
 def _receive_ns(text: str) -> int | None:
-    """Return a time text as POSIX time, ns; None if the text is not valid."""
+    """Return a time text as POSIX time, ns; None if the text is invalid or the time out of range."""
     match = _TIME.fullmatch(text)
     if match is None:
         return None

@@ -126,7 +126,7 @@ class DialectContent:
 
 
 def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
-    """Parse a line that begins with the sentence."""
+    """Parse a text that begins with a sentence."""
     name = text.split(",")[0]
     if name == "MET":
         reading = _met_reading(text)
@@ -149,7 +149,7 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
 
 
 def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
-    """Return the content of a dialect's sentence, if it is complete."""
+    """Return a dialect's sentence; if a field is unusable, NotOfInterest for ROT and Unusable for other kinds."""
     fields = dialect_fields(kind, text)
     if kind == "ROT" and (fields is None or not all(fields.values())):
         return NotOfInterest(text.split(",")[0].lstrip("$"))
@@ -240,7 +240,7 @@ def _met_reading(sentence: str) -> MetReading | None:
 
 
 def _mda_reading(mda: Any) -> MetReading:
-    """Return the air data of an MDA in bar, °C and per cent; None for a field that is not a number."""
+    """Return the air data of an MDA, which states bar, °C and per cent; None for a field that is not a number."""
     temperature_c, percent, bar = (number(v) for v in (mda.air_temp, mda.rel_humidity, mda.b_pressure_bar))
     return MetReading(
         temperature_c=temperature_c,

@@ -1,4 +1,4 @@
-"""Recovery after a fault by a second estimator, which runs while the first is in trouble and may replace the first.
+"""Recovery by a second estimator, which runs while the first is in trouble after a fault and may replace the first.
 
 - ``trouble`` detects that the status of an estimator is worse than its inputs allow, or that a source is excluded.
 - ``memory`` keeps the last consistent states.

@@ -54,7 +54,7 @@ class Displacement:
     """The displacement of a source, or of several sources together: the change of their residual by steps.
 
     Example:
-        A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
+        A source moves by 60″ about Up and back, while the INS drifts by 0.3″ in each of 100 s:
 
         >>> from ship_geometry.rotations import ARCSEC
         >>> source, up, noise = Displacement(), np.array([0.0, ARCSEC, 0.0]), (2.0 * ARCSEC) ** 2 * np.eye(3)

@@ -1,7 +1,7 @@
 """Start and adoption of a second estimator in trouble.
 
-In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the same class receives the same inputs. It
-starts from the stored state, or from the prior, and restarts whenever an inconsistency of the inputs begins or ends.
+In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the same class receives the same inputs. The
+second estimator starts from the stored state, or from the prior, and restarts whenever the displaced sources change.
 While the first estimator shows a sign of trouble, the second is adopted on three conditions:
 
 1. For ``confirm_s`` it has been VALID. It uses every available source that it does not exclude, at least two sources.
@@ -263,8 +263,8 @@ class EstimatorRecovery:
     def _choose_candidate(self, live: RecoverableCore) -> None:
         """Start the second estimator if none runs, or restart it.
 
-        It restarts if the displaced sources change. It restarts from the other start (memory or prior) if it fails, has
-        an unresolved fault, or excludes a source that is not displaced.
+        The second estimator restarts if the displaced sources change. The restart is from the other start (memory or
+        prior) if the second estimator fails, has an unresolved fault, or excludes a source that is not displaced.
         """
         displaced = frozenset(self.displaced)
         candidate = self.candidate

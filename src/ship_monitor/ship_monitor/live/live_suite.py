@@ -57,7 +57,7 @@ class LiveSuite:
         self._thread.start()
 
     def tick(self) -> None:
-        """Process the messages read so far. Called some times a second, with or without a display."""
+        """Process the messages read so far; the method is called some times a second, also without a display."""
         while True:
             try:
                 batch = self._pending.get_nowait()

@@ -1,4 +1,4 @@
-"""Reader of the topics of one namespace: messages are fetched as bytes and decoded only on request.
+"""Reader of the topics of one namespace: messages wait in DDS as bytes until a fetch decodes them.
 
 No code runs when a message arrives: DDS keeps the newest messages of each topic, and :meth:`TopicReader.fetch` fetches
 these messages. An INS at 1 kHz therefore costs a few decoded messages a second, and no Python thread is woken.

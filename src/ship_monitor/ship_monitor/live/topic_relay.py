@@ -1,8 +1,8 @@
 """Relay of a suite's topics as bytes to a receiver outside ROS.
 
 /clock, /diagnostics and the topics of the namespace are offered once they have a publisher. Only topics requested by
-the receiver are subscribed, so that other topics cost nothing. Of each topic, up to 256 waiting messages are forwarded
-at once, not only the newest as for the page.
+the receiver are subscribed, so that other topics cost nothing. Up to 256 waiting messages of each topic are forwarded
+at once, also where a display reads only the newest message.
 """
 
 import logging

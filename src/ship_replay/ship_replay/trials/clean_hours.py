@@ -1,8 +1,8 @@
 """Hours without faults: exclusions, availability, protection levels and consistency of the covariances.
 
-A voyage is simulated and passed to the core of its node in this process, without messages and files, so that a hundred
-hours of voyage take about one hour. One output a second is compared with the truth. Exclusions, and unresolved faults
-of a ship, are recorded after every measurement.
+A voyage is simulated and passed to the core of ``ship_attitude`` or ``optical_axis`` in this process, without messages
+and files, so that a hundred hours of voyage take about one hour. One output a second is compared with the truth.
+Exclusions, and unresolved faults of a ship, are recorded after every measurement.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ TWO, THREE, THEODOLITE = "two sensors", "three sensors", "theodolite"
 ALERT_LIMIT_ARCSEC = {TWO: 30.0, THREE: 12.0}
 """Kind of voyage → alert limit within which its attitude must be available."""
 SETTLED_S = 600.0
-"""Time after which availability, unresolved faults and RMS are counted, s.
+"""Time after which availability, changes to DEGRADED, RMS and largest level are evaluated, s.
 
 By then, the correlated error of the INS is estimated.
 """
@@ -111,7 +111,7 @@ class VoyageStatistics:
         available: number of outputs after settling that are VALID with every level within the limit.
         beyond_sigmas: number of VALID outputs with an error above five sigmas.
         beyond_level: number of VALID outputs with an error above the protection level.
-        worst_over_level: largest ratio of an error to its protection level.
+        worst_over_level: largest ratio of an error of a VALID output to its protection level.
         worst_level: largest level of a settled output, rad.
         squares: sum of the squared errors of the settled outputs, rad², shape (3,).
         nees: NEES of the last output.
@@ -138,7 +138,7 @@ class VoyageStatistics:
         self._excluded = excluded
 
     def record_status(self, since_s: float, status: Status, text: str) -> None:
-        """Record the beginning of a DEGRADED status."""
+        """Record a change to DEGRADED after settling."""
         if status is Status.DEGRADED and not self._is_degraded and since_s >= SETTLED_S:
             self.degradations.append((since_s, text))
         self._is_degraded = status is Status.DEGRADED
@@ -146,7 +146,7 @@ class VoyageStatistics:
     def record_output(
         self, since_s: float, status: Status, report: IntegrityReport, error: FloatArray, covariance: FloatArray
     ) -> None:
-        """Compare an output with the truth: error and covariance of its angles, rad, shapes (3,) and (3, 3)."""
+        """Record an output by the error of its angles, rad, shape (3,), and their covariance, rad², shape (3, 3)."""
         self.seconds += 1
         self.nees = float(normalized_error_squared(error, covariance))
         valid, level = status is Status.VALID, report.level

@@ -1,7 +1,7 @@
 """Evaluation of the faults of a voyage: detection, named source, and errors of the outputs published meanwhile.
 
 Only outputs are evaluated (:mod:`ship_replay.trials.voyage_outputs`). Indications that also occur in the same voyage
-without faults are ignored. A fault begins with the first message that it changes.
+without faults are ignored. A fault begins with the first message that it affects.
 
 **The named source** is the first source reported to a watch officer:
 
@@ -32,7 +32,7 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
 SETTLING_S = 3.0
-"""Time after the end of a fault within which its effects are still reported, s."""
+"""Time after the end of a fault within which indications still count for this fault, s."""
 
 _SAME_TIME_NS = NS_PER_S // 2
 """A status is ignored if the fault-free voyage has an equal or worse status within this time, ns."""
@@ -52,11 +52,11 @@ class FaultOutcome:
     """Outcome of one fault.
 
     Attributes:
-        changed: number of messages that the fault changed.
+        changed: number of messages that the fault changed, dropped, delayed or multiplied.
         detected: True if an output left VALID, an indication refers to the faulty source, or any source was excluded; a
             status caused by an earlier fault does not count.
         attributed: True if the named source is the faulty source.
-        alert_s: time from the first changed message to the first indication of the faulty source or non-VALID output;
+        alert_s: time from the first affected message to the first indication of the faulty source or non-VALID output;
             NaN if there is neither.
         named: source → number of indications.
         worst_sigmas: largest error of a VALID output until the next fault, in sigmas.
@@ -83,7 +83,7 @@ def evaluate_fault(
 
     Args:
         fault: the fault.
-        changed_ns: original arrival times (without faults) of the messages that the fault changes, in order; at least
+        changed_ns: original arrival times (without faults) of the messages that the fault affects, in order; at least
             one.
         outputs: outputs of the voyage.
         fault_free: replay of the same voyage without faults.
@@ -138,10 +138,10 @@ def first_named_sources(indications: Sequence[FaultIndication]) -> set[str]:
 def is_faulty_source(name: str, fault: Fault) -> bool:
     """True if a name in the outputs refers to the source with the fault.
 
-    A name is a topic, or a source of a topic. ``beacon.a`` refers to the baseline and the light of drone a, as do
-    ``baseline.a``, ``drone.a`` and ``light.a``. These names also refer to a fault of a single light in the image, but
-    not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the ship's attitude in the theodolite's filter,
-    and therefore also to faults of the INS.
+    A name is a topic, or a source of a topic. ``beacon.a``, ``baseline.a``, ``drone.a`` and ``light.a`` refer to the
+    baseline and the attitude of drone a. Such names of any drone also refer to a fault of a single light in the image,
+    but not to a rotated telescope. ``ship`` and ``ship_attitude`` refer to the ship's attitude in the theodolite's
+    filter, and therefore also to faults of the INS.
     """
     topic = fault.topic
     kind, _, rest = topic.partition("/")

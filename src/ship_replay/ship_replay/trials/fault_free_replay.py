@@ -26,11 +26,12 @@ _DETECTABLE_SLIP_SIGMAS = 13.0
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
 _INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
-"""Drift rates below which a drift is detected before the error of an output exceeds five sigmas, arcsec/min."""
+"""Drift rates of INS, star sensor and encoder azimuth, arcsec/min; a slower drift is detected before the error of an
+output exceeds five sigmas."""
 
 _SMALL_STEP_SIGMAS = 11.0
 """INS step, in sigmas of a sample, below which several samples may be needed for detection
-(:mod:`ship_estimation.integrated_rates`)."""
+(:mod:`ship_estimation.ins_step_detector`)."""
 
 _MIN_SENSORS_TO_ISOLATE = 3
 """Minimum number of star sensors to isolate a faulty sensor or a faulty INS."""
@@ -70,11 +71,11 @@ class FaultFreeReplay:
         return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
 
     def undetectable_case(self, fault: Fault, first_ns: int) -> str:
-        """Return the undetectable case that a fault belongs to; empty if it is detectable.
+        """Return the undetectable case that a fault belongs to; empty if the fault is detectable.
 
         Args:
-            fault: fault that changes at least one message.
-            first_ns: arrival time of the first changed message.
+            fault: fault that affects at least one message.
+            first_ns: original arrival time of the first affected message.
         """
         return next((row for row, holds in _UNDETECTABLE.items() if holds(self, fault, first_ns)), "")
 
@@ -98,7 +99,8 @@ class FaultFreeReplay:
     def _is_ins_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for a fast INS drift with fewer than three star sensors.
 
-        The drift is ascribed to the correlated error of the INS until the INS rates or the subfilters contradict this.
+        The drift is ascribed to the correlated error of the INS until the INS rates or the subfilters contradict this
+        attribution.
         """
         return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
 
@@ -152,7 +154,7 @@ _UNDETECTABLE: dict[str, Callable[[FaultFreeReplay, Fault, int], bool]] = {
 }
 
 UNDETECTABLE_CASES = tuple(_UNDETECTABLE)
-"""Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
+"""Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table of threats."""
 
 UNREPORTED_CASES = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
 """Undetectable cases that need not be reported. In the other cases an output may be VALID and wrong until detection."""

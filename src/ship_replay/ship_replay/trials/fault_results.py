@@ -93,7 +93,7 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
         (f"{pair[0]} + {pair[1]}", len(faults), [_maximum(faults, name) for name in _PAIR_VALUES])
         for pair, faults in pairs.items()
     ]
-    # The pair with the longest wrong output is first, then that with the largest error; NaN is last.
+    # Pairs are sorted by the longest wrong output, then by the largest error; NaN is last.
     rows.sort(key=lambda row: (*(1.0 if math.isnan(value) else -value for value in row[2]), row[0]))
     return [(pair, str(count), *map(_number, values)) for pair, count, values in rows]
 
@@ -112,7 +112,7 @@ class Totals:
 
 
 def totals(results: Sequence[Result]) -> Totals:
-    """Return the bounds on all voyages and whether they are met; a bound without a case is met."""
+    """Return each bound on all voyages and its result; a bound without a case is met."""
     raised = [result for result in results if result["exception"] or result["failures"]]
     overlapping = [result for result in results if result["mode"] == OVERLAPPING and "longest_beyond_s" in result]
     longest_s = max((result["longest_beyond_s"] for result in overlapping), default=0.0)
@@ -144,7 +144,7 @@ def totals(results: Sequence[Result]) -> Totals:
 
 
 def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
-    """Return each bound of single faults as True if it is met, and its text."""
+    """Return each bound on single faults: True if the bound is met, and a text."""
     undetectable = [fault for fault in single if fault["threat"] in UNDETECTABLE_CASES]
     detectable = [fault for fault in single if fault["threat"] not in UNDETECTABLE_CASES]
     exceeded, exceeding = _count_above(single, _LEVEL, 1.0), _count_above(detectable, "worst_sigmas", EXCEEDANCE_SIGMAS)

@@ -115,7 +115,7 @@ def input_topics(bag: Bag) -> dict[str, str]:
 def replay_with_faults(
     path: Path, drawn: Sequence[DrawnFault], seed: int, fault_free: FaultFreeReplay
 ) -> tuple[list[dict[str, Any]], VoyageOutputs]:
-    """Replay a bag with faults; return the outcome of each fault that changed a message, and the outputs."""
+    """Replay a bag with faults; return the outcome of each fault that affected a message, and the outputs."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     injection = Injection(path, faults, seed)
     outputs = replay_injection(injection)

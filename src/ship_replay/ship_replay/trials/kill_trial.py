@@ -1,4 +1,4 @@
-"""Kill by SIGKILL of a recorder or of a node with a black box at a random time, and the data left on the disk."""
+"""Kill of a recorder or of a node with a black box, by SIGKILL at a random time, and the data left on the disk."""
 
 import os
 import random
@@ -47,9 +47,9 @@ class KillTrial:
             pause of the node before the kill does not count: the middleware may block the node for hundreds of
             milliseconds when a subscriber joins.
         has_gap: True if a message is missing before one that is on the disk.
-        recovered_count: number of messages of all topics in the recovered file, by ``rosbags``.
-        readable_counts: numbers of messages of all topics in the killed file, and in the recovered file by the seeking
-            ``mcap`` reader.
+        recovered_count: number of messages of all topics that ``rosbags`` reads from the recovered file.
+        readable_counts: numbers of messages of all topics that ``read_bag`` reads from the killed file, and that the
+            seeking ``mcap`` reader reads from the recovered file.
     """
 
     sent_count: int

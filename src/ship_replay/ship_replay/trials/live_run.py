@@ -48,7 +48,7 @@ class LiveRun:
 
     Attributes:
         recorded_path: path of the recorded bag.
-        played_topics: names in the bag of the node's input topics and of the truth topics.
+        played_topics: names that the node's input topics and the truth topics have in the bag.
         node: process of the node.
         environment: environment of the processes, with a ROS domain that only this run uses.
         observer: another node in this domain, for services and waiting.

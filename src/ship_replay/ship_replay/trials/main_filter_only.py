@@ -1,4 +1,4 @@
-"""Filters without subfilters, to measure the cost of subfilters and to show that they do not change the outputs.
+"""Filters without subfilters, to measure the cost of subfilters and to show that outputs are the same without them.
 
 ``make bench`` measures the cost. On a voyage without faults, the outputs with and without subfilters are equal.
 """

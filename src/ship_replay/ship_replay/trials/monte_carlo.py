@@ -63,7 +63,7 @@ class FinalError:
         angles: error of heading, pitch, roll (true minus estimate), rad, shape (3,).
         sigma: predicted standard deviations of these angles, rad, shape (3,).
         nees: normalised error squared, three degrees of freedom.
-        rejected_count: number of measurements that were not used.
+        rejected_count: number of inputs and measurements that were not used.
     """
 
     seed: int
@@ -90,7 +90,7 @@ def error_at_end(
         seed: seed of the run.
         rotation_nd: estimated rotation horizon from deck, shape (3, 3).
         covariance_n: predicted covariance of the attitude error, rad², shape (3, 3).
-        rejected_count: number of measurements that were not used.
+        rejected_count: number of inputs and measurements that were not used.
     """
     error_n = log_rotation(run.truth.rotation_nd[-1] @ rotation_nd.T)
     heading, pitch, _ = angles_from_rotation(rotation_nd)
@@ -252,7 +252,7 @@ def _exposure_of(source: str, config: StarImaging, sightings: StarSightings, ind
 
 @dataclass(frozen=True)
 class PointingErrors:
-    """Errors of one session at the stamps of the truth with a pointing that is not INVALID.
+    """Errors of one session at the stamps of the truth for which there is a pointing that is not INVALID.
 
     Attributes:
         time_s: time after the start, shape (k,).

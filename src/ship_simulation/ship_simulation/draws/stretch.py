@@ -112,7 +112,7 @@ class Draws:
         self._persistent_draws: dict[str, PersistentDraw] = {}
 
     def stream(self, component: str, after: int = 0) -> np.random.Generator:
-        """Return a component's random stream, the same object at each call.
+        """Return a component's random stream, the same object at each call with the same ``after``.
 
         At the first call, the stream is advanced by ``after`` standard normal numbers.
         """

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Compiled Jacobian of beacon points with respect to the states of the filter, which needs many small products.
+"""Jacobian and covariances of beacon points, compiled because the computation has many small products.
 
 This file is the only source: Python with C types, compiled by Cython when the package is built. The caller,
 :mod:`theodolite_calib.filter.prediction`, gives indices of states instead of names.

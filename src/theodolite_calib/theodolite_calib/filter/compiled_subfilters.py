@@ -155,7 +155,7 @@ def beacon_innovations(
         (h + 1, l, 3).
 
     Raises:
-        numpy.linalg.LinAlgError: a covariance is not positive definite.
+        numpy.linalg.LinAlgError: the covariance of the conditioning or of the used components is not positive definite.
     """
     subfilters: cython.Py_ssize_t = separation.shape[0]
     n: cython.Py_ssize_t = separation.shape[1]

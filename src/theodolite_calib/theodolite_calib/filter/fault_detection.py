@@ -1,8 +1,8 @@
 """Fault detection and exclusion (FDE) for the theodolite: isolate, exclude, monitor and reinstate sources.
 
 A source is excluded if the other sources are consistent without it (:mod:`ship_estimation.fault_isolation`). A drone is
-also excluded if its baseline jumps by more than its flight allows. If beacons are rejected and no single source
-explains the rejections, the fault is unresolved, and the pointing covariance covers the disagreement.
+also excluded if its baseline jumps by more than its flight allows. If no faulty source is isolated, the fault is
+unresolved, and the pointing covariance covers the disagreement.
 
 An excluded source is monitored, and reinstated after it has been consistent for ``return_after_s``. For a drone
 without other beacons in use, or with a jumped baseline, consistency counts only if the fault would be detectable. The
@@ -70,7 +70,7 @@ class ExclusionRecord:
     Attributes:
         exclusion: time of the exclusion, and time since which the source has been consistent.
         reason: reason, as text.
-        rejected_residual_m: size of the rejected residual on the detector, m; 0 if the baseline jumped.
+        rejected_residual_m: largest residual component at the exclusion, on the detector, m; 0 if the baseline jumped.
         jump_sum_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros without a jump or after a
             jump back.
         jump_sum_sigma_m: standard deviation of ``jump_sum_n``, m.
@@ -87,13 +87,14 @@ class ExclusionRecord:
 
 @dataclass(frozen=True)
 class UnresolvedFault:
-    """Unresolved fault: beacons contradict encoders and ship's attitude, and no single source explains the fault.
+    """Unresolved fault: beacons contradict encoders and ship's attitude, and no faulty source is isolated.
 
     Attributes:
         disagreement_n: possible error of the pointing, as covariance of a rotation vector in n, rad², shape (3, 3).
-        is_persistent: True once several sightings have shown the fault, which then ends only after a period of
-            consistency; a fault of one or two sightings ends with the next accepted sighting.
-        consistent_since_ns: time since which beacons have been accepted again; None while they are rejected.
+        is_persistent: True once :meth:`FaultDetector.isolate_fault` has detected the fault, which then ends only after
+            a period of consistency. Any other fault ends with the next accepted sighting.
+        consistent_since_ns: time since which sightings have been accepted without a detected fault; None before that,
+            and after a gap in the beacons.
     """
 
     disagreement_n: FloatArray
@@ -198,9 +199,9 @@ class FaultDetector:
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
-        """Restart the reinstatement timers of sources with a gap in their data before a sighting.
+        """Restart the reinstatement timers of a sighting's drones that were not sighted in the 10 s before.
 
-        After a gap in all beacons, the timer of an unresolved fault restarts too.
+        After a gap in all beacons, the timers of encoders, ship's attitude, telescope and unresolved fault restart too.
 
         Args:
             fault_state: state after the previous sighting.
@@ -303,7 +304,7 @@ class FaultDetector:
         return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
-        """True if an innovation mean is near its limit, and the subfilter without the ship's attitude is consistent.
+        """True if a chi² is above 0.3 of its limit, and the subfilter without the ship's attitude is consistent.
 
         False while a source is excluded or a fault is unresolved.
         """
@@ -429,7 +430,7 @@ class FaultDetector:
     def set_unresolved_fault(
         self, fault_state: FaultState, disagreement_n: FloatArray, is_persistent: bool
     ) -> FaultState:
-        """Record a fault that no single source explains; a larger earlier disagreement is kept."""
+        """Record a fault without an isolated source; a larger earlier disagreement is kept."""
         before = fault_state.unresolved_fault
         if before is not None and np.trace(before.disagreement_n) > np.trace(disagreement_n):
             disagreement_n = before.disagreement_n

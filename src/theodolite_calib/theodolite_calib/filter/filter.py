@@ -52,11 +52,12 @@ class CalibrationState:
         ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if the messages state none.
         consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected because they
             contradict encoders and ship, or one another.
-        rejection_text: text of the last rejection of this kind.
+        rejection_text: text of the last rejection counted in ``consecutive_rejections``.
         last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
         light_count: number of beacons in the last accepted sighting of beacons.
         last_stars_ns: time of the last accepted exposure of stars; None before the first.
-        pixel_dwells: pixel dwell of the stars in each camera with errors per pixel; empty after a jump or an exclusion.
+        pixel_dwells: pixel dwell of the stars in each camera with errors per pixel; empty after a jump, or after the
+            exclusion of a source with a subfilter.
         sighting_count: number of accepted sightings, of beacons and of stars.
         point_count: number of beacons and stars in the accepted sightings.
         residual_square_sum: sum of the squares of the residuals of beacons and stars on the sky, rad².
@@ -220,7 +221,10 @@ class CalibrationFilter:
         )
 
     def add_unknown_errors(self, state: CalibrationState) -> CalibrationState:
-        """Add the unknown error changes of excluded sources to the propagated state, before a sighting."""
+        """Add the unknown error changes of excluded sources to all filters, before a sighting.
+
+        Each subfilter also gets the unknown error change of the source that it excludes.
+        """
         excluded, parts = state.fault_state.excluded_sources, state.covariance_by_source
         if excluded:
             parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
@@ -231,8 +235,8 @@ class CalibrationFilter:
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to the values that a sighting gives.
 
-        These errors may be degrees, too large for the linearised gate. The previous values have no weight, because
-        their covariance is large.
+        These errors may reach degrees, which is too large for the linearised gate. The previous values have no weight,
+        because their covariance is large.
         """
         comparison = self.compare(state, sighting)
         if comparison is None:

@@ -175,7 +175,7 @@ class ShipErrorStep:
 
 
 class ShipErrorProcess:
-    """Process of the ship's attitude error, whose covariance the messages state, or the configuration for the INS.
+    """Process of the ship's attitude error; the messages or, for the INS, the configuration state its covariance.
 
     Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary covariance. If
     a stated variance changes by more than a factor of two, for example because stars became available, the error has a
@@ -272,8 +272,9 @@ def ship_error_step(previous_n: FloatArray | None, stated_n: FloatArray | None) 
 def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> ShipErrorStep | None:
     """Return the steps from one stated covariance to each of N stated covariances; None if no step occurs.
 
-    If a variance decreased, the factor on the old error is new / old, as after a Kalman update with the same decrease.
-    If the variance increased, the whole old error remains. The rest of the new covariance is added as a new error.
+    If a variance decreased, the factor on the old error is the ratio of the new to the old variance, as after a Kalman
+    update with the same decrease. If the variance increased, the whole old error remains. The rest of the new
+    covariance is added as a new error.
 
     Args:
         previous_n: previously stated covariance, rad², shape (3, 3); None counts as zero.

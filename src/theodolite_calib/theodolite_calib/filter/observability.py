@@ -3,11 +3,11 @@
 If star cameras are configured, the vector to N' (principal point of the telescope's lens) is included, because beacons
 depend on N' and stars do not.
 
-A second covariance is propagated for this purpose. At the start axis errors, deformation and N' are practically
-unknown. The deformation is a random walk with the rate of the filter's process. All other states, correlated errors
-included, are as in the filter. If this covariance shows no information about a combination, the sightings contain no
-information about it, and more sightings of the same kind will not help. In a combination, the ratio of N' to an angle
-is in metres per radian.
+A second covariance is propagated for this purpose. In this covariance, axis errors, deformation and N' are practically
+unknown at the start. The deformation is a random walk with the rate of the filter's process. All other states,
+correlated errors included, are as in the filter. If this covariance shows no information about a combination, the
+sightings contain no information about it, and more sightings of the same kind will not help. In a combination, the
+ratio of N' to an angle is in metres per radian.
 
 In a covariance with such large variances, errors known to an arcsecond would be lost in rounding. The root of the
 covariance is therefore propagated. Stacked roots are combined by QR decomposition, so that no variance can become
@@ -31,7 +31,7 @@ LENS_NAMES = ("lens_forward", "lens_up", "lens_right")
 
 _ELIMINATION_ORDER = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g", *LENS_NAMES)
 """Order in which errors lead the reported combinations. A leading error is eliminated from all other combinations.
-Errors that are similar to the deformation come last."""
+Axis errors that are similar to the deformation come after the other axis errors."""
 
 _UNKNOWN = 1000.0
 """Initial standard deviation of an unknown error, in standard deviations of the configuration."""

@@ -4,7 +4,7 @@ Two tests apply, each with the probability of the gate. The first tests all resi
 the angles between the beacons, which do not depend on the attitude of the telescope. A sighting of two or more beacons
 that fails is tested for misidentification (:mod:`theodolite_calib.lights.beacon_check`), so that the rejection contains
 the cause. Beacons with exchanged names are used under the correct names. One wrong beacon among three or more is
-excluded.
+rejected.
 """
 
 from dataclasses import dataclass, replace
@@ -186,7 +186,7 @@ def focal_length_m(comparison: Comparison) -> float:
 
 
 def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
-    """Return a text about the angle between two beacons whose ratio of residual to sigma is largest."""
+    """Return a text about the angle between two beacons that has the largest chi² of all pairs."""
     angles = angle_residuals(sighting.image, camera, lines)
     worst = int(np.argmax(angles.chi2))
     first, second = (sighting.names[row] for row in angles.pairs[worst])

@@ -122,7 +122,7 @@ class StarModel:
         sky: SkyModel,
         nearby_rotation_ns: FloatArray | None = None,
     ) -> StarResiduals | Rejection:
-        """Return the residuals of the stars against the camera's attitude; see :func:`star_residuals`."""
+        """Return the residuals of the stars, or a rejection; see :func:`star_residuals`."""
         to_camera = camera.rotation_ns.T @ camera.by_state_n
         stars = star_residuals(
             sighting.exposure,
@@ -159,9 +159,9 @@ class StarModel:
     ) -> StarComparison | Rejection:
         """Compare an exposure with a state at the same time, or return the reason why no star is usable.
 
-        The stars are linearised again until the updated state converges, at most six times (Gauss–Newton). The NIS is
-        then the minimum, over all states, of the normalised squares of star residuals and of the difference from the
-        prediction.
+        The stars are linearised until the updated state converges, at most six times (Gauss–Newton). The NIS is then
+        the minimum, over all states, of a sum: the normalised squares of the star residuals and of the difference from
+        the prediction.
 
         Args:
             mean: mean of the propagated state, shape (n,).

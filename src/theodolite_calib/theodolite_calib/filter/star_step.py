@@ -25,7 +25,7 @@ from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
 
 _CONFLICT_REASONS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
-"""Reasons of rejections that contradict the prediction, because a correct prediction identifies most stars."""
+"""Reasons for which a rejection of stars contradicts the prediction: a correct prediction identifies most stars."""
 
 
 class StarStep:

@@ -294,7 +294,10 @@ class SightingStep:
     def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Exclude an isolated source; a source without a subfilter gets the means of ``explaining_subfilter``."""
+        """Exclude an isolated source.
+
+        If the source has no subfilter, the innovation means restart from those of ``explaining_subfilter``.
+        """
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
@@ -378,7 +381,7 @@ def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) ->
 def count_rejection(
     state: CalibrationState, decision: ExposureDecision, gate: GateConfig, measured: str
 ) -> tuple[CalibrationState, ExposureDecision]:
-    """Count a rejected sighting; after consecutive rejections report a conflict and inflate the covariance.
+    """Count a rejection; after consecutive rejections report a conflict and inflate the main filter's covariance.
 
     A conflict between the lights themselves is only counted.
 

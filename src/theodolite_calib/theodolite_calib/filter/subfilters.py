@@ -48,7 +48,7 @@ class SubfilterStates:
     """States of h subfilters of n errors; each subfilter excludes one source.
 
     Attributes:
-        time_ns: time of all subfilters; None before the first sighting.
+        time_ns: time of all subfilters; None before the first sighting or jump of the INS.
         mean: estimated errors, shape (h, n).
         covariances: covariances, shape (h, 1, n, n); the second axis is for error sources and has one entry.
         ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if the messages state none.
