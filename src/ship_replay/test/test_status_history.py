@@ -101,7 +101,7 @@ def test_an_ins_at_one_hertz_is_an_error_with_advice(tmp_path, capsys):
     lines = capsys.readouterr().err.splitlines()
     text = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
     assert lines[0].startswith(f"{text} apart (59 of 59 gaps are longer): no interpolation across such a gap")
-    assert lines[0].endswith("record it faster (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
+    assert lines[0].endswith("record it more often (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
     assert check_config([str(config), str(slow_bag(tmp_path / "b.mcap", period_s=0.1))]) == 0
 
 

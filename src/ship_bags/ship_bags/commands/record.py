@@ -83,7 +83,7 @@ def _parser() -> CommandParser:
 def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
     if parsed.recover:
         if parsed.out is not None and len(parsed.recover) > 1:
-            parser.error("--out names one result, but --recover several bags")
+            parser.error("--out names one result, but --recover names several bags")
         return _recover(parsed.recover, parsed.out, parsed.force)
     if parsed.out is None:
         parser.error("the following arguments are required: --out")

@@ -196,7 +196,7 @@ def _limit_text(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts
     advice = "look for lost messages"
     if usual_s > _MARGIN_SHARE * allowed_s:
         resample = " (import_nmea --resample HZ)" if limit.topic == "ins/imu" else ""
-        advice = f"record it faster{resample}, or set '{limit.parameter}' to {1.5 * max(usual_s, allowed_s):.2g}"
+        advice = f"record it more often{resample}, or set '{limit.parameter}' to {1.5 * max(usual_s, allowed_s):.2g}"
     longer = f"{counts[lengths_s > allowed_s].sum()} of {counts.sum()} gaps are longer"
     return (
         f"parameter '{limit.parameter}' = {allowed_s:g} s, but messages of '{limit.topic}' in {source} "

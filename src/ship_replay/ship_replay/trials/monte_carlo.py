@@ -114,7 +114,7 @@ def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEs
         if outcome.estimates:
             estimate = outcome.estimates[-1]
     if estimate is None:
-        raise ValueError("the run holds no INS sample that the core used")
+        raise ValueError("the core used no INS sample of the run")
     return estimate, rejected_count
 
 
