@@ -271,7 +271,7 @@ class StampConflicts:
         return " and ".join(words)
 
     def common_interval(self, sources: Set[str]) -> tuple[int, int] | None:
-        """Return the interval in which all sources have conflicts, each from :attr:`since_ns` on, or None."""
+        """Return the interval from the latest :attr:`since_ns` to the first end of a hold time; None if it is empty."""
         if not sources <= self.latest_ns.keys():
             return None
         first_ns = max(self.since_ns[source] for source in sources)
