@@ -41,10 +41,10 @@ class RateConsistencyCheck:
 
     A piece lasts until the rotation clearly exceeds the noise, at least a quarter of a second and at most two seconds.
     A piece without a clear rotation is ignored. The rates of a piece are right if they equal the rotation of the
-    attitude to within 30 %. Before the first right piece a single wrong piece, which may be shorter, makes the rates unusable;
-    later two successive wrong pieces do. Twenty successive right pieces make the rates usable again. Twenty pieces in
-    which the rotations by rates and by attitude have a ratio of 57.3 or 1/57.3 show a wrong unit. Four successive
-    pieces with another ratio end the status WRONG_UNITS.
+    attitude to within 30 %. Before the first right piece a single wrong piece, which may be shorter, makes the rates
+    unusable; later two successive wrong pieces do. Twenty successive right pieces make the rates usable again. Twenty
+    pieces in which the rotations by rates and by attitude have a ratio of about 57.3 or 1/57.3 show a wrong unit. Four
+    successive pieces with another ratio end the status WRONG_UNITS.
 
     Attributes:
         status: status of the rates.

@@ -42,7 +42,7 @@ def turn_between(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.
 
 
 def test_noise_and_drift_are_no_step() -> None:
-    """Each second is a false step with a probability of 5.7e-7: none in five hours, at 99.9 %."""
+    """Each second is a false step with a probability of 5.7e-7: at most one in five hours, at 99.9 %."""
     hours = 5
     displaced = sum(any(displaced_each_second(np.zeros(3600), seed)) for seed in range(hours))
     assert displaced <= binom.ppf(0.999, hours * 3600, 5.733e-7)
@@ -154,7 +154,7 @@ def displacements_of_turned_sensors(fore_n: np.ndarray, starboard_n: np.ndarray,
 
 @pytest.mark.parametrize("seed", range(20))
 def test_common_rotation_that_one_sensor_cannot_observe_is_common(seed: int) -> None:
-    """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
+    """The rotation is 20″ about the line of sight of star.fore, whose noise about this axis is 45″ in a second."""
     assert set(displacements_of_turned_sensors(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {
         TOGETHER
     }
@@ -172,7 +172,7 @@ def test_source_that_moves_by_itself_is_isolated(seed: int) -> None:
 def test_poorly_observed_rotation_ends_with_the_common_one(seed: int) -> None:
     """The rotation is 20″ about East, the line of sight of star.starboard.
 
-    This sensor returns during the rotation and can hardly observe it.
+    This sensor starts to measure during the rotation, and can hardly observe the rotation.
     """
     rng, found, turn_n = np.random.default_rng(seed), Displacements(), np.array([0.0, 0.0, 20.0 * ARCSEC])
     for second in range(140):

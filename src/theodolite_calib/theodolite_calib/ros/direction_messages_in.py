@@ -37,7 +37,7 @@ def direction(
         horizon: required frame_id.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     # A position from several theodolites is rejected here, because its frame is not the horizon.
