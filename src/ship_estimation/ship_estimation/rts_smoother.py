@@ -179,7 +179,7 @@ class RtsSmoother(Generic[Given]):
         self._requested_ns.append(time_ns)
 
     def add_state(self, state: TracedState[Given]) -> None:
-        """Add the next state; a new update or a changed estimate makes a link after the first measurement."""
+        """Add the next state; a new update or a changed estimate makes a link, unless the state has no time."""
         came, before, now = state.last_update, self._last_update, GaussianEstimate(state.mean, state.covariance)
         self._last_update = came
         if state.time_ns is None:

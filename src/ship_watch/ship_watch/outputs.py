@@ -202,7 +202,7 @@ class PointingRecord(OutputRecord):
         return changes
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
-        """Return a text if one of several lights is used, or no lights in encoder mode; empty otherwise."""
+        """Return a text if only one of several lights is used, or if the mode is the encoder; empty otherwise."""
         if self.has_reduced_input(beacon_count):
             return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights used"
         return "no lights" if self._mode == _ENCODER else ""

@@ -382,7 +382,7 @@ class StarCore:
             placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
             for placed in group
         ]
-        # An unknown rotation is neglected, because the exposures of the group are then within ``simultaneous_s``.
+        # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.
         turns = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
             MountedExposure(placed, turn @ self._sensor(placed.source).rotation_ds)

@@ -105,7 +105,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         files: reads and writes the saved calibration.
 
     Raises:
-        BadInput: the path of the calibration file cannot be a file (:class:`SavedStart`).
+        BadInput: the calibration file cannot be opened (:class:`SavedStart`).
         ParameterError: the parameters of a star camera are incomplete.
     """
 

@@ -202,7 +202,7 @@ class _SmoothedOutput:
 
 
 def _has_unresolved_fault(state: CalibrationState) -> bool:
-    """True if the last sighting was rejected, a fault is unresolved, or a source of the axis is excluded."""
+    """True if the last sighting was contradictory, a fault is unresolved, or a source of the axis is excluded."""
     return (
         bool(state.consecutive_rejections)
         or state.fault_state.unresolved_fault is not None
