@@ -3,20 +3,21 @@
 An estimator is an :class:`EstimatorModel` (state transition by a measurement) in a :class:`TimeOrderedEstimator`, which
 is independent of the kind of measurement. A measurement is processed as follows:
 
-1. If it is more than ``lag_s`` behind the newest data, it is rejected as LATE (:class:`LagWindow`). The core checks the
-   lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
+1. A measurement more than ``lag_s`` behind the newest data is rejected as LATE (:class:`LagWindow`). The core checks
+   the lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
    time-ordered estimator.
 2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
    CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. A measurement is rejected as
    OVERFLOW if too many later measurements of its source are known.
-3. It is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A decision is
-   published again as revised if it changes between accepted and rejected. The number of repetitions is limited for each
-   input and for each second; the other measurements stay pending.
-4. It is pending, with all measurements after it, while the model lacks data that may still arrive within ``lag_s``.
-5. The model accepts or rejects it. If the model raises an exception, the measurement is rejected as FAILED and the
-   state is kept.
-6. When it is older than ``lag_s`` plus ``reach_ns``, no data can affect it any more. It is committed, and the decision
-   is final.
+3. The measurement is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A
+   decision is published again as revised if it changes between accepted and rejected. The number of repetitions is
+   limited for each input and for each second; the other measurements stay pending.
+4. The measurement is pending, with all measurements after it, while the model lacks data that may still arrive within
+   ``lag_s``.
+5. The model accepts or rejects the measurement. If the model raises an exception, the measurement is rejected as FAILED
+   and the state is kept.
+6. When the measurement is older than ``lag_s`` plus ``reach_ns``, no data can affect the decision any more. The
+   measurement is committed, and the decision is final.
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
 measurements out of order than :data:`MOST_OVERTAKEN_PER_S`.

@@ -1,4 +1,4 @@
-"""The sequential filter against one least-squares solution over all epochs at once, set up from the definitions."""
+"""The sequential filter equals one least-squares solution of all epochs, which is set up from the definitions."""
 
 import numpy as np
 

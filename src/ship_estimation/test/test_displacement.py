@@ -115,7 +115,7 @@ def test_ins_jump_as_large_as_a_displacement_resets_it() -> None:
 
 @pytest.mark.parametrize("begins", [20, 38])
 def test_a_jump_within_a_second_leaves_no_displacement(begins: int) -> None:
-    """Frozen encoders move again: one measurement of that second is from before."""
+    """Frozen encoders move again: one measurement of that second is from before the jump."""
     source, turned = Displacement(), np.array([0.0, 3600.0 * ARCSEC, 0.0])
     for second in range(60):
         if second == 40:
@@ -137,7 +137,7 @@ def test_nan_residual_hides_no_step() -> None:
 
 
 FORE, STARBOARD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-"""Lines of sight of two level star sensors, North and East: a rotation about one is observed by the other."""
+"""Lines of sight of two level star sensors, North and East: each sensor observes a rotation about the other's line."""
 
 
 def displacements_of_turned_sensors(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacements:

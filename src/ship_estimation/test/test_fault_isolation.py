@@ -83,7 +83,7 @@ class Base:
 
 @functools.cache
 def _before_shifts(seed, sensors, pairs):
-    """Return the base at AT, without a detected fault; it is the same for all shifts."""
+    """Return the base at AT, without a detected fault; the base is the same for all shifts."""
     base = Base(seed, sensors, pairs)
     assert not any(found.is_detected for _, found in base.isolations_until(AT, {}))
     return base

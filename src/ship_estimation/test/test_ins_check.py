@@ -71,7 +71,7 @@ def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_n
 
 
 def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
-    """A frozen INS that then drifts by 165″/min, which its stuck check cannot detect; its rates continue."""
+    """The INS freezes and then drifts by 165″/min, which the stuck check cannot detect; its rates continue."""
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
     faulty = [

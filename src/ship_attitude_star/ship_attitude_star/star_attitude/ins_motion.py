@@ -36,7 +36,7 @@ INS = "ins"
 
 @dataclass(frozen=True)
 class ExposureAtMiddle:
-    """An exposure reduced to its middle with the INS.
+    """An exposure reduced to its middle by the rotation from the INS.
 
     Attributes:
         exposure: stars with their directions at the middle.

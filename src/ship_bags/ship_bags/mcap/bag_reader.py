@@ -38,8 +38,8 @@ MAX_MEMORY_MB = 512
 overlap these in time."""
 
 _PLACE_BITS = 32
-"""Number of lower bits in a message's order in the bag; they count the messages of a place, the upper bits the places.
-"""
+"""Number of lower bits in a message's order in the bag, which count the messages of a place. The upper bits count the
+places."""
 
 _RECORD_BYTES = 250
 """Memory of a message in addition to its data, bytes."""

@@ -127,7 +127,7 @@ class BagWriter:
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
     ) -> None:
-        """Add a topic before its first message; needed only if it is latched, may stay empty, or has another QoS.
+        """Add a topic before its first message. This call is needed only for a latched or empty topic, or another QoS.
 
         Args:
             topic: name of the topic.

@@ -70,7 +70,7 @@ class FolderWriter:
     Until :meth:`close`, the counts in the information file are from its last update.
 
     Args:
-        folder: folder to create; its files are named after it.
+        folder: folder to create; the files in it are named after the folder.
         limits: limits of a file, checked by each :meth:`flush`.
 
     Raises:

@@ -60,7 +60,7 @@ class _RealTimePointing(NamedTuple):
 
 
 class SmoothingAxisCore(OpticalAxisCore):
-    """Estimator of the main optical axis in real time; at the end it yields all pointings again, smoothed.
+    """Estimator of the main optical axis in real time, which yields all pointings again, smoothed, at the end.
 
     Args:
         config: parameters of the node.
