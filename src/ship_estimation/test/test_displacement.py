@@ -71,7 +71,7 @@ def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: floa
 def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
     """A return by 0.7 of 120″ leaves 36″.
 
-    A return by 0.7 of 60″ would leave 18″, 4 sigmas of two steps of one sensor.
+    A return by 0.7 of 60″ would leave 18″, which noise may explain.
     """
     turns = turn_between(120.0, 20, 100, 300) + turn_between(120.0 * (1.0 - part), 100, 300, 300)
     assert all(displaced_each_second(turns, 1)[22:])
