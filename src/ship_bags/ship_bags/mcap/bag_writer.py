@@ -68,7 +68,7 @@ def suite_definition(type_name: str) -> TypeDefinition:
     """Return the definition of a type of ROS 2 Jazzy or of ship_msgs.
 
     Raises:
-        KeyError: the type is unknown.
+        rosbags.typesys.TypesysError: the type is unknown.
     """
     from ship_bags.message_store import definition, type_hash
 
