@@ -368,7 +368,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             self._invalid_reported_ns: int | None = None
 
     def step_time_base(self, state: State, step_ns: int) -> None:
-        """Drop all measurements and continue from a state after a step of all clocks; outputs stay in order."""
+        """Drop all measurements and continue from ``state``, because all clocks were stepped; outputs stay in order."""
         self.reset(state)
         if self._last_output_ns is not None:
             self._last_output_ns += step_ns

@@ -1,4 +1,4 @@
-"""Satellite positioning solutions for the baseline between two antennas: from ship to drone, or both on board."""
+"""Satellite positioning solutions for the baseline between two antennas, both on board or one on a drone."""
 
 from dataclasses import dataclass
 
