@@ -26,7 +26,7 @@ _FEWEST, _FEWEST_CHANGES = 3, 4
 
 _SCATTERS = 8.0
 """Least distance of the two groups, in standard deviations within a group. Noise divided into two groups has a distance
-of 3."""
+of about 3."""
 
 _STEPS = 5.0
 """Least distance of the two groups, in smallest steps within a group, if values are repeated. Rounding alone makes

@@ -211,7 +211,7 @@ def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: Floa
 
 
 def exceeds_model(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """True for each element of a correlated error beyond five sigma, which counts as a step, shape (n,).
+    """True for each element that exceeds five sigma, shape (n,); such an element of the error counts as a step.
 
     Example:
         >>> print(exceeds_model(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))

@@ -33,7 +33,7 @@ class StepPlan(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def step_plan(length: int, counts: tuple[int, ...]) -> StepPlan:
-    """Return the least-squares estimator of a step, with a line of any height and slope through all values.
+    """Return the least-squares estimator of a step in values on a straight line of unknown height and slope.
 
     Args:
         length: number of values, at least three.
@@ -71,7 +71,7 @@ def locate_step(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple
     Args:
         plan: plan with all possible positions of the step.
         values: successive values, oldest first, shape (length, n).
-        sigmas: standard deviation of the step at each position, each component, shape (k,).
+        sigmas: standard deviation of each component of the step, for each position, shape (k,).
 
     Returns:
         The step, shape (n,), the standard deviation of each component, and all possible numbers of values after the

@@ -9,8 +9,9 @@ import numpy as np
 from ship_geometry.rotations import FloatArray, log_rotation
 
 HISTORY_NS = 2_000_000_000
-"""Duration of the recent attitudes of a reference with which its current attitude is compared, ns. The current attitude
-is also compared with the first attitude."""
+"""Maximum age of the recent attitudes of a reference that are compared with the current attitude, ns.
+
+The first attitude is always compared."""
 _SPACING_NS = 250_000_000
 """Spacing of the attitudes in a history, ns."""
 _SIGMAS = 5.0
@@ -38,7 +39,7 @@ class MotionCheck:
 
     Args:
         since_ns: stamp since which the value is repeated; earlier reference attitudes are ignored.
-        first_references: reference attitudes at that stamp, by name.
+        first_references: reference attitudes when the value first appeared, by name.
 
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     >>> watch = MotionCheck(0, {"another": MotionReference(0, np.eye(3), sigma_rad=1e-5)})
@@ -54,11 +55,11 @@ class MotionCheck:
     def has_turned(
         self, motion_references: Mapping[str, MotionReference], sigma_rad: float, resolution_rad: float
     ) -> bool:
-        """True if a reference has rotated so far that the value of a healthy source would have changed.
+        """True if two successive attitudes of a reference show a rotation that would change a healthy source's value.
 
         Args:
             motion_references: current reference attitudes, by name.
-            sigma_rad: noise of the repeated value about its worst axis.
+            sigma_rad: standard deviation of the noise of the repeated value about the worst axis.
             resolution_rad: largest rotation that the value cannot resolve.
         """
         turned = False

@@ -99,8 +99,8 @@ class Outcome(Generic[DecisionT, Estimate]):
     """Result of one input.
 
     Attributes:
-        rejection: rejection of this input, or of the conflicting input that it replaces; None if the input was accepted
-            or is pending.
+        rejection: rejection of this input, or of the conflicting input that this input replaces; None if no input was
+            rejected now.
         decisions: decisions made now, about this input or about measurements that waited for this input.
         estimates: estimates to publish. The stamps of valid estimates strictly increase
             (:meth:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator.add_output`).

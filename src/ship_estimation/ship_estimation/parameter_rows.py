@@ -11,7 +11,7 @@ _BELOW = " " * 6
 
 
 def key_rows(kind: type) -> list[str]:
-    """Return the keys of a nested file as lines, with name, unit, default, range and description in columns.
+    """Return the keys of a nested file as lines, with name, unit, default, range or choices, and description.
 
     Args:
         kind: dataclass into which the file is read.
@@ -25,7 +25,7 @@ def key_rows(kind: type) -> list[str]:
 
 
 def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
-    """Return name, unit, default, range and description of a parameter; a star marks a live parameter.
+    """Return name, unit, default, range or choices, and description of a parameter; a star marks a live parameter.
 
     Example:
         >>> from ship_estimation.gates import GateConfig

@@ -25,9 +25,9 @@ _CLOSEST_COUNT = 3
 
 
 class ParameterError(InputError):
-    """Error of a parameter that is unknown, of the wrong type, out of its range or missing.
+    """Error of a parameter, for example an unknown name, a missing parameter or a value out of its range.
 
-    The text names the parameter; ``parameters`` has its dotted name, and ``value`` the refused value.
+    The text names the parameter; ``parameters`` has the dotted names, and ``value`` the refused value.
     """
 
     def __init__(self, reason: str, *parameters: str, value: Any = None) -> None:
@@ -58,7 +58,7 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
     Args:
         kind: dataclass of the configuration.
         values: nested mapping.
-        prefix: prefix of the names in messages.
+        prefix: prefix of the names in error texts.
         placeholder: text that is accepted as an id and stands for all ids in a help text.
 
     Raises:
@@ -194,6 +194,9 @@ def _live_names(config: Any, prefix: str = "") -> set[str]:
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
     """Return a nested mapping of values that are given by dotted name.
 
+    Raises:
+        ParameterError: a name before the last dot already has a value.
+
     Example:
         >>> nest({"gate.probability": 0.999, "gate.reopen_after": 5})
         {'gate': {'probability': 0.999, 'reopen_after': 5}}
@@ -211,7 +214,7 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _suggestion(name: str, known: Iterable[str]) -> str:
-    """Return the text with the dotted name that was probably meant."""
+    """Return the text with the most similar dotted name or, without one, with the command that lists all names."""
     import difflib  # only an error needs it
 
     near = difflib.get_close_matches(name, known, n=1)
@@ -219,7 +222,7 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def _expected_names(name: str, known: Collection[str]) -> str:
-    """Return the text with the expected names, or the closest of many, and the name that was probably meant.
+    """Return the text with all expected names, or the closest three of more than eight, and the name probably meant.
 
     Example:
         >>> _expected_names("colour", ["gate", "lever_m"])

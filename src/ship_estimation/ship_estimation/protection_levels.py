@@ -212,7 +212,8 @@ def protection_levels(
 
     Args:
         k: sigma multipliers of h hypotheses.
-        tested_subfilters: indices of the tested subfilters, 0 for the first; their sources are not excluded already.
+        tested_subfilters: indices of the tested subfilters, 0 for the first. The subfilter of an excluded source
+            is not tested.
         states: indices of the n states that determine the components, shape (n,).
         output_errors: three matrices. The first is the Jacobian of the components with respect to the error of the
             output, shape (3, 3). The second is the Jacobian of the components with respect to these states,

@@ -18,7 +18,7 @@ MAX_LEVEL_RATIO = 1.05
 """Ratio by which an output's protection level may exceed the published level before a new report is due."""
 
 _MAX_LEVEL_SIGMAS = 2.0
-"""Upper bound of a protection level, in units of K_fa σ_i: K_fa σ(d_i) + K_md,i σ_i ≤ 2 K_fa σ_i."""
+"""Upper bound of a protection level, in units of K_fa σ_i, for K_md,i ≤ K_fa: K_fa σ(d_i) + K_md,i σ_i ≤ 2 K_fa σ_i."""
 _TINY = 1e-12
 
 

@@ -40,15 +40,15 @@ class RateConsistencyCheck:
     """Check of the rates of an INS in successive pieces of motion.
 
     A piece lasts until the rotation clearly exceeds the noise, at least a quarter of a second and at most two seconds.
-    A piece without rotation is ignored. The rates of a piece are right if they equal the rotation of the attitude to
-    within 30 %. Before the first right piece a single wrong piece, which may be shorter, makes the rates unusable;
-    later two successive wrong pieces do. Twenty successive right pieces make the rates usable again. Twenty pieces in
-    which the rotations by rates and by attitude have a ratio of 57.3 or 1/57.3 show a wrong unit. Four successive
-    pieces with another ratio end the status WRONG_UNITS.
+    A piece without a clear rotation is ignored. The rates of a piece are right if they equal the rotation of the
+    attitude to within 30 %. Before the first right piece a single wrong piece, which may be shorter, makes the rates
+    unusable; later two successive wrong pieces do. Twenty successive right pieces make the rates usable again. Twenty
+    pieces in which the rotations by rates and by attitude have a ratio of about 57.3 or 1/57.3 show a wrong unit. Four
+    successive pieces with another ratio end the status WRONG_UNITS.
 
     Attributes:
         status: status of the rates.
-        is_usable: True if the rates have not been found to be wrong.
+        is_usable: True if the status is UNPROVEN or MEASURED.
         slope: ratio of the rotation by the rates to the rotation by the attitude, if the unit is wrong.
         due_ns: stamp before which no sample can end the piece of motion; zero if the next sample may.
 
@@ -69,7 +69,7 @@ class RateConsistencyCheck:
     """Slowest rotation that is checked, rad/s, because rates may contain the Earth rate, 15″ per second, or a bias."""
     _CLEAR_SIGMAS = 25.0
     _FIRST_SIGMA_RAD = 36.0 * ARCSEC / np.sqrt(12.0)
-    """Assumed noise before the resolution of the attitude is known, rad, from a resolution of 0.01°."""
+    """Least noise of a piece while the status is UNPROVEN, rad, from a resolution of 0.01°."""
     _TOLERANCE = 0.3
     _PIECES = 20
     _WRONG_PIECES = 2
@@ -109,13 +109,13 @@ class RateConsistencyCheck:
             time_ns: stamp of both attitudes.
             number: number of the sample.
             rotation_nd: measured attitude, shape (3, 3).
-            integrated: attitude by integrated rates. A new run starts a new piece.
+            integrated: attitude by integrated rates. Another ``run`` starts a new piece.
             sigma_rad: noise of a measured attitude about its worst axis.
             step_sigma_rad: noise that the rate of each further sample of a piece adds.
 
         Returns:
-            The stamp after which the rates were wrong if this attitude made the rates unusable, -1 if all rates were
-            wrong; None otherwise.
+            If this attitude made the rates unusable, the stamp of the end of the last right piece, or -1 without a
+            right piece. None otherwise.
         """
         start, here = self._start, _PieceStart(time_ns, number, rotation_nd, integrated)
         if start is None or integrated.run != start.integrated.run:

@@ -64,9 +64,9 @@ class RateDriftDetector:
         self._turning.clear()
 
     def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> RateDisagreement | None:
-        """Return the drift of the attitude in this piece and the pieces before, or None.
+        """Return the drift of the attitude in this piece and up to three pieces before, or None.
 
-        The result is None if the drift is usual or cannot be tested yet.
+        The result is None if the drift is usual or cannot be tested.
 
         Args:
             slope_n: drift in the piece minus the estimated drift, horizon frame, rad/s, shape (3,).

@@ -9,7 +9,7 @@ A measurement is checked in this order:
 3. :class:`ship_estimation.time_ordered_estimator.LagWindow`: LATE;
 4. the checks of a single stream (:mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
    references, ``theodolite_calib/measured/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample
-   that jumps. The checks of position and weather (``sky/stamped_values``): JUMP;
+   that jumps. The checks of position and weather (``sky/stamped_values``): DUPLICATE, CONFLICT, LATE and JUMP;
 5. :class:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for
    defects of the software;
 6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
@@ -271,7 +271,7 @@ class StampConflicts:
         return " and ".join(words)
 
     def common_interval(self, sources: Set[str]) -> tuple[int, int] | None:
-        """Return the interval in which all sources have conflicts, each from :attr:`since_ns` on, or None."""
+        """Return the interval in which each source has a conflict, from :attr:`since_ns` to the hold's end, or None."""
         if not sources <= self.latest_ns.keys():
             return None
         first_ns = max(self.since_ns[source] for source in sources)

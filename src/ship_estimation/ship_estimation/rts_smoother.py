@@ -143,7 +143,7 @@ class _Link:
     Attributes:
         back: backward step to the link before; the estimate of that link if there is no backward step. None for the
             first link.
-        pieces: requested times between the two links.
+        pieces: requested times between the link before and this link.
     """
 
     back: SmootherStep | GaussianEstimate | None
@@ -179,7 +179,7 @@ class RtsSmoother(Generic[Given]):
         self._requested_ns.append(time_ns)
 
     def add_state(self, state: TracedState[Given]) -> None:
-        """Add the next state, after a measurement or a jump; most states make a link."""
+        """Add the next state; a new update or a changed estimate makes a link, unless the state has no time."""
         came, before, now = state.last_update, self._last_update, GaussianEstimate(state.mean, state.covariance)
         self._last_update = came
         if state.time_ns is None:

@@ -75,7 +75,7 @@ def add_error(
         source_index: error source to which the added covariance belongs in the main filter.
         states: slice of the k states.
         covariance: added covariance, shape (k, k).
-        subfilter: index of the subfilter; None for all filters.
+        subfilter: index of the subfilter, from 1 on; None for all filters.
 
     Example:
         >>> stack = np.zeros((3, 1, 1))  # two parts of the main filter, and a subfilter
@@ -140,7 +140,7 @@ def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int)
     Args:
         stack: covariances of the filters, shape (n_sources + h - 1, n, n).
         filter_count: number of filters, h.
-        subfilter: index of the subfilter.
+        subfilter: index of the subfilter, from 1 on.
 
     Example:
         >>> stack = np.array([[[1.0]], [[3.0]], [[8.0]]])  # parts of 1 and 3, and a subfilter of 8

@@ -3,20 +3,21 @@
 An estimator is an :class:`EstimatorModel` (state transition by a measurement) in a :class:`TimeOrderedEstimator`, which
 is independent of the kind of measurement. A measurement is processed as follows:
 
-1. If it is more than ``lag_s`` behind the newest data, it is rejected as LATE (:class:`LagWindow`). The core checks the
-   lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
+1. A measurement more than ``lag_s`` behind the newest data is rejected as LATE (:class:`LagWindow`). The core checks
+   the lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
    time-ordered estimator.
 2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
    CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. A measurement is rejected as
    OVERFLOW if too many later measurements of its source are known.
-3. It is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A decision is
-   published again as revised if it changes between accepted and rejected. The number of repetitions is limited for each
-   input and for each second; the other measurements stay pending.
-4. It is pending, with all measurements after it, while the model lacks data that may still arrive within ``lag_s``.
-5. The model accepts or rejects it. If the model raises an exception, the measurement is rejected as FAILED and the
-   state is kept.
-6. When it is older than ``lag_s`` plus ``reach_ns``, no data can affect it any more. It is committed, and the decision
-   is final.
+3. The measurement is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A
+   decision is published again as revised if it changes between accepted and rejected. The number of repetitions is
+   limited for each input and for each second; the other measurements stay pending.
+4. The measurement is pending, with all measurements after it, while the model lacks data that may still arrive within
+   ``lag_s``.
+5. The model accepts or rejects the measurement. If the model raises an exception, the measurement is rejected as FAILED
+   and the state is kept.
+6. When the measurement is older than ``lag_s`` plus ``reach_ns``, no data can affect the decision any more. The
+   measurement is committed, and the decision is final.
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
 measurements out of order than :data:`MOST_OVERTAKEN_PER_S`.
@@ -82,7 +83,7 @@ _MOST_AHEAD_NS = SECOND_NS // 10
 def is_within_lag(
     times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float
 ) -> NDArray[np.bool_]:
-    """True for each of N data that cannot be late, whatever other data arrive before it, shape (N,).
+    """True for each of N data that cannot be late, whatever other data arrive earlier, shape (N,).
 
     Args:
         times_ns: stamps, shape (N,).
@@ -149,7 +150,7 @@ class _Entry(Generic[State, Item, AnyDecision]):
 class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     """Committed state, and the uncommitted measurements in time order, each with the state after the measurement.
 
-    A measurement out of order is inserted, and all measurements after it are applied again from the state before it. A
+    A measurement out of order is inserted, and the later measurements become pending and are applied again. A
     measurement for which the step raises an exception changes no state and delays no other measurement.
 
     Args:
@@ -184,7 +185,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         return [entry.measurement for entry in self._entries[self._applied_count :]]
 
     def get(self, key: Key) -> Item | None:
-        """Return the measurement of exactly this time and tie-breaker, or None."""
+        """Return the measurement with exactly this key, or None."""
         index = bisect.bisect_left(self._keys, key)
         found = index < len(self._keys) and self._keys[index] == key
         return self._entries[index].measurement if found else None
@@ -340,7 +341,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     Attributes:
         state: state after the last applied measurement.
         window: window of accepted stamps.
-        stamp_conflicts: sources that sent conflicting data with the same stamp.
+        stamp_conflicts: sources that sent conflicting data with the same stamp, or that have two publishers.
     """
 
     def __init__(
@@ -367,7 +368,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             self._invalid_reported_ns: int | None = None
 
     def step_time_base(self, state: State, step_ns: int) -> None:
-        """Drop all measurements and continue from a state after a step of all clocks; outputs stay in order."""
+        """Drop all measurements and continue from ``state``, because all clocks were stepped; outputs stay in order."""
         self.reset(state)
         if self._last_output_ns is not None:
             self._last_output_ns += step_ns
@@ -431,7 +432,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             time_ns: time of the jump; it may be earlier than applied measurements.
             source: source that jumped.
             jump: jump, as argument of :attr:`EstimatorModel.inflate`.
-            changed_after_ns: stamp after which interpolated values of the track have changed; None without a change.
+            changed_after_ns: stamp after which interpolated values of a track have changed; None without a change.
         """
         self._log.insert((time_ns, source), _CovarianceInflation(time_ns, jump))
         self._has_inflation = True
@@ -576,7 +577,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             self.record_output(time_ns, waiting_ns, timeout_ns)
 
     def record_output(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
-        """Record that an estimate was published, later than all before it; arguments as for :meth:`add_output`."""
+        """Record the stamp and time of a published estimate; arguments as for :meth:`add_output`."""
         self._last_output_ns, self._invalid_reported_ns = time_ns, None
         self._output_timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
 
@@ -596,7 +597,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     def report_invalid(
         self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, make_invalid: Callable[[], Estimate]
     ) -> None:
-        """Add an INVALID output, once a second, if no estimate was published yet or within the timeout.
+        """Add an INVALID output, at most once a second, if no estimate was published within the timeout or at all.
 
         The INVALID output has the time of a tick. This output does not count for the order of outputs, so an older
         valid estimate may follow.

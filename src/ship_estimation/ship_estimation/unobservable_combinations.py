@@ -25,8 +25,8 @@ def unobservable_combinations(
     Args:
         covariance: covariance of n states, shape (n, n).
         sigma: prior sigma of each state, above 0, shape (n,).
-        leading: names of the states in pivot order; the leading state of a combination is eliminated from all other
-            combinations.
+        leading: names of the states in the order of ``covariance``, which is the pivot order. The leading state of a
+            combination is eliminated from all other combinations.
         order: names of the states in the order in which a text lists them; None for the order of ``leading``.
 
     Example:

@@ -1,4 +1,4 @@
-"""The sequential filter against one least-squares solution over all epochs at once, set up from the definitions."""
+"""The sequential filter equals one least-squares solution of all epochs, which is set up from the definitions."""
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def prior_covariance() -> np.ndarray:
 
 
 def batch(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least-squares solution of all measurements and the prior: last state and covariance."""
+    """Return state and covariance at the last epoch, by least squares from all measurements and the prior."""
     epochs = len(TIMES_S)
     design = np.zeros((epochs, 2, epochs, 4))
     for k in range(epochs):

@@ -36,7 +36,7 @@ def check_quantiles_and_tails(degrees: int) -> None:
 
 @pytest.mark.parametrize("degrees", [1_000, 600_000])
 def test_bands_of_many_samples_are_those_of_scipy(degrees: int) -> None:
-    """Degrees of freedom of the mean NEES of a long run."""
+    """The degrees of freedom are those of the mean NEES of a long run."""
     for probability in PROBABILITIES:
         assert value_above(probability, degrees) == pytest.approx(chi2.isf(probability, degrees), rel=1e-12)
 

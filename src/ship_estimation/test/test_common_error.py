@@ -1,4 +1,4 @@
-"""Sums of corrections compared with filters without the measurements of a window or with a common error."""
+"""Sums of corrections, against a filter without the measurements of the window and a filter with a common error."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ NOISE, WALK, COUNT = 9.0, 0.2, 40
 
 
 def run_filter(measured: FloatArray, used_count: int) -> tuple[FloatArray, FloatArray, list[FilterInnovations]]:
-    """Filter a random walk of three states with the first measurements only; plain equations of the Kalman filter.
+    """Filter a random walk of three states with the first measurements only, by plain equations of the Kalman filter.
 
     Args:
         measured: shape (N, 3).

@@ -16,7 +16,7 @@ COUNT = 50
 
 
 def rates(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (ns) and rates (rad/s) of samples at about 100 Hz, the first one is the sample before the block."""
+    """Return stamps (ns) and rates (rad/s) of samples at about 100 Hz; the first sample is before the block."""
     times_ns = np.cumsum(rng.integers(5_000_000, 15_000_000, COUNT + 1))
     return times_ns, 0.1 * rng.standard_normal((COUNT + 1, 3))
 

@@ -8,7 +8,7 @@ from ship_geometry.rotations import FloatArray
 
 
 def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
-    """Return positive definite matrices, shape (*shape, n) with n = shape[-1], of variances of 1e-12 to 1e-8."""
+    """Return positive definite matrices, shape (*shape, n) with n = shape[-1], of variances of about 1e-12 to 1e-8."""
     size = shape[-1]
     roots = rng.standard_normal((*shape, size)) * 10.0 ** rng.uniform(-6.0, -4.0, size)
     found: FloatArray = np.swapaxes(roots, -1, -2) @ roots

@@ -17,7 +17,7 @@ CHOSEN = np.array([1, 2, 4])
 
 
 def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
-    """Return positive definite matrices, shape (*shape, n) with n = shape[-1], of variances of 1e-12 to 1e-8."""
+    """Return positive definite matrices, shape (*shape, n) with n = shape[-1], of variances of about 1e-12 to 1e-8."""
     size = shape[-1]
     roots = rng.standard_normal((*shape, size)) * 10.0 ** rng.uniform(-6.0, -4.0, size)
     found: FloatArray = np.swapaxes(roots, -1, -2) @ roots
@@ -165,7 +165,7 @@ def test_outputs_of_other_shapes_are_refused() -> None:
 
 
 def numpy_coverage(level: FloatArray, published: FloatArray, covariance: FloatArray, entering: float):
-    """Return the coverage of an output by published levels, and the bounds of variance and rotation for later ones."""
+    """Return True if published levels cover an output, and the bounds of variance and rotation for later outputs."""
     covers = bool(np.all(level <= 1.05 * published) or np.all(np.isnan(level) & np.isnan(published)))
     if not np.isfinite(level).all():
         return covers, np.inf, np.inf

@@ -24,7 +24,8 @@ from ship_estimation.subfilters import (
 )
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
-"""States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals."""
+"""Numbers of states, residuals, sources, filters: two small cases, a ship without and with subfilters, single stars,
+many residuals."""
 
 
 def equal(found: np.ndarray, expected: np.ndarray) -> None:
@@ -185,7 +186,7 @@ def test_invalid_innovation_covariance_raises(wrong: float) -> None:
 
 
 def test_noise_of_any_memory_layout_is_read() -> None:
-    """The noise is a transposed view, as a product of rotations may be."""
+    """The noise matrices are in Fortran order, as a product of rotations may be."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())

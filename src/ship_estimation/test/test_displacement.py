@@ -42,7 +42,7 @@ def turn_between(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.
 
 
 def test_noise_and_drift_are_no_step() -> None:
-    """Each second is a false step with a probability of 5.7e-7: none in five hours, at 99.9 %."""
+    """Each second is a false step with a probability of 5.7e-7: at most one in five hours, at 99.9 %."""
     hours = 5
     displaced = sum(any(displaced_each_second(np.zeros(3600), seed)) for seed in range(hours))
     assert displaced <= binom.ppf(0.999, hours * 3600, 5.733e-7)
@@ -71,7 +71,7 @@ def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: floa
 def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
     """A return by 0.7 of 120″ leaves 36″.
 
-    A return by 0.7 of 60″ would leave 18″, 4 sigmas of two steps of one sensor.
+    A return by 0.7 of 60″ would leave 18″, which noise may explain.
     """
     turns = turn_between(120.0, 20, 100, 300) + turn_between(120.0 * (1.0 - part), 100, 300, 300)
     assert all(displaced_each_second(turns, 1)[22:])
@@ -115,7 +115,7 @@ def test_ins_jump_as_large_as_a_displacement_resets_it() -> None:
 
 @pytest.mark.parametrize("begins", [20, 38])
 def test_a_jump_within_a_second_leaves_no_displacement(begins: int) -> None:
-    """Frozen encoders move again: one measurement of that second is from before."""
+    """Frozen encoders move again: one measurement of that second is from before the jump."""
     source, turned = Displacement(), np.array([0.0, 3600.0 * ARCSEC, 0.0])
     for second in range(60):
         if second == 40:
@@ -137,7 +137,7 @@ def test_nan_residual_hides_no_step() -> None:
 
 
 FORE, STARBOARD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-"""Lines of sight of two level star sensors, North and East: a rotation about one is observed by the other."""
+"""Lines of sight of two level star sensors, North and East: each sensor observes a rotation about the other's line."""
 
 
 def displacements_of_turned_sensors(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacements:
@@ -154,7 +154,7 @@ def displacements_of_turned_sensors(fore_n: np.ndarray, starboard_n: np.ndarray,
 
 @pytest.mark.parametrize("seed", range(20))
 def test_common_rotation_that_one_sensor_cannot_observe_is_common(seed: int) -> None:
-    """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
+    """The rotation is 20″ about the line of sight of star.fore, whose noise about this axis is 45″ in a second."""
     assert set(displacements_of_turned_sensors(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {
         TOGETHER
     }
@@ -172,7 +172,7 @@ def test_source_that_moves_by_itself_is_isolated(seed: int) -> None:
 def test_poorly_observed_rotation_ends_with_the_common_one(seed: int) -> None:
     """The rotation is 20″ about East, the line of sight of star.starboard.
 
-    This sensor returns during the rotation and can hardly observe it.
+    This sensor starts to measure during the rotation, and can hardly observe the rotation.
     """
     rng, found, turn_n = np.random.default_rng(seed), Displacements(), np.array([0.0, 0.0, 20.0 * ARCSEC])
     for second in range(140):

@@ -15,7 +15,7 @@ from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, stream, with_st
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
 HOURS = float(os.environ.get("NOISE_HOURS", "0.5"))
-"""Hours of each healthy stream; set ``NOISE_HOURS=10`` for 10."""
+"""Hours of each healthy stream up to 20 Hz, fewer at 100 Hz; set ``NOISE_HOURS=10`` for 10."""
 
 
 def noisy(samples: list[AttitudeSample], sigma_arcsec: float, first: int) -> list[AttitudeSample]:

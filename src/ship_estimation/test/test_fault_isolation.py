@@ -83,21 +83,23 @@ class Base:
 
 @functools.cache
 def _before_shifts(seed, sensors, pairs):
-    """Return the base at AT, without a detected fault; it is the same for all shifts."""
+    """Return the base at AT, without a detected fault; the base is the same for all shifts."""
     base = Base(seed, sensors, pairs)
     assert not any(found.is_detected for _, found in base.isolations_until(AT, {}))
     return base
 
 
 def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
-    """Return the epochs from the shifts to a detected fault, and the sensors isolated first; None without a fault.
+    """Return the epochs from the shifts to a detected fault, and the sensors isolated first, None if not isolated.
+
+    The result is None without a detected fault.
 
     Args:
-        seed: of the noise.
-        sensors: how many.
+        seed: seed of the noise.
+        sensors: number of sensors.
         shifts: mounting shift of each sensor about the second axis, from AT on.
-        epochs: measurements of each sensor.
-        pairs: add subfilters that leave out two sensors.
+        epochs: number of measurements of each sensor.
+        pairs: True to add subfilters that leave out two sensors.
     """
     base, detected_at = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
     for epoch, found in base.isolations_until(epochs, shifts or {}):

@@ -129,7 +129,7 @@ def test_understated_attitude_noise_is_reported_with_its_factor_in_spite_of_reje
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0])
 def test_understated_star_noise_is_distinguished_from_misidentification(factor: float) -> None:
-    """Many stars with slightly large innovations, of which the selection rejects the worst."""
+    """Many stars have slightly large innovations, and the selection rejects the worst stars."""
     for seed in range(5):
         found = diagnosis([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
         assert found.kind is DiagnosisKind.OPTIMISTIC

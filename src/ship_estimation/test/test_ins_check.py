@@ -19,7 +19,7 @@ NOTHING_LATE = AttitudeTrack(500_000_000)
 
 
 def check_sample(samples: list[AttitudeSample]) -> tuple[list[str], InsCheck, int]:
-    """Return the rejection reason of each sample, the checks after them, and the number of jumps."""
+    """Return the rejection reason of each sample, the check after all samples, and the number of samples with jumps."""
     ins_check, results, jumps = InsCheck(CheckedInsConfig()), [], 0
     for sample in samples:
         result = ins_check.check(sample, NOTHING_LATE, {})
@@ -71,7 +71,7 @@ def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_n
 
 
 def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
-    """A frozen INS that then drifts by 165″/min, which its stuck check cannot detect; its rates continue."""
+    """The INS freezes and then drifts by 165″/min, which the stuck check cannot detect; its rates continue."""
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
     faulty = [
@@ -182,14 +182,14 @@ def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
     scale = np.append(np.abs(jump.jump_n), 0.03)
     np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
     scale = np.outer(scale, scale)
-    # The sigma of a clock step is a tenth of it, and two large rotations do not commute.
+    # The sigma of a clock step is a tenth of the step, and two large rotations do not commute.
     np.testing.assert_allclose(np.cov(changed.T) / scale, covariance / scale, atol=0.02)
 
 
 @pytest.mark.parametrize("step_s", [0.02, -0.05, 0.3])
 @pytest.mark.parametrize("rate_hz", [20, 100])
 def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None:
-    """A ship that rolls by 6 degrees in 8 s; her INS's stamps step, and her attitude does not."""
+    """The ship rolls by 6 degrees with a period of 8 s; the stamps of her INS step, and her attitude does not."""
 
     def sample(time_s: float, stamp_s: float) -> AttitudeSample:
         roll, rate = 0.1 * np.sin(0.8 * time_s), 0.08 * np.cos(0.8 * time_s)

@@ -21,7 +21,7 @@ LEARNT_S = 16.0
 """Time after which the statistics of the INS are known, s."""
 DAY_EARTH = 2.0 * np.pi / 86164.0905
 TEN_MINUTES = int(os.environ.get("TEN_MINUTES", "2"))
-"""Length of the runs without a step, ten minutes each; ``make campaign`` uses more."""
+"""Number of runs of ten minutes without a step; ``make campaign`` uses more."""
 NOTHING_LATE = AttitudeTrack(500_000_000)
 
 

@@ -24,7 +24,7 @@ def stream_distances(samples: list[AttitudeSample]) -> list[float]:
 
 
 def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) -> list[AttitudeSample]:
-    """Return the samples with every ``every``-th sample replaced by one of another INS, ``off_deg`` off in yaw."""
+    """Return the samples with every ``every``-th sample from another INS, ``off_deg`` off in yaw."""
     other_d = exp_rotation([0.0, np.deg2rad(off_deg), 0.0])
     return [
         sample if n % every else replace(sample, rotation_nd=sample.rotation_nd @ other_d)

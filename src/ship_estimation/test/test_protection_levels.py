@@ -132,7 +132,7 @@ def test_invalid_prior_is_refused_by_name(prior):
 
 @pytest.mark.parametrize("statistic", [5.2, math.nan])
 def test_no_level_with_a_separation_above_its_threshold(statistic):
-    """The level of a source is at least K_fa sigma_d: the level is no bound if the separation itself is larger."""
+    """The level allows for a separation of K_fa sigma_d, so the level is no bound if the separation is larger."""
     k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.12, missed_detection=np.array([2.0, 2.0]))
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
         # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.

@@ -49,7 +49,7 @@ def test_each_filter_is_updated_as_if_alone_and_the_main_filter_keeps_its_parts(
 
 
 def test_subfilter_gets_no_information_from_its_excluded_source():
-    """Three sources measure in turn, states 5 and 6 only the first.
+    """Three sources measure in turn, and only the first source measures states 5 and 6.
 
     The reference is a filter without the first source.
     """

@@ -43,7 +43,7 @@ _NODE_ENDINGS = ("box", "clock", "stamps", "name", "overload", "recovered", "sof
 
 
 def kind_of(alert_id: str) -> str:
-    """Return the kind of an alert, a key of :data:`ADVICE`: "star.ID.out" for "star.fore.out"; empty if unknown."""
+    """Return the kind of an alert, such as "star.ID.out" for "star.fore.out"; no key of :data:`ADVICE` if unknown."""
     if alert_id in ADVICE:
         return alert_id
     first, _, ending = alert_id.rpartition(".")

@@ -61,7 +61,7 @@ functions are in the alerts of the sources whose data the line carries."""
 
 _OVERLOAD = "overload"
 """Name of the status of a node that cannot keep up with its inputs. The alert of an output that is lost due to the
-overload contains the same text."""
+overload contains the text of this status."""
 
 _RECOVERY, _RECOVERED = "recovery", "recovered after [s]"
 """Name of the status of a node's second estimator, and key of the recovery time, present once the second estimator was

@@ -39,7 +39,7 @@ _NO_LIMIT_ARCSEC = 360_000.0
 
 @dataclass(frozen=True)
 class Availability:
-    """Expected availability of one quantity; the decisive time is the time in which its limit is decisive.
+    """Expected availability of one quantity; the decisive time is the time in which the quantity's limit is decisive.
 
     Attributes:
         quantity: "heading", "tilt" or "pointing".

@@ -30,7 +30,7 @@ def angle_variances(
         elevation. The variance is NaN if the budget is unknown, or if the line of sight points to the zenith.
 
     Example:
-        A tilt about North by 1 mrad is pitch on an eastern course, and roll on a northern:
+        A tilt about North by 1 mrad is pitch if the heading is East, and roll if the heading is North:
 
         >>> about_north = {"ins": np.diag([0.0, 1e-6, 0.0])}
         >>> east = angle_variances(about_north, np.pi / 2, 0.0, is_deck=True)

@@ -13,7 +13,7 @@ MAX_EVENTS = 200
 """Number of events that are kept."""
 
 START_UP_NS = 3 * NS_PER_S
-"""Time after the start of monitoring within which all running nodes have reported, ns."""
+"""Time after the start of monitoring, and after a reported start of a node, without reports of further starts, ns."""
 
 _NUMBER = re.compile(r"\d+ ")
 _PRIORITIES = {int(priority) for priority in Priority}

@@ -190,7 +190,7 @@ Point = TypeVar("Point", bound=Timed)
 
 
 def append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
-    """Add a point to the buffer of a name, in the order of times."""
+    """Add a point to the buffer of a name, in the order of times; further names are ignored if there are too many."""
     buffer = buffers.get(name)
     if buffer is None:
         if not has_room(buffers, name, "plotted name"):

@@ -141,7 +141,7 @@ class HistoryRecorder:
         self._errors[orientation.topic].record_published_error(message)
 
     def record_innovation(self, source: str, message: Any, now_ns: int) -> None:
-        """Record an Innovation of a source; rejections without a residual are not plotted."""
+        """Record an Innovation of a source; innovations without components are not plotted."""
         if not len(message.components):
             return
         point = innovation_point(message)

@@ -177,7 +177,7 @@ class PointingRecord(OutputRecord):
 
     @property
     def pointing_method(self) -> str:
-        """Method of the pointing, for people: "2 lights", "encoder"; empty before the first message."""
+        """Method of the pointing, for people, such as "2 lights" or "no pointing"; empty before the first message."""
         if not self.is_received:
             return ""
         if self.status is Status.INVALID:
@@ -202,7 +202,7 @@ class PointingRecord(OutputRecord):
         return changes
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
-        """Return a text on the number of used lights if too few lights are used; empty otherwise."""
+        """Return a text if only one of several lights is used, or if the mode is the encoder; empty otherwise."""
         if self.has_reduced_input(beacon_count):
             return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights used"
         return "no lights" if self._mode == _ENCODER else ""

@@ -63,7 +63,7 @@ class OverloadedNodes:
         return next((self._nodes[node].text for node in nodes if self._is_overloaded(node, now_ns)), "")
 
     def with_causes(self, sources: Sequence[SourceState], now_ns: int) -> list[SourceState]:
-        """Return the sources; an overloaded node is the cause of a source that went OUT in its overload or just before.
+        """Return the sources; a source that went OUT during an overload or just before has the node as its cause.
 
         The cause stays until the source is IN again.
 

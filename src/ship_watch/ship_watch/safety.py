@@ -2,9 +2,9 @@
 
 The terms are from IMO MSC.1/Circ.1575. An angle is SAFE if its output is VALID and recent, its 95 % accuracy is
 within the ship's limit and its protection level within the alert limit. An angle is CAUTION if its accuracy is over the
-limit, but at most ``unsafe_factor`` times (default 3). It is also CAUTION if no protection level is available, or if
-the output is COASTING or DEGRADED or uses too few lights. In all other cases the angle is UNSAFE, also if its value or
-accuracy is NaN, because NaN fails every comparison.
+limit, but at most ``unsafe_factor`` (default 3) times the limit. An angle is also CAUTION if no protection level is
+available, or if the output is COASTING or DEGRADED or uses too few lights. In all other cases the angle is UNSAFE, also
+if its value or accuracy is NaN, because NaN fails every comparison.
 
 The safety gets worse at once and better after a hold time, with hysteresis. An accuracy that was over its limit must be
 below the limit by a margin for the hold time, or below the limit for several hold times.

@@ -98,7 +98,7 @@ class SourceRecord:
         return min((topic.age_s(now_ns) for topic in self.topics.values()), default=math.inf)
 
     def record_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:
-        """Record an accepted Innovation; an Innovation of lights is also recorded for each light in its components."""
+        """Record an accepted Innovation, also for each light in its components that has a decision history."""
         degrees = sum(1 for residual in message.residual if math.isfinite(residual))
         if message.reason != Reason.REVISED:
             self.nis_window.add(now_ns, float(message.nis), degrees)

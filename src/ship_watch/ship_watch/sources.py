@@ -1,9 +1,9 @@
 """Presence of all sources, the reasons why sources are OUT, and the offsets of faulty sources.
 
-A source is OUT if a node excludes it, if five of its measurements in a row were rejected, if it sends no data, or if it
-reports itself invalid. After rejections the source is IN again when ten measurements in a row were accepted; both
-numbers are defaults of the ship's limits. A source that cannot be used because another source is OUT is also OUT, with
-the other source as its cause.
+A source is OUT if a node excludes it, if five of its measurements in a row were rejected, if it sends no usable data,
+or if it reports itself invalid. After rejections the source is IN again when ten measurements in a row were accepted;
+both numbers are defaults of the ship's limits. A source that cannot be used because another source is OUT is also OUT,
+with the other source as its cause.
 """
 
 import math

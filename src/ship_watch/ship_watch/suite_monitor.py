@@ -50,7 +50,10 @@ Of a longer gap only the end is evaluated, because all ages are then over their 
 """
 
 CLOCK_TOLERANCE_NS = NS_PER_S // 10
-"""Maximum delay of the stamp of an output or InputHealth behind the suite's time that confirms this time, ns."""
+"""Maximum delay, behind the suite's time, of a stamp that confirms this time, ns.
+
+The stamp is that of an output or InputHealth.
+"""
 
 CLOCK_TIMEOUT_NS = 5 * NS_PER_S
 """Time without a confirming stamp after which the suite's time is set again, ns."""

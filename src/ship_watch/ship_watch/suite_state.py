@@ -321,5 +321,5 @@ class SuiteStateSource(Protocol):
         ...
 
     def current_state(self) -> SuiteState:
-        """Return the current state. Displays read the state twice a second; a source for several displays caches it."""
+        """Return the current state. Displays read it twice a second; a source for several displays caches the state."""
         ...

@@ -230,7 +230,7 @@ class SkyModel:
         return clone
 
     def step_time_base(self, step_ns: int) -> None:
-        """Shift the stamps of fixes and air readings by a step of the clocks."""
+        """Shift the stamps of recent fixes and air readings by a step of the clocks; drop the others."""
         self.surroundings.step_time_base(step_ns)
         self._sky_by_time.clear()
 

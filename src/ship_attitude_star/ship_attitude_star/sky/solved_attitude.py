@@ -6,12 +6,12 @@ average over the sensors. Here they become errors common to all sensors:
 
 - An error of UT1 or of the position rotates the whole sky, whatever stars were observed
   (:meth:`LocalSky.sky_rotations`).
-- An error of refraction raises the stars of a sensor. It rotates the attitude about the horizontal axis perpendicular
+- An error of refraction raises the stars of a sensor, and rotates the attitude about the horizontal axis perpendicular
   to the boresight, and slightly about other axes if the stars are unevenly distributed. The part of the remaining
   covariance correlated with the rotation about that axis is attributed to refraction, up to a maximum.
 
-The remainder is the error of the sensor itself. Its covariance is non-negative in every direction: for a covariance C
-and a direction u, C - C u uᵀ C / (uᵀ C u) is C conditioned on the component along u.
+The remainder is the error of the sensor itself. The covariance of the remainder is non-negative in every direction:
+for a covariance C and a direction u, C - C u uᵀ C / (uᵀ C u) is C conditioned on the component along u.
 """
 
 import numpy as np
@@ -35,8 +35,8 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     """Return the attitude with ``shared_n``; its noise and common error no longer contain the shared errors.
 
     If the message states noise and total error separately, the shared errors are part of the difference. If the message
-    states one covariance, the shared errors are part of it. If the message states no covariance, the noise is the
-    configured noise, and ``shared_n`` contains the errors of the sky model.
+    states one covariance, the shared errors are part of this covariance. If the message states no covariance, the
+    noise is the configured noise, and ``shared_n`` contains the errors of the sky model.
 
     Args:
         solved: attitude computed by the sensor.

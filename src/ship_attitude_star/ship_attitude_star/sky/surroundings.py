@@ -151,9 +151,9 @@ class Surroundings:
     def rejection(self, sky_input: SkyInput) -> Rejection | None:
         """Return the rejection or a remark for an input, None without either; call this method before :meth:`insert`.
 
-        DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of its kind are
-        later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp the
-        one whose bytes sort first is kept, and an input that has jumped affects the evaluation of later inputs.
+        DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of this kind
+        are later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp
+        the one whose bytes sort first is kept, and an input that has jumped affects the evaluation of later inputs.
         """
         if isinstance(sky_input, PositionFix):
             return self._position.rejection(sky_input)

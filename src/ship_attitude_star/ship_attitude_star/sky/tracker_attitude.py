@@ -4,7 +4,7 @@ A tracker matches the stars in its field with a catalogue and does not model the
 the attitude is rotated the other way. The rotation by refraction at the boresight must therefore be added, and likewise
 the rotation by aberration if the tracker does not correct aberration.
 
-Refraction varies over the field. It compresses the image horizontally by ρ tan E and vertically by -dρ/dE, both in
+Refraction varies over the field and compresses the image horizontally by ρ tan E and vertically by -dρ/dE, both in
 radians per radian (ρ is the refraction, E the elevation). A rotation cannot correct this compression. The remaining
 error of the attitude depends on the positions of the stars in the field, which the tracker does not report. This error
 is constant while the stars stay in place, so each tracker has a correlated error.

@@ -86,7 +86,7 @@ class JointWindow:
         self._last_ns: int | None = None
 
     def add(self, item: PlacedExposure, arrival_ns: int | None = None) -> bool:
-        """Add an exposure, or replace the exposure with its sensor and stamp; return False if the exposure is too late.
+        """Add an exposure, or replace that of the same sensor and stamp; return False if the exposure is too late.
 
         Args:
             item: the exposure.
@@ -382,7 +382,7 @@ class StarCore:
             placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
             for placed in group
         ]
-        # If the rotation is not known, the exposures of a group are so close in time that it is neglected.
+        # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.
         turns = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
             MountedExposure(placed, turn @ self._sensor(placed.source).rotation_ds)

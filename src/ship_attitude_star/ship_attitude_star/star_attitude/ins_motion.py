@@ -36,7 +36,7 @@ INS = "ins"
 
 @dataclass(frozen=True)
 class ExposureAtMiddle:
-    """An exposure reduced to its middle with the INS.
+    """An exposure reduced to its middle by the rotation from the INS.
 
     Attributes:
         exposure: stars with their directions at the middle.
@@ -194,7 +194,7 @@ class InsMotion:
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def is_turn_known(self, to_ns: int, from_ns: int) -> bool:
-        """True if the INS gives the rotation of the deck between two times without a jump, or if they are equal."""
+        """True if the times are equal, or if the INS gives the rotation of the deck between them without a jump."""
         if to_ns == from_ns:
             return True
         is_known = self._attitude_at(to_ns) is not None and self._attitude_at(from_ns) is not None
@@ -205,7 +205,7 @@ class InsMotion:
 
         The correlated error of the INS is constant over these times and cancels. Noise and interpolation errors remain,
         and the time offset if the rate changes. The noise of the reduction to the middle (:meth:`at_middle`) is
-        included, because the noise of the rotation is correlated with it. A rotation that is not known is assumed zero.
+        included, because the two noises are correlated. A rotation that is not known is assumed zero.
         """
         turned_rows = [
             row
@@ -304,5 +304,5 @@ class InsMotion:
         return None if self._is_contradictory(stamp_ns) else self.track.at(stamp_ns)
 
     def _is_contradictory(self, stamp_ns: int) -> bool:
-        """True if the INS recently sent different samples with one stamp; its attitude is then not used."""
+        """True if the INS is not used, because of two publishers or recent different samples with one stamp."""
         return INS in self._stamp_conflicts.active_at(stamp_ns)

@@ -38,8 +38,8 @@ MAX_MEMORY_MB = 512
 overlap these in time."""
 
 _PLACE_BITS = 32
-"""Number of lower bits in a message's order in the bag; they count the messages of a place, the upper bits the places.
-"""
+"""Number of lower bits in a message's order in the bag, which count the messages of a place. The upper bits count the
+places."""
 
 _RECORD_BYTES = 250
 """Memory of a message in addition to its data, bytes."""
@@ -322,8 +322,7 @@ def read_bag(path: Path | str) -> Bag:
     """Open a bag: one .mcap or .db3 file, or a rosbag2 folder with metadata.yaml (MCAP, sqlite3 or compressed files).
 
     Raises:
-        BadInput: the bag is missing, unreadable, empty, not MCAP, of an unknown compression, a folder without
-            metadata.yaml, or without readable messages.
+        BadInput: the bag cannot be opened (see :func:`open_files`), or has no readable messages.
     """
     path = Path(path)
     files = open_files(path)
@@ -344,7 +343,7 @@ def open_files(path: Path) -> list[BagFile]:
 
     Raises:
         BadInput: a file is missing, unreadable, empty or of unknown storage or compression, a folder has no
-            metadata.yaml, or the names cannot be applied.
+            metadata.yaml, or a topic cannot be renamed.
     """
     files: list[BagFile] = []
     try:

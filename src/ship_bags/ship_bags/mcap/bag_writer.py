@@ -68,7 +68,7 @@ def suite_definition(type_name: str) -> TypeDefinition:
     """Return the definition of a type of ROS 2 Jazzy or of ship_msgs.
 
     Raises:
-        KeyError: the type is unknown.
+        rosbags.typesys.TypesysError: the type is unknown.
     """
     from ship_bags.message_store import definition, type_hash
 
@@ -127,7 +127,7 @@ class BagWriter:
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
     ) -> None:
-        """Add a topic before its first message; needed only if it is latched, may stay empty, or has another QoS.
+        """Add a topic before its first message. This call is needed only for a latched or empty topic, or another QoS.
 
         Args:
             topic: name of the topic.
@@ -135,6 +135,10 @@ class BagWriter:
             latched: True if the last message is kept for late subscribers.
             qos_profiles: QoS that the topic's publishers offer, by :func:`qos_text`; None for the QoS of the suite's
                 publishers.
+
+        Raises:
+            BadInput: the topic already has another type, or the type is unknown.
+            OSError: the file cannot be written.
         """
         self._channel_id(topic, type_name, latched, qos_profiles)
 
@@ -142,7 +146,8 @@ class BagWriter:
         """Add a message made by :class:`ship_bags.message_store.RosbagsFactory` or decoded from a bag.
 
         Raises:
-            BadInput: the topic already has another type.
+            BadInput: the topic already has another type, or the type is unknown.
+            OSError: the file cannot be written.
         """
         from ship_bags.message_store import serialize
 
@@ -161,6 +166,7 @@ class BagWriter:
 
         Raises:
             BadInput: the topic already has another type, or the type is unknown.
+            OSError: the file cannot be written.
         """
         channel_id = self._channel_id(topic, type_name)
         if sequence is None:
@@ -189,6 +195,7 @@ class BagWriter:
 
         Raises:
             BadInput: a topic already has another type, or the type is unknown.
+            OSError: the file cannot be written.
         """
         sequences = np.empty(len(data), dtype=np.int64)
         channel_ids = np.empty(len(data), dtype=np.int64)

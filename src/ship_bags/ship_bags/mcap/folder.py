@@ -70,7 +70,7 @@ class FolderWriter:
     Until :meth:`close`, the counts in the information file are from its last update.
 
     Args:
-        folder: folder to create; its files are named after it.
+        folder: folder to create; the files in it are named after the folder.
         limits: limits of a file, checked by each :meth:`flush`.
 
     Raises:
@@ -206,10 +206,11 @@ def needs_rosbags(path: Path) -> bool:
 
 
 def file_names(information_path: Path) -> list[str]:
-    """Return the files listed in an information file, which must be in the same folder.
+    """Return the files listed in an information file, all in or below its folder.
 
     Raises:
-        BadInput: the file cannot be read, is not an information file of a known storage, or lists another folder.
+        BadInput: the file cannot be read, is not an information file of a known storage, or lists a file outside
+            its folder.
     """
     return _listed_files(_read_information(information_path), information_path)
 

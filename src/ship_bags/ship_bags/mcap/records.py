@@ -1,6 +1,6 @@
 """Reader of the records of an MCAP file; damaged records are detected, skipped and reported.
 
-:class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields the records
+:class:`RecordFile` returns the record at an offset and the records of a chunk. :func:`scan_records` yields the records
 in order. The scan accepts a record only if the body has the structure of the opcode. After a damaged record the scan
 continues at the next chunk, message index, metadata, attachment or end of data. Therefore one wrong bit costs at most
 one record, and the schemas, channels and messages outside chunks before the place where the scan continues.
@@ -230,7 +230,7 @@ def _compression(chunk: bytes) -> str:
 
 
 def _is_valid(opcode: int, body: bytes) -> bool:
-    """True if a body has the structure of its opcode; only the minimum length of a message or attachment is checked."""
+    """True if a body may be a record of an opcode: by its length for a message or attachment, else by its structure."""
     try:
         if opcode == Opcode.CHUNK:
             return _end_of(body, _CHUNK_HEAD.size, (_U32, _U64)) == len(body)

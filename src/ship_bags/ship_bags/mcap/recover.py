@@ -65,8 +65,8 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
         force: True to overwrite a file; a folder is never overwritten.
 
     Raises:
-        BadInput: the source is unreadable, the target exists or cannot be created, or the result read back differs from
-            what was written.
+        BadInput: the source has no readable message, the target exists or cannot be created, or the result read back
+            differs from what was written.
         OSError: writing fails, for example on a full disk.
     """
     if source.is_dir():

@@ -40,7 +40,10 @@ class Deflection:
         return known + self._draws.correlated_error(_UNKNOWN, self._duration_s, sigma, time_s).values_at(since_start_s)
 
     def horizon_rotation_n(self, since_start_s: FloatArray) -> FloatArray:
-        """Return a (North, Up, East), rad, in R_geodetic = exp(a) R_gravity: attitudes relative to the two horizons."""
+        """Return the rotation vectors a (North, Up, East) between the horizons at times, rad, shape (n, 3).
+
+        The attitude relative to the geodetic horizon is R_geodetic = exp(a) R_gravity.
+        """
         xi, eta = self.deflection_at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
         latitude_deg, _ = self._track.latitude_longitude_deg(time_ns)

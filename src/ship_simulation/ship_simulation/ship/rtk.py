@@ -1,4 +1,4 @@
-"""Satellite positioning solutions for the baseline between two antennas: from ship to drone, or both on board."""
+"""Satellite positioning solutions for the baseline between two antennas, both on board or one on a drone."""
 
 from dataclasses import dataclass
 
@@ -81,7 +81,7 @@ def simulate_solutions(
 
 
 def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> BaselineSamples:
-    """Return solutions for the baseline between the two antennas on board; its surveyed vector has an error."""
+    """Return solutions for the baseline between the two antennas on board, whose true vector has a survey error."""
     config, name = scenario.ship_baseline, "ship_baseline"
     time_ns = stretch.stamps(config.rtk.rate_hz, config.rtk.phase_s)
     surveyed_off_d = config.sigma_m * random_stream(draws.seed, name + ".survey").standard_normal(3)

@@ -40,7 +40,8 @@ class ReportedStars:
         hip: reported HIP number, shape (k,); 0 if the sensor identifies stars by their directions, or not at all.
         directions_s: unit vectors from the centroids, in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
-        positions: positions of the reported stars, J2000.0; NaN if the sensor reports no identity.
+        positions: positions of the reported stars, J2000.0 for HIP numbers, of date for directions; NaN if the sensor
+            reports no identity.
         position_sigma: error of ``positions``, rad per axis, shape (k,).
         magnitude: measured magnitudes, shape (k,).
     """

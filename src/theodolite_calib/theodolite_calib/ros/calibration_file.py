@@ -47,7 +47,7 @@ def _prior(document: dict[str, Any]) -> CalibrationPrior:
     """Return the content of the document.
 
     Raises:
-        ValueError: a section cannot be used; names the section.
+        ValueError: a section cannot be used; the text names the section.
     """
     names = section(document, "values", _names)
     covariance = section(document, "covariance", lambda rows: joint_covariance(rows, len(names)))

@@ -22,7 +22,7 @@ from theodolite_calib.target.common_times import DirectionSample
 
 _NORM_TOLERANCE = 1e-3
 _LEAST_SHARE = 1e-9
-"""Minimum ratio of the smaller to the larger variance across a direction; below it the covariance is singular."""
+"""Ratio of the smaller to the larger variance across a direction up to which the covariance counts as singular."""
 
 
 def direction(
@@ -37,7 +37,7 @@ def direction(
         horizon: required frame_id.
 
     Raises:
-        MessageRejected: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     # A position from several theodolites is rejected here, because its frame is not the horizon.

@@ -60,7 +60,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
     """Read ``theodolite/encoder``: both angles; their range is checked by the core.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.encoder.frame_id)
@@ -77,7 +77,7 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     """Read ``ship/attitude``: attitude with the covariance of its correlated error.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.ship.frame_id)
@@ -103,7 +103,7 @@ def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Re
     """Read ``ins/imu``: attitude and rate, with errors from the configuration.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     reading = ins_sample(message, config.ins, receive_ns)
     sample = reading.value
@@ -114,7 +114,7 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
     """Read ``beacon/<id>/baseline``: vector and covariance of its white error, or only a rejection below ``least_fix``.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = baseline_stamp_ns(message, beacon.rtk, receive_ns)
     rejection = fix_rejection(message, least_fix)
@@ -130,7 +130,7 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadM
     """Read ``beacon/<id>/imu``: attitude of the drone, with errors from the configuration.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, beacon.imu.frame_id)
@@ -142,7 +142,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
     """Read ``theodolite/beacons``: beacons on the detector; an unreadable beacon is rejected by name.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.telescope.frame_id)
@@ -171,7 +171,7 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
     """Read ``theodolite/target``: image of a target on the main detector.
 
     Raises:
-        MessageRejected: with the reason.
+        MessageRejected: the message cannot be used.
     """
     time_ns, detector = stamp_ns(message.header, receive_ns), config.main_detector
     if detector.focal_length_m == 0.0:

@@ -105,7 +105,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         files: reads and writes the saved calibration.
 
     Raises:
-        BadInput: the path of the calibration file is not that of a file (:class:`SavedStart`).
+        BadInput: the calibration file cannot be opened (:class:`SavedStart`).
         ParameterError: the parameters of a star camera are incomplete.
     """
 
@@ -162,7 +162,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return core.calibration_to_save()
 
     def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
-        """Return the estimator; a subclass returns one that smooths the pointings."""
+        """Return the estimator; a subclass returns an estimator that smooths the pointings."""
         return OpticalAxisCore(config, sky_model)
 
     def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
@@ -232,7 +232,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`DeferringAdapter`; the directions of targets come first.
 
-        A direction of a target has no innovation, because its image is not compared with a prediction.
+        A direction of a target has no innovation, because the image of the target is not compared with a prediction.
         """
         published: list[OutputMessage] = []
         for target in outcome.targets:

@@ -60,7 +60,7 @@ class _RealTimePointing(NamedTuple):
 
 
 class SmoothingAxisCore(OpticalAxisCore):
-    """Estimator of the main optical axis in real time; at the end it yields all pointings again, smoothed.
+    """Estimator of the main optical axis in real time, which yields all pointings again, smoothed, at the end.
 
     Args:
         config: parameters of the node.
@@ -202,7 +202,7 @@ class _SmoothedOutput:
 
 
 def _has_unresolved_fault(state: CalibrationState) -> bool:
-    """True if beacons or stars are inconsistent with encoders and ship, or a source of the axis is excluded."""
+    """True if the last sighting was contradictory, a fault is unresolved, or a source of the axis is excluded."""
     return (
         bool(state.consecutive_rejections)
         or state.fault_state.unresolved_fault is not None

@@ -35,7 +35,7 @@ class TracedState(CalibrationState):
 
 
 class TracedFilter(CalibrationFilter):
-    """:class:`CalibrationFilter` with equal results to the last bit, whose states record their updates."""
+    """:class:`CalibrationFilter` whose states record their updates; the results are bit-identical."""
 
     def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> TracedState:
         """See :meth:`CalibrationFilter.initial_state_from`."""

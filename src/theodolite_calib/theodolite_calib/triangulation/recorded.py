@@ -27,7 +27,7 @@ def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id
     If two directions have the same stamp, the first is used.
 
     Raises:
-        BadInput: a bag has no such topic or no direction of the target; names the bag.
+        BadInput: a bag cannot be read, lacks the configured topic, or has no direction of the target.
     """
     recorded = []
     for name, station in config.stations.items():

@@ -91,7 +91,7 @@ def _configuration(path: Path) -> RecordedTriangulationConfig:
     """Return the checked configuration in a file.
 
     Raises:
-        BadInput: names file, line, key, value and what was expected.
+        BadInput: the configuration cannot be used.
     """
     file = read_nested_parameters(path)
     try:
