@@ -85,7 +85,7 @@ def stamp_age() -> Any:
     """
     return parameter(
         10.0,
-        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        doc="age of a stamp above which an input error is reported; the data are used all the same",
         unit="s",
         minimum=0.1,
         maximum=1e9,

@@ -162,7 +162,7 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
     known_bytes, new_bytes = known.content(), new.content()
     if known_bytes == new_bytes:
         return False, Rejection(Reason.DUPLICATE, "the same stamp and the same content again")
-    text = "the same stamp with other content: the one whose bytes sort first is kept"
+    text = "the same stamp with other content: the message whose bytes sort first is kept"
     return new_bytes < known_bytes, Rejection(Reason.CONFLICT, text)
 
 

@@ -65,7 +65,7 @@ class SkyConfig:
         7.0, doc="faintest star (Hp) considered for a detection without an identity", minimum=-2.0, maximum=15.0
     )
     fix_max_age_s: float = parameter(
-        60.0, doc="maximum age of a position fix; without one no star is used", unit="s", minimum=0.1, maximum=3600.0
+        60.0, doc="maximum age of a position fix; without a fix no star is used", unit="s", minimum=0.1, maximum=3600.0
     )
     gnss_delay_s: float = parameter(
         0.5,

@@ -153,7 +153,7 @@ class Surroundings:
 
         DUPLICATE or CONFLICT: an input of the same kind and stamp exists. LATE: all stored inputs of this kind
         are later. JUMP: the input has jumped. A rejected input must be inserted too. Of two inputs with the same stamp
-        the one whose bytes sort first is kept, and an input that has jumped affects the evaluation of later inputs.
+        the message whose bytes sort first is kept, and an input that has jumped affects the evaluation of later inputs.
         """
         if isinstance(sky_input, PositionFix):
             return self._position.rejection(sky_input)

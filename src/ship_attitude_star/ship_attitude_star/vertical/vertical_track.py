@@ -265,7 +265,7 @@ class VerticalTrack:
     # ---------------------------------------------------------------------------------------------------------
 
     def _insert_reading(self, message: DeflectionReading) -> int | None:
-        """Insert a message by its stamp; of two messages with one stamp, the one whose bytes sort first is kept."""
+        """Insert a message by its stamp; of two messages with one stamp, the message whose bytes sort first is kept."""
         index = bisect.bisect_left(self._stamps, message.time_ns)
         if index < len(self._stamps) and self._stamps[index] == message.time_ns:
             if self._messages[index].content() <= message.content():
