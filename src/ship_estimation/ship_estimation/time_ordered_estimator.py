@@ -7,7 +7,7 @@ is independent of the kind of measurement. A measurement is processed as follows
    the lag first, and then the plausibility of the measurement. A measurement that the core rejects does not reach the
    time-ordered estimator.
 2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
-   CONFLICT. Of two conflicting measurements the message whose bytes sort first is kept. A measurement is rejected as
+   CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. A measurement is rejected as
    OVERFLOW if too many later measurements of its source are known.
 3. The measurement is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A
    decision is published again as revised if it changes between accepted and rejected. The number of repetitions is

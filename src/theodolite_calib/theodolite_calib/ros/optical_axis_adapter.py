@@ -97,7 +97,7 @@ _MODE_TEXTS = {
 
 
 class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
-    """Optical axis of the theodolite, with its error budget, from encoders, ship's attitude, stars and lights of drones.
+    """Optical axis of the theodolite with its error budget, from encoders, ship's attitude, stars, lights of drones.
 
     Args:
         config: the node's parameters.
