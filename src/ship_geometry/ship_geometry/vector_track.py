@@ -95,3 +95,13 @@ class VectorTrack(SampleTrack[Sample]):
             ANY_DIRECTION,
         )
         return InterpolatedVector(*found)
+
+    def _change(self, first: int, second: int) -> FloatArray:
+        """Return the change from one sample to another; whole periods are removed from each step between neighbours."""
+        if second < first:
+            return -self._change(second, first)
+        change = np.zeros_like(self._samples[first].vector)
+        for index in range(first, second):
+            step = self._samples[index + 1].vector - self._samples[index].vector
+            change += step if self._period == np.inf else step - self._period * np.round(step / self._period)
+        return change
