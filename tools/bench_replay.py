@@ -22,11 +22,13 @@ ROUNDS = 3
 DEMO_S, SUITE_S = 30.0, 15.0
 """Lengths of the voyages replayed message by message, s: the demo, and a voyage with every device."""
 SHIP_S, LONG_SUITE_S = 3600.0, 900.0
-"""Lengths of the voyages replayed in blocks, s: an INS at 100 Hz with two star sensors at 5 Hz; a voyage with every
-device."""
+"""Lengths of the voyages replayed in blocks, s: an INS at 100 Hz with two star sensors at 5 Hz; the full suite.
+"""
 SHORT_SHIP_S, SHORT_SUITE_S = 300.0, 60.0
-"""Lengths of shorter voyages, also replayed message by message; the growth of memory is relative to the ship's
-short voyage."""
+"""Lengths of the shorter voyages, which are also replayed message by message.
+
+The growth of memory is that from ``SHORT_SHIP_S`` to ``SHIP_S``.
+"""
 
 MOST_OF_DEMO, MOST_OF_SUITE = 6.0 * WITH_INTEGRITY, 12.0 * WITH_INTEGRITY
 """Bounds of replay message by message, relative to a copy."""
@@ -43,7 +45,7 @@ from ship_replay.offline.replay import replay
 replay(Path(sys.argv[1]), Path(sys.argv[2]), ADAPTERS)
 print(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1])
 """
-"""Program that replays a bag and prints VmHWM, because getrusage also counts the parent process."""
+"""Program that replays a bag and prints its peak memory (VmHWM, kB); getrusage also counts the parent process."""
 
 
 def replay_cost() -> list[Row]:

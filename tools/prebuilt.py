@@ -56,7 +56,7 @@ def _content(folder: Path) -> list[str | bytes]:
         if path.name in _READ or path.suffix in (".msg", ".srv", ".action"):
             parts += ["/".join(inner), path.read_bytes()]
         elif path.name.startswith("compiled_"):
-            # C and compiled modules are in the folder of their source.
+            # Generated C files and compiled modules are next to their source; only the source is part of the digest.
             parts += ["/".join(inner), path.read_bytes()] if path.suffix in (".py", ".pxd") else []
         elif path.suffix not in (".py", ".pyc", ".pyi"):
             parts.append("/".join(inner))  # launch, parameter and resource files

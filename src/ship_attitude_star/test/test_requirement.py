@@ -229,7 +229,7 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     assert "no layout meets the requirement; nearest miss: 'all sensors moved'" in printed
     assert "of 2 arcsec" in printed
     page = (out / "layout_study.html").read_text(encoding="utf-8")
-    assert "No layout meets it." in page
+    assert "No layout is admissible." in page
     tables = {
         name for name in output_names(study_config(read_nested_parameters(layout).values)) if name.endswith(".csv")
     }

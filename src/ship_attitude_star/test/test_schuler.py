@@ -1,7 +1,7 @@
 """Schuler error process of the INS compared with scipy's matrix exponential and with a simulated INS.
 
-The simulated INS is not linearised and shares no code with the process: its attitude and velocity are integrated by
-scipy from the measurements of gyroscopes and accelerometers.
+The simulated INS is not linearised, and shares only the Earth's rate, radii and normal gravity with the process. Its
+attitude and velocity are integrated by scipy from the measurements of gyroscopes and accelerometers.
 """
 
 import math
@@ -73,7 +73,8 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     )
     scale = np.diag(1.0 / np.r_[np.full(5, ARCSEC), 0.01, 0.01, 1e-5, np.full(3, 1e-8), 1e-5, 1e-5])
     noise = np.zeros((13, 13))
-    # The integral is computed in steps of 60 s, as over hours at once it is lost in the rounding of exp(-F t).
+    # The integral is computed in steps of 60 s: in a single step of hours it would be lost in the rounding
+    # of exp(-F t).
     step = expm(60.0 * np.block([[-rates, density], [np.zeros((13, 13)), rates.T]]))
     transition = step[13:, 13:].T
     fresh = transition @ step[:13, 13:]
@@ -105,11 +106,11 @@ def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, floa
     state[8:11] = np.array([0.004, -0.01, 0.006]) * math.pi / 180.0 / 3600.0
     state[11:] = 1e-4, -5e-5
     rates = ins.system_matrix(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
-    # The simulated drift and bias are constant, but those of the process decay within ten hours.
+    # The simulated drift and bias are constant, but those of the process decay with a time constant of ten hours.
     rates[8:, 8:] = 0.0
     expected = expm(3600.0 * hours * rates) @ state
     turn, velocity = computed_ins(state, sailing, 3600.0 * hours)
-    # The remaining difference is of second order: 40″ times 60″, and the effect of a heading error through cos L.
+    # The remaining difference is of second order in the errors.
     np.testing.assert_allclose(turn / ARCSEC, expected[:3] / ARCSEC, atol=0.1)
     np.testing.assert_allclose(velocity, expected[5:7], atol=0.002)
 
@@ -117,8 +118,8 @@ def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, floa
 def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the final errors of a simulated INS: rotation from its horizon to the true one, rad; velocity, m/s.
 
-    The ship keeps her latitude and velocity, and her deck is the true horizon. The attitude of the INS therefore equals
-    the attitude error.
+    The latitude is held constant, also for a ship that sails north. The deck is the true horizon, so the attitude of
+    the INS is the inverse of the rotation by the attitude error.
     """
     meridian_m, across_m = (float(one) for one in horizon_radii_m(GeodeticPosition(LATITUDE, 0.0, 0.0)))
     gravity, (xi, eta) = normal_gravity(LATITUDE), state[3:5]
@@ -147,7 +148,7 @@ def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: fl
         force = rotation @ measured_force + np.array([0.0, -gravity, 0.0])
         force -= np.cross(earth(own_latitude) + turn, velocity)
         new = rotation @ skew(measured_turn) - skew(turn) @ rotation
-        # The ship keeps her latitude: a change of the INS latitude is a change of the INS error.
+        # This state is only the error of latitude, so the true north velocity is subtracted.
         return np.r_[new.ravel(), force[0], force[2], (velocity[0] - true_velocity[0]) / meridian_m]
 
     begin = np.r_[exp_rotation(-state[:3]).ravel(), true_velocity[[0, 2]] + state[5:7], state[7]]

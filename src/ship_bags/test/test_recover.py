@@ -94,7 +94,7 @@ def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished_re
 
 
 def test_a_finished_recording_needs_no_recovery(unfinished_recording, tmp_path):
-    """Duplicate definitions disturb no reader."""
+    """The writer stores each schema and channel twice, inside a chunk and after it; no reader is disturbed by this."""
     path = tmp_path / "whole.mcap"
     path.write_bytes(finished_bytes(unfinished_recording, tmp_path))
     assert by_mcap(path) == by_rosbags(path) == sorted(original(unfinished_recording, tmp_path))

@@ -29,7 +29,8 @@ def test_availability_is_printed_for_each_limit(capsys: pytest.CaptureFixture) -
     assert "Nothing is adopted" in text
     assert {name: row[1:2] + row[3:4] for name, row in rows.items()} == {"heading": (6.0, 5.0), "tilt": (4.0, 4.0)}
     assert all(share >= 95.0 for row in rows.values() for share in (row[2], row[4]))
-    assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: no data from star.fore." in text
+    assert "tilt: not SAFE for 25 % of the time, whatever the limit." in text
+    assert "Most frequent reason (20 % of the time): no data from star.fore." in text
 
 
 def test_printed_limits_are_a_valid_file(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
@@ -51,7 +52,7 @@ def test_missing_bag_or_outputs_is_one_line(capsys: pytest.CaptureFixture, tmp_p
     (tmp_path / "short.yaml").write_text(yaml.safe_dump(scenario("demo") | {"duration_s": 20.0}))
     assert simulate([str(tmp_path / "short.yaml"), "--out", str(tmp_path / "short.mcap"), "--seed", "1"]) == 0
     assert suite([str(TWO_SENSORS), "--bag", str(tmp_path / "short.mcap"), "--limits"]) == 2
-    assert "after the first 30 s no output was VALID and checked" in capsys.readouterr().err
+    assert "after the first 30 s no quantity is SAFE with any limit" in capsys.readouterr().err
 
 
 def scenario(name: str) -> dict:

@@ -127,7 +127,7 @@ class InsJump:
         """Covariance by which the INS's correlated error is inflated for the jump, rad², shape (3, 3).
 
         The variance along the jump is the square of the jump. The variance of the estimated jump is added about every
-        axis. The square of half the squared jump is also added, because large rotations do not commute.
+        axis. The variance (jump²/2)² is also added about every axis, because large rotations do not commute.
         """
         covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + self._across_rad**2 * np.eye(3)
         return covariance_n

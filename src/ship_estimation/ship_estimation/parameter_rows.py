@@ -11,7 +11,7 @@ _BELOW = " " * 6
 
 
 def key_rows(kind: type) -> list[str]:
-    """Return the keys of a nested file as lines, with name, unit, default, range or choices, and description.
+    """Return the keys of a YAML file with nested groups as lines: name, unit, default, range or choices, description.
 
     Args:
         kind: dataclass into which the file is read.

@@ -185,7 +185,7 @@ def test_a_black_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path
         topic, start_ns = node.adapter_class.outputs[0].topic, bag.start_ns
         given = [(r.log_time_ns - start_ns, r.decode().status) for r in bag.records({topic})]
     behind = [status for time_ns, status in given if 6_510_000_000 < time_ns < 7_790_000_000]
-    # INVALID is published when the overload is detected, and then once a second.
+    # INVALID is published when the overload is detected (at 6.5 s), and then once a second: here at 7.5 s.
     assert behind == [3]
     assert {status for time_ns, status in given if time_ns > 7_820_000_000} != {3}
 
@@ -270,7 +270,7 @@ UNSET_INPUTS = {
 
 
 def without_an_orientation(node, folder):
-    """Return the node's bag with orientation covariances of its Imu inputs that begin with -1 from 3 s on."""
+    """Return a copy of the node's bag: from 3 s on, orientation covariances of its Imu inputs begin with -1."""
     faults, hit = folder / "faults.yaml", folder / "hit.mcap"
     unset = "kind: corrupt, field: 'orientation_covariance[0]', value: -1.0, start_s: 3.0"
     topics = enumerate(UNSET_INPUTS[node.adapter_class][0])

@@ -63,7 +63,8 @@ def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
 
 
 def estimates(published: Published, source: str) -> tuple[Published, int]:
-    """Return all outputs except health, diagnostics and reports that the source is off, and the report count."""
+    """Return the outputs without health, diagnostics and reports of the source being off; and these reports' number.
+    """
     kept, count = {}, 0
     for topic, messages in published.items():
         if topic not in OF_ITSELF:

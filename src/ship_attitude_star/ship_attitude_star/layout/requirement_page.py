@@ -36,8 +36,8 @@ def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
         + collapsible(
             "Maximum size of each error",
             "<p><i>Together</i>: all errors scaled by one factor. <i>Alone</i>: the other errors unchanged, with the "
-            "best combination of the sensors. Any size: another sensor compensates the error. The share is that of the "
-            "variance of the angle that uses most.</p>"
+            "best combination of the sensors. Any size: another sensor compensates the error. The share is the "
+            "part of the variance, for the angle that uses most of its limit.</p>"
             + "".join(_allocation(name, rows) for name, rows in required.allocations.items()),
         )
     )
@@ -51,11 +51,11 @@ def _summary(required: RequirementResult) -> str:
     )
     if not required.is_met:
         miss = escape(nearest_miss_text(required))
-        return f"Required (1σ): {limits_text}. <b>No layout meets it.</b> Nearest miss: {miss}."
+        return f"Required (1σ): {limits_text}. <b>No layout is admissible.</b> Nearest miss: {miss}."
     given, best = required.given_layout, required.ranking[0]
-    as_given = "The layout as given meets it" if given.is_admissible else "The layout as given does not meet it"
+    as_given = "The layout as given is admissible" if given.is_admissible else "The layout as given is not admissible"
     return (
-        f"Required (1σ): {limits_text}. {as_given}. Least use: “{escape(best.name)}” with "
+        f"Required (1σ): {limits_text}. {as_given}. Least use of an admissible layout: “{escape(best.name)}” with "
         f"{100.0 * best.requirement_use:.1f} % ({escape(placements_text(best.layout))})."
     )
 
@@ -82,7 +82,7 @@ def _best_elevation(required: RequirementResult) -> str:
         return "At no elevation are the fields of all sensors clear."
     best = min(free, key=lambda one: one.candidate.requirement_use)
     met = [one.elevation_deg for one in free if one.candidate.is_admissible]
-    between = f"the requirement is met between {met[0]:g}° and {met[-1]:g}°" if met else "no elevation meets it"
+    between = f"elevations that meet the requirement: {met[0]:g}° to {met[-1]:g}°" if met else "no elevation meets it"
     return f"The use is least with all sensors at {best.elevation_deg:g}°; {between}."
 
 

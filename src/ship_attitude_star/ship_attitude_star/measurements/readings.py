@@ -45,7 +45,7 @@ class InertialAttitude:
     rotation_cs: FloatArray
     noise_s: FloatArray
     covariance_known: bool = True
-    reach_ns = 0  # an attitude is valid at its stamp
+    reach_ns = 0  # no motion data before or after its time are needed
     field: FieldOfView = AT_BORESIGHT
 
     def content(self) -> bytes:

@@ -41,7 +41,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
                 record.process_message(each.topic, each.decode(), each.log_time_ns)
     found = [one for one in map(record.availability, QUANTITIES) if one is not None]
     if not found:
-        reason = f"no limit can be proposed: after the first {START_UP_S:.0f} s no output was VALID and checked"
+        reason = f"no limit can be proposed: after the first {START_UP_S:.0f} s no quantity is SAFE with any limit"
         raise BadInput(reason, file=bag)
     return [
         f"{summary.duration_s:.0f} s of {bag} through the nodes of this suite, without the first {START_UP_S:.0f} s:",
@@ -65,14 +65,14 @@ def _table(found: Sequence[Availability]) -> Iterator[str]:
 
 
 def _explanation(found: Sequence[Availability]) -> Iterator[str]:
-    yield "SAFE: share of time with page and alerts SAFE, of the time in which the limit decides."
-    yield f"proposed: the lowest round limit with SAFE for {_percent(REQUIRED_SHARE)} of it."
+    yield "SAFE: share of time in which the quantity is SAFE. Only the time counts in which the limit alone decides."
+    yield f"proposed: the lowest round limit with which this is SAFE for {_percent(REQUIRED_SHARE)} of that time."
     for one in found:
         if one.other:
             first, share = next(iter(one.other.items()))
             yield (
-                f"{one.quantity}: not SAFE for {_percent(1.0 - one.decisive_share)} of the time with any limit, "
-                f"{_percent(share)} by: {first}."
+                f"{one.quantity}: not SAFE for {_percent(1.0 - one.decisive_share)} of the time, whatever the limit. "
+                f"Most frequent reason ({_percent(share)} of the time): {first}."
             )
     yield "The accuracies are those that the filters publish. In another sea, sky or suite they differ."
 

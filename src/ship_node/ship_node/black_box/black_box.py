@@ -37,8 +37,10 @@ FLUSH_PERIOD_S = 0.07
 """Flush period, s; including the duration of a flush, data are on the disk after 0.1 s."""
 
 MAX_QUEUE_ENTRIES = 50_000
-"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz; further entries are lost and
-counted."""
+"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz.
+
+Further entries are lost and counted.
+"""
 
 MAX_QUEUE_BYTES = 64 * 2**20
 """Maximum size of the waiting entries, bytes; files that the node read and wrote do not count."""
@@ -155,7 +157,8 @@ class BlackBox:
             return DiagnosticStatus("black box", Level.ERROR, text)
         values = {"bytes": str(self._files.flushed_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
         if self._lost:
-            text = f"{self._files.last_path}: {self._lost} entries lost: the disk was slow or full"
+            why = "the disk was slow or full, or /clock was missing"
+            text = f"{self._files.last_path}: {self._lost} entries lost: {why}"
             return DiagnosticStatus("black box", Level.ERROR, text, values)
         return DiagnosticStatus("black box", Level.OK, f"writing {self._files.last_path}", values)
 
@@ -209,7 +212,7 @@ class BlackBox:
             self._unflushed = 0
 
     def _write_loss(self, entry: _Message) -> None:
-        """Record before an entry the number of entries lost since the disk failed."""
+        """Record, before the first entry after a failure of the disk, the number of entries that the failure lost."""
         if self._lost_by_failure:
             lost, self._lost_by_failure = _event_data(EntriesLost(self._lost_by_failure)), 0
             self._files.write(EVENTS_TOPIC, lost, entry.time_ns, entry.waiting_ns)

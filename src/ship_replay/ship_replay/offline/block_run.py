@@ -1,4 +1,4 @@
-"""Replay in blocks: batches of messages pass one node after another, and INS samples are checked together.
+"""Replay in blocks: one node after another processes many messages of all topics; INS samples are checked together.
 
 Outputs and their order are those of :class:`ship_replay.offline.replay_run.ReplayRun` for the same messages one by one.
 Data flow between nodes in one direction only, so a node may process a whole batch before the next node does.
@@ -38,7 +38,10 @@ _LAST_INDEX = 1 << 62
 
 
 class BlockRun(ReplayRun):
-    """Replay of a chain of adapters in blocks, with the arguments of :class:`ReplayRun` and a sink for batches."""
+    """Replay of a chain of adapters in blocks.
+
+    The arguments are those of :class:`ReplayRun`, but the writer is a sink for batches.
+    """
 
     def __init__(
         self, chain: AdapterChain, writer: BatchSink, summary: ReplaySummary, truth_topics: Container[str]

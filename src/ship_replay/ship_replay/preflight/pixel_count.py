@@ -15,8 +15,10 @@ from ship_estimation.chi_square import probability_above
 from ship_geometry.rotations import FloatArray
 
 _CLEARLY_LIKELIER = 12.0
-"""Difference of chi² from which on one hypothesis is clearly more likely, by a factor of 400. A difference this large
-occurs by chance in at most 3 of 10 000 cases."""
+"""Difference of chi² from which on one hypothesis is clearly more likely, by a factor of 400.
+
+A difference this large occurs by chance in at most 3 of 10 000 cases.
+"""
 
 _LEAST_PROBABILITY = 0.01
 """Minimum probability of the rotations under the best hypothesis; below this minimum another error is present."""
@@ -46,7 +48,7 @@ def cameras_counting_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: F
     improbable.
 
     Args:
-        cameras: cameras of one ship, compared at the same times of its INS.
+        cameras: cameras of one ship, each compared with the same INS.
         ins_covariance_d: covariance of the INS attitude, deck frame, rad², shape (3, 3).
     """
     if not cameras:

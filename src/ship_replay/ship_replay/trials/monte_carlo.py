@@ -123,7 +123,7 @@ def attitude_outcomes(
 ) -> Iterator[AttitudeOutcome]:
     """Process the arrivals of a run and yield the outcomes.
 
-    Attitudes are requested only at the wanted stamps of INS samples.
+    Attitudes are requested at the wanted stamps of INS samples, and come too at a sample that ends a batch by a fault.
     """
     ins = _InsBatches(core, run, wanted_ns)
     for _, source, index in run.arrivals():

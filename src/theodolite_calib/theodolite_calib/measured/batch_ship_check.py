@@ -24,7 +24,7 @@ _STATED_STEP_SIGMAS = 5.0
 """Possible step of a source's attitude, in multiples of the square root of the change of its stated variance."""
 
 _SINGLE_CHECKS = 8
-"""Number of attitudes that are checked one by one after an irregular attitude."""
+"""Number of attitudes that are checked one by one after a block whose first attitude could not be accepted."""
 
 
 class BatchShipCheck:
@@ -41,7 +41,7 @@ class BatchShipCheck:
 
     def _clear_batch(self) -> None:
         self._batch: list[ShipSample] = []
-        # Received attitudes of the batch, each with the possible step that the source reported.
+        # Received attitudes of the batch, each with the step that the change of its stated covariance allows, rad.
         self._checked: list[tuple[ShipSample, float]] = []
         # Copy of the check from before the batch.
         self._check_before_batch: InsCheck | None = None
