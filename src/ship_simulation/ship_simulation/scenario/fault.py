@@ -72,7 +72,8 @@ KINDS = {
     "rate_in_degrees": FaultKind("angular rate in degrees per second"),
     "angles_in_degrees": FaultKind("encoder or attitude angles in degrees"),
     "units": FaultKind(
-        "a wrong unit: angles in degrees; a fix in radians; air in hPa, K, percent; baselines and images in millimetres"
+        "a wrong unit: angles and angular rates in degrees; a fix in radians; air in hPa, K, percent; baselines and "
+        "images in millimetres"
     ),
     "axes": FaultKind("other axes: x and y exchanged, or north-east-down and forward-right-down", (("axes",),)),
     "bias": FaultKind("attitude rotated about the horizon's axes, with unchanged rates", (_HORIZON,)),
