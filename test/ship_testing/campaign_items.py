@@ -1,7 +1,9 @@
-"""Functions that run a campaign's items; two of them kill their process, as the kernel does when memory is short."""
+"""Functions that run a campaign's items; three of them kill their process, as the kernel does when memory is short."""
 
 import os
 import signal
+import struct
+import sys
 from pathlib import Path
 
 from ship_replay.campaign.items import Item
@@ -20,6 +22,17 @@ def dies_once(item: Item, folder: Path) -> Result:
     mark = item.source.path.with_name("died")
     if item.seed == DEADLY_SEED and not mark.exists():
         mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return quick(item, folder)
+
+
+def dies_once_while_sending(item: Item, folder: Path) -> Result:
+    """Kill the process of one seed the first time, after a part of its result has been sent."""
+    mark = item.source.path.with_name("died")
+    if item.seed == DEADLY_SEED and not mark.exists():
+        mark.touch()
+        connection = sys._getframe(1).f_locals["connection"]
+        os.write(connection.fileno(), struct.pack("!i", 100) + b"half of it")
         os.kill(os.getpid(), signal.SIGKILL)
     return quick(item, folder)
 

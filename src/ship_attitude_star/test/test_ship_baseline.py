@@ -157,7 +157,8 @@ def test_a_wrong_solution_is_rejected_and_changes_nothing(change: Any, text: str
     [
         # The length changes by 50 mm.
         (np.array([0.0, 0.0, 0.3]), "baseline length"),
-        (0.3 * np.cross(BASELINE_D, [0.0, 1.0, 0.0]) / np.linalg.norm(np.cross(BASELINE_D, [0.0, 1.0, 0.0])), "NIS"),
+        # In the deck and perpendicular to the baseline: the length changes by 6 mm.
+        (0.3 * np.array([-BASELINE_D[2], 0.0, BASELINE_D[0]]) / np.hypot(BASELINE_D[0], BASELINE_D[2]), "NIS"),
     ],
 )
 def test_a_wrong_transverse_ambiguity_is_rejected(wrong_d: np.ndarray, text: str) -> None:

@@ -28,7 +28,7 @@ from ship_replay.commands.evaluate import main as evaluate
 from ship_replay.commands.replay import main as replay
 from ship_replay.offline.digests import folder_sha256
 from ship_simulation.simulate_command import main as simulate
-from ship_testing.campaign_items import dies_always, dies_once
+from ship_testing.campaign_items import dies_always, dies_once, dies_once_while_sending
 from ship_testing.short_scenario import SHORT
 
 SUITE = """\
@@ -221,8 +221,9 @@ class TestKilled:
         made = list(run_in_processes(make, campaign_items([path], [], range(1, 5)), workers))
         return {item.seed: result for item, result in made}
 
-    def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path):
-        found = self.make_all(dies_once, scenario, tmp_path)
+    @pytest.mark.parametrize("make", [dies_once, dies_once_while_sending])
+    def test_the_item_of_a_killed_worker_is_made_again(self, make, scenario, tmp_path):
+        found = self.make_all(make, scenario, tmp_path)
         assert (tmp_path / "died").exists()
         assert {seed: (result["error"], result["values"]["seed"]) for seed, result in found.items()} == {
             seed: (None, float(seed)) for seed in range(1, 5)

@@ -235,7 +235,15 @@ def test_caution_needs_no_acknowledgement() -> None:
     caution = replace(OUT, priority=Priority.CAUTION)
     assert [change.description for change in voyage.advance(600.0, caution)] == ["raised"]
     assert voyage.states() == {"star.bow.out": "CAUTION ACTIVE_ACKNOWLEDGED"}
-    assert "needs no acknowledgement" in voyage.acknowledge("star.bow.out")
+    expected = "'star.bow.out' needs no acknowledgement: it is a caution, active acknowledged"
+    assert voyage.acknowledge("star.bow.out") == expected
+
+
+def test_text_of_an_acknowledged_alarm_has_the_article_of_alarm() -> None:
+    voyage = Voyage()
+    voyage.advance(1.0, replace(OUT, priority=Priority.ALARM))
+    voyage.acknowledge("star.bow.out")
+    assert voyage.acknowledge("star.bow.out").endswith("it is an alarm, active acknowledged")
     voyage.advance(6.0)
     assert voyage.alert_list.alerts == ()
 

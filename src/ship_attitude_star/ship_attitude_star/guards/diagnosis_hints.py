@@ -101,7 +101,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     if not (difference > _MIN_HEADING_ERROR_RAD and tilt < _SAME_TILT_RAD):
         return ""
     parameter = _heading_parameter(source)
-    if _is_near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and not _is_reference(source)):
+    if _is_near(by_ins + measured, _QUARTER_TURN) and (_is_reference(source) or not ins_confirmed):
         ins_parameter = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
         driver = source if ins_confirmed else "the INS"
         return f", as if heading were given as yaw (90° - heading): check {ins_parameter} and the driver of {driver}"

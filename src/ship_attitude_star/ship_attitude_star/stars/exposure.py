@@ -290,7 +290,8 @@ def visible_stars(
         if prior is not None:
             exposure, reasons = identify_stars(exposure, prior, local_sky)
             known = exposure.is_identified
-        unidentified = Rejection(Reason.UNIDENTIFIED, "without identity in the message, and no attitude is known")
+        text = "the message contains no identity, and no attitude predicts the star"
+        unidentified = Rejection(Reason.UNIDENTIFIED, text)
         rejected += [(exposure.name(row), reasons.get(row, unidentified)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
     apparent = local_sky.apparent_stars(exposure.positions)

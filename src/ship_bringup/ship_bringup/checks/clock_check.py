@@ -100,7 +100,7 @@ def check_clock(state: ClockState, limits: Limits) -> CheckLine:
     """
     if state.is_unresponsive:
         found = f"no answer about the clock: {state.detail}"
-        return CheckLine(_CHECK, Result.FAIL, found, "start chrony, or ptp4l and phc2sys: systemctl status chrony")
+        return CheckLine(_CHECK, Result.FAIL, found, "look at systemctl status chrony, or start ptp4l and phc2sys")
     if not state.source:
         return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _ADVICE)
     if not state.is_synchronised:

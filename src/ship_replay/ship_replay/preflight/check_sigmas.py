@@ -141,7 +141,8 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
         if stated > 0.0 and value >= CONTRADICTED_FACTOR * stated:
             text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{_INS_TOPIC}'"
             against = "attitudes scatter against their own rates" if "white" in name else "rates scatter"
-            check.report(False, f"{text} in {check.bag.path}: {against} by {value:.2g} {unit}, 1 sigma: set this")
+            measured_text = f"{against} by {value:.2g} {unit}, 1 sigma: set the parameter to this value"
+            check.report(False, f"{text} in {check.bag.path}: {measured_text}")
             found = True
     return found
 
