@@ -1,6 +1,7 @@
 """Robust fit of axis errors: estimates, covariance, and reported names."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigm
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, random_angles, simulate_sightings
 from theodolite_calib.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
-from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
+from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, _root_of_inverse, fit, rms, sizes
 from theodolite_calib.axis_fit.sightings import (
     SharedError,
     Sightings,
@@ -96,6 +97,25 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
     low, high = sigma_ratio_band(seeds)
     ratio = np.sqrt(np.mean(np.square(ratios), axis=0))
     assert np.all((low <= ratio) & (ratio <= high)), ratio
+
+
+def test_covariance_has_all_digits_despite_the_wide_prior() -> None:
+    """The expected inverse is made from exact fractions, by cofactors.
+
+    The first two unknowns have nearly the same effect, 10¹² times their prior in variance, and the third a small one.
+    """
+    design = np.array([[[1e6, 1e6, 3.0], [0.5e6, 0.5e6 + 2.0, -1.0]], [[-2e6, -2e6, 0.25], [7.0, -1.0, 0.125]]])
+    information = np.diag([1.0, 0.25, 1.0])
+    rows = [[Fraction(value) for value in row] for row in design.reshape(-1, 3).tolist()]
+    (a, b, c), (_, d, e), (_, _, f) = (
+        [sum(row[i] * row[j] for row in rows) + Fraction(information[i, j]) for j in range(3)] for i in range(3)
+    )
+    cofactors = [[d * f - e * e, c * e - b * f, b * e - c * d], [c * e - b * f, a * f - c * c, b * c - a * e]]
+    cofactors.append([b * e - c * d, b * c - a * e, a * d - b * b])
+    determinant = a * cofactors[0][0] + b * cofactors[0][1] + c * cofactors[0][2]
+    expected = np.array([[float(value / determinant) for value in row] for row in cofactors])
+    root = _root_of_inverse(design, information)
+    np.testing.assert_allclose(root @ root.T, expected, rtol=1e-9)
 
 
 def test_outliers_are_named_and_have_little_weight() -> None:

@@ -125,10 +125,9 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
         if step < _STEPS_WITH_NEW_SCALE:
             scale = _scale(residuals, used_degrees)
         weights = _weights(residuals, scale)
-        data_information = _normal(design, weights[:, None, None] * np.eye(2)) / scale**2
         unknowns = np.concatenate([vector[free], shared])
         gradient = _gradient(design, weights, residuals) / scale**2 - problem.information @ unknowns
-        root = _root_of_inverse(data_information, problem.information)
+        root = _root_of_inverse(np.sqrt(weights)[:, None, None] * design / scale, problem.information)
         change = root @ (root.T @ gradient)
         vector[free] += change[:terms]
         shared = shared + change[terms:]
@@ -196,13 +195,6 @@ def _weights(residuals: FloatArray, scale: float) -> FloatArray:
     return np.where(size > HUBER_K * scale, HUBER_K * scale / np.maximum(size, scale), 1.0)
 
 
-def _normal(design: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """Return the sum of Jᵀ D J, shape (k, k), for a stiffness D per sighting, shape (n, 2, 2)."""
-    terms = design.shape[-1]
-    normal: FloatArray = design.reshape(-1, terms).T @ (stiffness @ design).reshape(-1, terms)
-    return normal
-
-
 def _gradient(design: FloatArray, weights: FloatArray, residuals: FloatArray) -> FloatArray:
     gradient: FloatArray = design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
     return gradient
@@ -250,18 +242,21 @@ def _covariance(
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - used_degrees
     variance = np.sum((weights * sizes(residuals)) ** 2) / freedom / np.mean(stiffness)
-    data_information = _normal(design, stiffness[:, None, None] * np.eye(2)) / max(variance, _LEAST_SCALE**2)
-    root = _root_of_inverse(data_information, information)
+    sigma = np.sqrt(np.maximum(variance, _LEAST_SCALE**2))
+    root = _root_of_inverse(np.sqrt(stiffness)[:, None, None] * design / sigma, information)
     covariance: FloatArray = root @ root.T
     return covariance
 
 
-def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> FloatArray:
-    """Return W with W Wᵀ = (data_information + information)⁻¹; the prior's ``information`` is diagonal."""
+def _root_of_inverse(design: FloatArray, information: FloatArray) -> FloatArray:
+    """Return W with W Wᵀ = (Jᵀ J + information)⁻¹ for a weighted design J; the prior's ``information`` is diagonal.
+
+    J is decomposed, not Jᵀ J, whose condition number is the square of that of J. The prior of a zero point is half a
+    turn and the resulting sigmas are arcseconds, so that Jᵀ J would leave only two or three digits of the covariance.
+    """
     known = 1.0 / np.sqrt(np.diagonal(information))
-    values, vectors = np.linalg.eigh(known[:, None] * data_information * known + np.eye(len(known)))
-    # In units of the prior every eigenvalue is at least 1, except for rounding.
-    root: FloatArray = known[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
+    rows = np.vstack([design.reshape(-1, len(known)) * known, np.eye(len(known))])
+    root: FloatArray = known[:, None] * np.linalg.inv(np.linalg.qr(rows, mode="r"))
     return root
 
 
@@ -270,9 +265,10 @@ def _leave_one_out_residuals(
 ) -> FloatArray:
     """Return each sighting's residual against a fit without this sighting, by one Newton step from the full fit."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
-    flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
-    stiffness = weights[:, None, None] * np.eye(2) - flat
-    of_one = design @ _root_of_inverse(_normal(design, stiffness), information)
+    flat = np.where(weights < 1.0, 1.0, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
+    across = np.eye(2) - flat
+    stiffness = weights[:, None, None] * across
+    of_one = design @ _root_of_inverse(np.sqrt(weights)[:, None, None] * (across @ design), information)
     # Each sighting reduces its own residual, which is larger in a fit without the sighting.
     own_pull = of_one @ np.swapaxes(of_one, -1, -2)
     kept = np.eye(2) - stiffness @ own_pull
