@@ -22,8 +22,7 @@ ROUNDS = 3
 DEMO_S, SUITE_S = 30.0, 15.0
 """Lengths of the voyages replayed message by message, s: the demo, and a voyage with every device."""
 SHIP_S, LONG_SUITE_S = 3600.0, 900.0
-"""Lengths of the voyages replayed in blocks, s: an INS at 100 Hz with two star sensors at 5 Hz; the full suite.
-"""
+"""Lengths of the voyages replayed in blocks, s: an INS at 100 Hz with two star sensors at 5 Hz; all devices."""
 SHORT_SHIP_S, SHORT_SUITE_S = 300.0, 60.0
 """Lengths of the shorter voyages, which are also replayed message by message.
 

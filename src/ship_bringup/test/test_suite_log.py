@@ -50,6 +50,7 @@ def test_line_is_lost_if_neither_accepts_it(tmp_path, pipe):
     os.close(reader)
     SuiteLog(tmp_path, writer).write("a folder of that name is there")
     SuiteLog(tmp_path / ("n" * 300), writer).write("no such name")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_blocked_reader_delays_nothing(tmp_path, pipe):

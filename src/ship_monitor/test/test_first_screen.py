@@ -195,8 +195,7 @@ def test_sources_not_configured_come_last_uncounted():
 
 
 def ribbon(words, start_s=0, name="heading"):
-    """Return the joined intervals of one word a second: None is a point without safety, "-" a second without a point.
-    """
+    """Return the intervals of one word a second: None is a point without safety, "-" a second without a point."""
     first_ns = suite_states.NOW_NS - 599 * suite_states.NS
     points = deque(
         SafetyPoint(first_ns + (start_s + second) * suite_states.NS, {name: word})

@@ -63,8 +63,7 @@ def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
 
 
 def estimates(published: Published, source: str) -> tuple[Published, int]:
-    """Return the outputs without health, diagnostics and reports of the source being off; and these reports' number.
-    """
+    """Return the outputs without health, diagnostics and reports that the source is off; and the report count."""
     kept, count = {}, 0
     for topic, messages in published.items():
         if topic not in OF_ITSELF:

@@ -237,6 +237,8 @@ def test_caution_needs_no_acknowledgement() -> None:
     assert voyage.states() == {"star.bow.out": "CAUTION ACTIVE_ACKNOWLEDGED"}
     expected = "'star.bow.out' needs no acknowledgement: it is a caution, active acknowledged"
     assert voyage.acknowledge("star.bow.out") == expected
+    voyage.advance(6.0)
+    assert voyage.alert_list.alerts == ()
 
 
 def test_text_of_an_acknowledged_alarm_has_the_article_of_alarm() -> None:
@@ -244,8 +246,6 @@ def test_text_of_an_acknowledged_alarm_has_the_article_of_alarm() -> None:
     voyage.advance(1.0, replace(OUT, priority=Priority.ALARM))
     voyage.acknowledge("star.bow.out")
     assert voyage.acknowledge("star.bow.out").endswith("it is an alarm, active acknowledged")
-    voyage.advance(6.0)
-    assert voyage.alert_list.alerts == ()
 
 
 def test_escalation_is_a_new_instance_and_deescalation_waits() -> None:

@@ -100,9 +100,10 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
 
 
 def test_covariance_has_all_digits_despite_the_wide_prior() -> None:
-    """The expected inverse is made from exact fractions, by cofactors.
+    """The expected inverse is computed with exact fractions, by cofactors.
 
-    The first two unknowns have nearly the same effect, 10¹² times their prior in variance, and the third a small one.
+    The fit can hardly separate the first two unknowns: the data determine their sum a million times better than the
+    prior does, and their difference only a few times better.
     """
     design = np.array([[[1e6, 1e6, 3.0], [0.5e6, 0.5e6 + 2.0, -1.0]], [[-2e6, -2e6, 0.25], [7.0, -1.0, 0.125]]])
     information = np.diag([1.0, 0.25, 1.0])

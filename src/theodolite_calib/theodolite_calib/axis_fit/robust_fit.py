@@ -265,8 +265,9 @@ def _leave_one_out_residuals(
 ) -> FloatArray:
     """Return each sighting's residual against a fit without this sighting, by one Newton step from the full fit."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
-    flat = np.where(weights < 1.0, 1.0, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
-    across = np.eye(2) - flat
+    # Beyond k s the loss is linear along the residual, and has a stiffness only across it.
+    is_beyond = (weights < 1.0)[:, None, None]
+    across = np.eye(2) - is_beyond * along[:, :, None] * along[:, None, :]
     stiffness = weights[:, None, None] * across
     of_one = design @ _root_of_inverse(np.sqrt(weights)[:, None, None] * (across @ design), information)
     # Each sighting reduces its own residual, which is larger in a fit without the sighting.
