@@ -299,36 +299,63 @@ def test_overload_state_begins_and_ends_with_the_load(live_relay):
     assert relay.adapter.overloads[-1].behind_s == 0.0
 
 
-def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
+@pytest.fixture
+def slow_bag_relay(live_relay, monkeypatch):
+    """Return a function that starts a relay with /clock, lets events wait at a standstill, and goes on.
+
+    The node then takes at most ``max_events`` events at once.
+    """
+
+    def run(max_events: int, first_clock_s: float | None, bag_times_s: list[float]):
+        relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
+        set_time, publisher = relay.clock_publisher(), relay.imu_publisher()
+        clock = relay.peer.create_publisher(Clock, "/clock", 100)
+        relay.wait_until(lambda: clock.get_subscription_count() == 1)
+        if first_clock_s is not None:
+            set_time(first_clock_s)
+            relay.wait_until(lambda: relay.live._last_ns == round(first_clock_s * 1e9))
+        take, stands, goes_on = relay.live._events.process_events, threading.Event(), threading.Event()
+
+        def take_after_standstill(timeout_s):
+            stands.set()
+            assert goes_on.wait(TIMEOUT_S)
+            return take(timeout_s)
+
+        # On a busy machine the first event may take long although it existed already.
+        monkeypatch.setattr(node_events, "_WAITED_NS", 10**10)
+        monkeypatch.setattr(node_events, "MAX_EVENTS", max_events)
+        monkeypatch.setattr(relay.live._events, "process_events", take_after_standstill)
+        assert stands.wait(TIMEOUT_S)
+        for bag_s in bag_times_s:
+            bag_ns = round(bag_s * 1e9)
+            publisher.publish(imu_message(bag_ns))
+            clock.publish(Clock(clock=imu_message(bag_ns).header.stamp))
+        assert publisher.wait_for_all_acked()
+        goes_on.set()
+        return relay
+
+    return run
+
+
+SIX_SECONDS = [1000.0 + 0.1 * tenth for tenth in range(61)]
+
+
+@pytest.mark.parametrize("first_clock_s", [1000.0, None], ids=["after the first clock", "before the first clock"])
+def test_events_waiting_in_bag_time_are_an_overload(slow_bag_relay, first_clock_s):
     """A node that processes one event at a time uses each message immediately, but six seconds of the bag wait as
     events.
     """
-    relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
-    set_time, publisher = relay.clock_publisher(), relay.imu_publisher()
-    clock = relay.peer.create_publisher(Clock, "/clock", 100)
-    relay.wait_until(lambda: clock.get_subscription_count() == 1)
-    set_time(1000.0)
-    relay.wait_until(lambda: relay.live._last_ns == 1000_000_000_000)
-    take, stands, goes_on = relay.live._events.process_events, threading.Event(), threading.Event()
-
-    def take_after_standstill(timeout_s):
-        stands.set()
-        assert goes_on.wait(TIMEOUT_S)
-        return take(timeout_s)
-
-    # On a busy machine the first event may take long although it existed already.
-    monkeypatch.setattr(node_events, "_WAITED_NS", 10**10)
-    monkeypatch.setattr(node_events, "MAX_EVENTS", 1)
-    monkeypatch.setattr(relay.live._events, "process_events", take_after_standstill)
-    assert stands.wait(TIMEOUT_S)
-    for tenth in range(61):
-        bag_ns = 1000_000_000_000 + tenth * 100_000_000
-        clock.publish(Clock(clock=imu_message(bag_ns).header.stamp))
-        publisher.publish(imu_message(bag_ns))
-    assert publisher.wait_for_all_acked()
-    goes_on.set()
+    relay = slow_bag_relay(1, first_clock_s, SIX_SECONDS)
     relay.wait_until(lambda: relay.adapter.overloads)
     assert relay.adapter.overloads[0].behind_s > 1.0
+
+
+def test_messages_that_wait_too_long_are_dropped_when_the_clock_goes_back(slow_bag_relay):
+    """Processing them all would stop a slow node for as long as that takes, without another check."""
+    relay = slow_bag_relay(1000, 1000.0, [*SIX_SECONDS, 500.0])
+    relay.wait_until(lambda: relay.adapter.resets == [500_000_000_000])
+    assert relay.adapter.overloads[0].behind_s > 3.0
+    assert sum(overload.cut["ins/imu"] for overload in relay.adapter.overloads) > 30
 
 
 def test_an_oversized_message_is_counted_and_dropped(live_relay):

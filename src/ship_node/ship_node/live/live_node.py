@@ -106,6 +106,8 @@ class LiveNode:
         self._backlog = Backlog(time.monotonic_ns)
         # Time by the running clock when no event was left; a message received later has arrived after this time.
         self._queue_empty_ns = 0
+        # Queue times are unknown before the first /clock; they count from then.
+        self._first_running_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         clock = self.node.resolve_topic_name("/clock") if self._clock.is_simulated() else ""
@@ -123,7 +125,7 @@ class LiveNode:
         while not stop() and self._context.ok():
             if self._events.process_events(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
                 self._queue_empty_ns = self._clock.running_ns()
-            self._guard.call("backlog", self._check_backlog)
+            self._guard.call("backlog", self._check_backlog, self._clock.running_ns(), self._clock.times)
             self._guard.call("work", self._work)
             if self._clock.is_timed_out() and not self._status_log.has_open_error("clock"):
                 self._guard.call("watch", self._watch)
@@ -206,14 +208,19 @@ class LiveNode:
         if active.add_message(number, time.monotonic_ns()) and topic not in self._duplicate_publishers:
             self._check_publishers(topic)
 
-    def _check_backlog(self) -> None:
-        """Drop the waiting messages if the node is behind; report each change to the adapter."""
-        running_ns, since_ns = self._clock.running_ns(), self._inbox.oldest_queued_ns
-        waited_ns = running_ns - since_ns if since_ns else 0
+    def _check_backlog(self, running_ns: int, times: Callable[[], tuple[int, int]]) -> None:
+        """Drop the waiting messages if the node is behind; report each change to the adapter.
+
+        Args:
+            running_ns: time by the running clock.
+            times: returns node time and timeout-clock time of a change.
+        """
+        self._first_running_ns = self._first_running_ns or running_ns
+        waited_ns = running_ns - max(self._inbox.oldest_queued_ns, self._first_running_ns) if self._inbox else 0
         change = self._backlog.evaluate(waited_ns, running_ns)
         if change is OverloadChange.NONE:
             return
-        now_ns, waiting_ns = self._clock.times()
+        now_ns, waiting_ns = times()
         if change is OverloadChange.BEHIND:
             self._inbox.cut_all(now_ns, waiting_ns, running_ns)
         else:
@@ -298,11 +305,14 @@ class LiveNode:
             self.adapter.health.record_overflow(topic, count, why, waiting_ns)
 
     def _on_jump_back(self, jump: TimeJump) -> None:
+        # A node that is behind drops its messages; processing them all could take minutes without another check.
+        before_ns = self._clock.running_ns() - jump.delta.nanoseconds
+        self._guard.call("backlog", self._check_backlog, before_ns, lambda: (self._last_node_ns, self._last_ns))
         self._handle_all()
         self._clock.reset()
         self._backlog.restart()
         self._inbox.resume()
-        self._queue_empty_ns = self._clock.running_ns()
+        self._queue_empty_ns = self._first_running_ns = self._clock.running_ns()
         now_ns, waiting_ns = self._clock.times()
         self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: restarting")
         self._grid.restart(waiting_ns)
