@@ -74,6 +74,7 @@ class RelayAdapter:
         self.clock_steps: list[int] = []
         self.handled: list[int] = []
         self.overloads: list[Overload] = []
+        self.overload_times_ns: list[int] = []
         self.duplicates: list[tuple[str, str]] = []
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
@@ -117,6 +118,7 @@ class RelayAdapter:
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         self.overloads.append(change)
+        self.overload_times_ns.append(now_ns)
         for topic, count in change.cut.items():
             self.health.record_overload_cut(topic, count, change.text(self.node_name), now_ns)
         return []

@@ -350,12 +350,15 @@ def test_events_waiting_in_bag_time_are_an_overload(slow_bag_relay, first_clock_
     assert relay.adapter.overloads[0].behind_s > 1.0
 
 
-def test_messages_that_wait_too_long_are_dropped_when_the_clock_goes_back(slow_bag_relay):
+@pytest.mark.parametrize("first_clock_s", [1000.0, None], ids=["after the first clock", "before the first clock"])
+def test_messages_that_wait_too_long_are_dropped_when_the_clock_goes_back(slow_bag_relay, first_clock_s):
     """Processing them all would stop a slow node for as long as that takes, without another check."""
-    relay = slow_bag_relay(1000, 1000.0, [*SIX_SECONDS, 500.0])
+    relay = slow_bag_relay(1000, first_clock_s, [*SIX_SECONDS, 500.0])
     relay.wait_until(lambda: relay.adapter.resets == [500_000_000_000])
     assert relay.adapter.overloads[0].behind_s > 3.0
     assert sum(overload.cut["ins/imu"] for overload in relay.adapter.overloads) > 30
+    assert 0 not in relay.adapter.overload_times_ns
+    relay.wait_until(lambda: relay.adapter.overloads[-1].behind_s == 0.0)
 
 
 def test_an_oversized_message_is_counted_and_dropped(live_relay):

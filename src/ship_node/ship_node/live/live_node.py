@@ -106,8 +106,6 @@ class LiveNode:
         self._backlog = Backlog(time.monotonic_ns)
         # Time by the running clock when no event was left; a message received later has arrived after this time.
         self._queue_empty_ns = 0
-        # Queue times are unknown before the first /clock; they count from then.
-        self._first_running_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         clock = self.node.resolve_topic_name("/clock") if self._clock.is_simulated() else ""
@@ -215,8 +213,8 @@ class LiveNode:
             running_ns: time by the running clock.
             times: returns node time and timeout-clock time of a change.
         """
-        self._first_running_ns = self._first_running_ns or running_ns
-        waited_ns = running_ns - max(self._inbox.oldest_queued_ns, self._first_running_ns) if self._inbox else 0
+        since_ns = max(self._inbox.oldest_queued_ns, self._clock.started_ns)
+        waited_ns = running_ns - since_ns if self._inbox else 0
         change = self._backlog.evaluate(waited_ns, running_ns)
         if change is OverloadChange.NONE:
             return
@@ -307,12 +305,13 @@ class LiveNode:
     def _on_jump_back(self, jump: TimeJump) -> None:
         # A node that is behind drops its messages; processing them all could take minutes without another check.
         before_ns = self._clock.running_ns() - jump.delta.nanoseconds
-        self._guard.call("backlog", self._check_backlog, before_ns, lambda: (self._last_node_ns, self._last_ns))
+        last = (self._last_node_ns, self._last_ns) if self._last_ns else self._clock.times()
+        self._guard.call("backlog", self._check_backlog, before_ns, lambda: last)
         self._handle_all()
         self._clock.reset()
         self._backlog.restart()
         self._inbox.resume()
-        self._queue_empty_ns = self._first_running_ns = self._clock.running_ns()
+        self._queue_empty_ns = self._clock.running_ns()
         now_ns, waiting_ns = self._clock.times()
         self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: restarting")
         self._grid.restart(waiting_ns)

@@ -48,11 +48,13 @@ class NodeClock:
     Attributes:
         stepped_ns: sum of the steps of the system's clock against the steady clock since the start; steps of /clock do
             not count.
+        started_ns: time of the first /clock, or of the first /clock after it went back, ns; 0 without /clock. No queue
+            time began before.
     """
 
     def __init__(self, node: "Node", steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
         self._clock, self._steady_ns = node.get_clock(), steady_ns
-        self.stepped_ns = 0
+        self.stepped_ns = self.started_ns = 0
         self._ahead_ns: int | None = None
         self._on_event = on_event
         self._timeout_clock = TimeoutClock(steady_ns)
@@ -91,6 +93,7 @@ class NodeClock:
     def reset(self) -> None:
         """Make both times equal again, because the clock went back."""
         self._frozen_before_ns = 0
+        self.started_ns = self.now_ns()
 
     def is_simulated(self) -> bool:
         """Return True if the node uses /clock."""
@@ -127,6 +130,8 @@ class NodeClock:
     def _on_clock(self) -> None:
         if self._has_clock:
             self._frozen_before_ns = self._frozen_ns()
+        else:
+            self.started_ns = self.now_ns()
         self._has_clock = True
         self._last_clock_ns = self._listening.now_ns(0)
         self._on_event()
