@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.errors import BadInput
-from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.frames import angle_covariance, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation, wrap_pi
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_stars.solution.solution import SolutionStatus
 from ship_testing import availability_study as trials
 from ship_testing.pan_peers import (
     MIN_STARS_BY_GEOMETRY,

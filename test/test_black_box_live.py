@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recovered_path
-from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
+from ship_testing.trials.live_run import LiveFailure, LiveRun, executable
 from tools.black_box_run import eventful_runs, verify_box
 
 ROOT = Path(__file__).parents[1]

@@ -9,7 +9,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 
 from ship_bags.live.ros_process import executable
 from ship_bringup.remote_node import parse_value, unknown_name_text, value_text
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 

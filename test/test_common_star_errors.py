@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.every_case import check_every_case
 from ship_testing.ship_faults import run_core, turn_stars, voyage

@@ -13,16 +13,16 @@ from scipy.sparse.linalg import splu
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.monte_carlo import feed_attitude
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.attitude_device import DeviceSamples, InsSamples
 from ship_simulation.suite.suite import suite_configuration
+from ship_testing.trials.monte_carlo import feed_attitude
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, Horizon
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import ParameterError, build
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage
 from ship_simulation.scenario.scenario import Gravity, Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
+from ship_stars.samples.attitude_samples import AttitudeEstimate, Horizon
+from ship_testing.trials.monte_carlo import attitude_outcomes
 
 SCENARIO = Path(__file__).parents[1] / "bags" / "scenarios" / "deflection.yaml"
 SEEDS = 6

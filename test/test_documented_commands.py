@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import executable
 from ship_testing.bag_parts import write_beginning
+from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import executable
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

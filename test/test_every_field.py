@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 import ship_testing.copies  # noqa: F401
-from ship_estimation.outcome import Status
-from ship_geometry.attitude_track import AttitudeSample
-from ship_node.edge.adapter import Adapter
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.adapters.adapter import Adapter
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, changed_copy, hand_over
 from ship_testing.every_input import topics, voyage, worst_error_in_sigmas
 from ship_testing.garbage import Path, paths, value_at
 from theodolite_calib.filter.filter import CalibrationState
-from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Mode, ShipSample
+from theodolite_calib.samples.samples import BaselineSample, EncoderSample, Mode, ShipSample
 
 NODE = "optical_axis"
 BEFORE_S, AFTER_S = 3.0, 0.6

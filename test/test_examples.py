@@ -8,18 +8,18 @@ from typing import Any
 import pytest
 import yaml
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.parameter_yaml import read_sections
-from ship_estimation.parameters import describe
+from ship_estimation.parameters.schema import describe
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import executable
 from ship_simulation.simulate_command import main as simulate
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import executable
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"

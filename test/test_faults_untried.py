@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_simulation.scenario.fault import Fault
 from ship_testing.adapter_runs import stamp_of
 from ship_testing.every_input import error_in_sigmas, scenario, voyage_of, worst_error_in_sigmas
-from theodolite_calib.measured.samples import Mode
+from theodolite_calib.samples.samples import Mode
 
 DURATION_S, BEGIN_S, END_S = 12.0, 6.0, 9.0
 SIGMAS = 5.0

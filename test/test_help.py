@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.command_line import LAUNCHER_VARIABLE
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.parameters import describe
+from ship_estimation.parameters.schema import describe
 from ship_node.parameters.usage import usage_text
 from ship_replay.offline.nodes import ADAPTERS
 from ship_simulation.scenario.scenario import Fault, Scenario

@@ -6,7 +6,7 @@ Former results of the same runs are in brackets: the largest error in sigmas whi
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.run import SimulatedRun
 from ship_testing import ship_faults

@@ -6,11 +6,11 @@ Python 3.10 has no wheel of GTSAM: there these tests are skipped. ``make campaig
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
-from ship_replay.trials.monte_carlo import FinalError, final_error
 from ship_testing.campaign_cases import case_in_short
 from ship_testing.isam2_peer import isam2_error
+from ship_testing.trials.monte_carlo import FinalError, final_error
 
 pytest.importorskip("gtsam", reason="GTSAM is not installed: pip install gtsam", exc_type=ImportError)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_replay.trials.live_run import LiveFailure, LiveRun
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_testing.trials.live_run import LiveFailure, LiveRun
 
 pytestmark = pytest.mark.live
 

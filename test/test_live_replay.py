@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory
@@ -22,13 +22,13 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import relative_topic
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import quaternion_from_rotation
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.bounds import check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.trials.live_run import LiveRun
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from ship_testing.trials.live_run import LiveRun
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]
 

@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.gates import mean_nees_band
-from ship_estimation.parameters import build
-from ship_replay.trials.monte_carlo import error_at_end, feed_attitude
+from ship_estimation.innovations.gates import mean_nees_band
+from ship_estimation.parameters.schema import build
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.places import SCENARIOS
+from ship_testing.trials.monte_carlo import error_at_end, feed_attitude
 
 SEEDS = 30
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 

@@ -11,19 +11,19 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import relative_topic
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_replay.trials.live_run import LiveRun
 from ship_simulation.simulate_command import write_bag
 from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
 from ship_testing.theodolite_stations import buoy_direction, buoy_n, direction_message, triangulation_values
-from theodolite_calib.measured.samples import Mode
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
+from ship_testing.trials.live_run import LiveRun
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
+from theodolite_calib.samples.samples import Mode
 
 pytestmark = [pytest.mark.live, pytest.mark.smoke]
 

@@ -7,15 +7,15 @@ import sys
 import pytest
 
 ADAPTERS = [
-    "ship_attitude_star.ros.ship_attitude_adapter",
-    "ship_attitude_star.ros.star_attitude_adapter",
-    "theodolite_calib.ros.optical_axis_adapter",
-    "theodolite_calib.ros.triangulation_adapter",
+    "ship_attitude_star.adapters.ship_attitude_adapter",
+    "ship_attitude_star.adapters.star_attitude_adapter",
+    "theodolite_calib.adapters.optical_axis_adapter",
+    "theodolite_calib.adapters.triangulation_adapter",
 ]
 
 NEEDLESS = {
-    # ship_estimation.chi_square, ship_geometry.ros_axes and ship_geometry.lapack replace the few functions needed; the
-    # import of each of these modules of scipy takes longer than that of rclpy.
+    # ship_estimation.innovations.chi_square, ship_geometry.ros_axes and ship_geometry.lapack replace the few functions
+    # needed; the import of each of these modules of scipy takes longer than that of rclpy.
     "scipy.linalg", "scipy.special", "scipy.stats", "scipy.spatial", "scipy.optimize", "scipy.sparse", "scipy.signal",
     # Figures and pages are made by commands.
     "matplotlib", "jinja2", "rich",

@@ -6,16 +6,15 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ship_attitude_star.layout import layout_study_command
 from ship_bags.commands import import_nmea as import_nmea_command
 from ship_bags.commands import record as record_command
-from ship_replay.commands import axis_sightings as axis_sightings_command
-from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import evaluate as evaluate_command
-from ship_replay.commands import identify_noise as identify_noise_command
 from ship_replay.commands import replay as replay_command
 from ship_simulation import simulate_command
-from theodolite_calib.axis_fit import fit_axes_command
+from ship_studies.axis_fit import axis_sightings_command, fit_axes_command
+from ship_studies.ins_noise import identify_noise_command
+from ship_studies.installation import calibrate_installation_command
+from ship_studies.layout import layout_study_command
 
 SCENARIO = {
     "start_utc": "2014-07-09T12:00:00Z",

@@ -22,11 +22,11 @@ from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_msgs.msg import Innovation, Integrity, OpticalAxisPointing, ShipAttitude
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.places import ROOT
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]
 

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_testing.theodolite_scenes import replace_nested, sweep_over_beacons, with_beacons, with_theodolite
+from ship_testing.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import DetectedBeacon, Exposure, Mode
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.samples.samples import DetectedBeacon, Exposure, Mode
 
 pytestmark = pytest.mark.slow  # the computations that the tests share take long
 

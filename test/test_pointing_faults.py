@@ -8,7 +8,7 @@ import os
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.pointing_faults import (
     FAULT_S,

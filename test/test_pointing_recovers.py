@@ -10,27 +10,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.outcome import Status
-from ship_node.documents.saved_document import READ_ONLY
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
+from ship_estimation.time_order.outcome import Status
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
+from ship_node.saved_files.saved_document import READ_ONLY
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_config
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.voyage_outputs import VoyageSink
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
+from ship_stars.sky.sky_model import SkyModel
 from ship_testing.memory_sink import MemorySink
 from ship_testing.returns.voyages import make_bag
 from ship_testing.theodolite_scenes import replace_nested
+from ship_testing.trials.voyage_outputs import VoyageSink
 from ship_watch.orientations import ORIENTATIONS
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.ros.pointing_messages import POINTING_TOPIC
+from theodolite_calib.messages.pointing_messages import POINTING_TOPIC
 from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow

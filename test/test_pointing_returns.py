@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_testing.pointing_faults import (
     FAULT_S,
     duplicate_encoder_readings,

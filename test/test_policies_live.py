@@ -10,7 +10,7 @@ import pytest
 from ship_bags.live.ros_process import command_node, executable
 from ship_bringup.security.rights import load_companions, suite_rights
 from ship_bringup.suite.plan import check_nodes
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 

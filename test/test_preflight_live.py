@@ -15,7 +15,7 @@ from sensor_msgs.msg import Imu
 from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S, stamp_fields
 from ship_msgs.msg import ShipAttitude, StarHorizonAttitude
-from ship_replay.trials.live_process import GraphObserver, free_domain_id, live_environment
+from ship_testing.trials.live_process import GraphObserver, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.readings import AirReading, SkyInput
-from ship_attitude_star.ros.surroundings_in import position_fix
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.surroundings import Surroundings
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
-from ship_estimation.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.rejections import Rejection
 from ship_replay.commands.replay import main as replay
-from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_stars.messages.surroundings_messages import position_fix
+from ship_stars.samples.readings import AirReading, SkyInput
+from ship_stars.sky.config import SkyConfig
+from ship_stars.sky.surroundings import Surroundings
+from ship_testing.trials.monte_carlo import final_error
 
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT.parent / "shared" / "data" / "nbp1406"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ship_replay.commands.moved import PLACES
+from ship_bags.commands.moved import PLACES
 
 ROOT = Path(__file__).parents[1]
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import yaml
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.parameter_yaml import PARAMETERS_KEY, in_any_namespace
-from ship_estimation.parameters import flatten
+from ship_estimation.parameters.schema import flatten
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.scenario.scenario import FusedAttitude, StarSensor, WeatherStation
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -21,8 +21,8 @@ from ship_simulation.suite.suite import suite_yaml
 from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of
 from ship_testing.paper_stars import PAPER_STARS, paper_stars, with_position, with_sensor
 from ship_testing.theodolite_scenes import bag_scenario, with_beacons, with_theodolite
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "bags" / "scenarios").glob("*.yaml"))
 ADAPTERS = {adapter.node_name: adapter for adapter in (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)}

@@ -14,17 +14,17 @@ import pytest
 from ship_attitude_star.ins_errors.config import SchulerConfig
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
 from ship_simulation.scenario.scenario import Gravity, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
+from ship_testing.trials.monte_carlo import attitude_outcomes
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 5

@@ -6,7 +6,7 @@ Former results of the same runs are in brackets: the time from the fault's end t
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_testing.every_case import check_every_case
 from ship_testing.ship_faults import (
     AttitudeErrors,

@@ -10,26 +10,26 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
-from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC, smoothed_message
+from ship_attitude_star.messages.attitude_messages import SMOOTHED_TOPIC, smoothed_message
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.smoothing.core import SmoothingCore
-from ship_estimation.frame_names import FRAME_NAMES
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.frame_names import FRAME_NAMES
+from ship_estimation.parameters.schema import build
 from ship_estimation.rejections import Reason
-from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes
+from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, stamp_of
 from ship_testing.ins_streams import SWELL, attitudes, stream, with_step
 from ship_testing.small_voyage import new_adapter, run_adapter, voyage
+from ship_testing.trials.monte_carlo import attitude_outcomes
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 16

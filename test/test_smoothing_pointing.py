@@ -11,25 +11,25 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.smoothing.core import SmoothingCore
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes, feed_arrival
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
+from ship_stars.sky.sky_model import load_sky_model
 from ship_testing.mount_stars import MountSession, anchored_readings, draw_errors, mount_config, mount_sky, random_field
 from ship_testing.star_sky import TIME_NS
 from ship_testing.theodolite_scenes import SCENARIOS, replace_nested, with_beacons, with_theodolite
+from ship_testing.trials.monte_carlo import attitude_outcomes, feed_arrival
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
-from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.samples.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
 from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow  # the computations that the tests share take long

@@ -11,18 +11,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
-from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.suite.suite import star_attitude_configuration
+from ship_stars.sky.sky_model import load_sky_model
+from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus
 from ship_testing.campaign_cases import case_in_short
 from ship_testing.paper_stars import paper_stars, with_sensor
+from ship_testing.trials.monte_carlo import attitude_outcomes, core_for, sky_input, star_exposure
 
 LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
 """Spatial errors of 7″ (field) and 5″ (pixels); the noise is 3″."""

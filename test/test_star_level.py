@@ -9,22 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
-from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.fit import MatchedStars
-from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_replay.trials.monte_carlo import sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
+from ship_stars.samples.readings import InertialAttitude
+from ship_stars.sky.sky_model import SkyModel, load_sky_model
+from ship_stars.sky.tracker_attitude import to_horizon_attitude
+from ship_stars.solution.exposure import StarExposure
+from ship_stars.solution.fit import MatchedStars
+from ship_stars.solution.solution import SolutionStatus, solve_stars
+from ship_testing.trials.monte_carlo import sky_input, star_exposure
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 120

@@ -12,22 +12,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.sky.sky_model import ApparentStars, LocalSky, SkyModel
-from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.rejections import Reason, Rejection
-from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
-from ship_geometry.refraction import elevation_of, raised_directions
+from ship_geometry.air.refraction import elevation_of, raised_directions
+from ship_geometry.earth.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
+from ship_geometry.earth.star_directions import RefreshedSky
 from ship_geometry.rotations import FloatArray, log_rotation
-from ship_geometry.star_directions import RefreshedSky
-from ship_replay.trials.monte_carlo import core_for, feed_attitude, final_error
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_stars.samples.attitude_samples import AttitudeEstimate
+from ship_stars.sky.catalogue import hipparcos
+from ship_stars.sky.sky_model import ApparentStars, LocalSky, SkyModel
 from ship_testing.solved_voyages import run_with_solutions
+from ship_testing.trials.monte_carlo import core_for, feed_attitude, final_error
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = int(os.environ.get("SKY_SEEDS", "8"))

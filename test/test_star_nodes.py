@@ -10,29 +10,29 @@ import pytest
 import yaml
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import log_rotation
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.saved_document import RecordingFiles
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
+from ship_node.saved_files.saved_document import RecordingFiles
 from ship_replay.commands.replay import main as replay
-from ship_replay.trials.live_run import LiveRun
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
 from ship_testing import small_voyage, star_voyage
+from ship_testing.trials.live_run import LiveRun
 
 ROOT = Path(__file__).parents[1]
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.layout.layout_study_command import main as layout_study
+from ship_studies.design.design_study_command import main as design_study
+from ship_studies.layout.layout_study_command import main as layout_study
 from ship_testing.browser import CHROMIUM, Browser
-from theodolite_calib.design.design_study_command import main as design_study
 
 pytestmark = [
     pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed"),

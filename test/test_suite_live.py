@@ -22,7 +22,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bringup.suite.dds_ports import UDP_ONLY, udp_ports_of
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 

@@ -13,7 +13,7 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.simulate_command import write_bag

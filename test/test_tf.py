@@ -12,16 +12,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation, Slerp
 from tf2_msgs.msg import TFMessage
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, hand_over
 from ship_testing.bag_parts import write_beginning
 from ship_testing.every_input import voyage as voyage_of
@@ -37,6 +36,7 @@ from ship_testing.small_voyage import (
     run_adapter,
     voyage,
 )
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 THEODOLITE = ROOT / "bags" / "theodolite.mcap"
 BEYOND_ROUNDING = 1e-12

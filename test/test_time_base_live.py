@@ -11,9 +11,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 import ship_node.live.node_clock as node_clock
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.message_factory import message_class
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_msgs.msg import ShipAttitude
 from ship_node.live.live_node import LiveNode
 from ship_replay.commands.replay import main as replay

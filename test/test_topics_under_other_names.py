@@ -21,17 +21,17 @@ from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import check_nodes
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.monitor import _parser as monitor_parser
-from ship_node.edge.topics import InputTopic
-from ship_replay.commands.calibrate_installation import main as calibrate_installation
-from ship_replay.commands.campaign import main as campaign
+from ship_node.messages.topics import InputTopic
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.evaluate import main as evaluate
 from ship_replay.commands.replay import main as replay
 from ship_replay.commands.report import main as report
 from ship_replay.commands.smooth import main as smooth
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_simulation.inject_command import main as inject
+from ship_studies.campaign.campaign_command import main as campaign
+from ship_studies.installation.calibrate_installation_command import main as calibrate_installation
 from ship_testing.live_relay import LiveRelay
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 ROOT = Path(__file__).parents[1]
 SUITE = ROOT / "examples" / "two_sensors.yaml"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import exp_rotation
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay

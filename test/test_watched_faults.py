@@ -25,7 +25,6 @@ from ship_monitor.live.topic_reader import MAX_QUEUE_DEPTH, TopicReader
 from ship_monitor.page.first_screen import first_screen
 from ship_monitor.terminal.screen import View, alert_to_show, screen
 from ship_monitor.terminal.styled_text import plain_text
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_simulation.inject_command import main as inject
 from ship_testing.monitored_voyages import (
     BAGS,
@@ -37,6 +36,7 @@ from ship_testing.monitored_voyages import (
     records,
     replay_with_faults,
 )
+from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor

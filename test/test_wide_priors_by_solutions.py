@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeOutcome
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeOutcome
 from ship_testing.solved_voyages import run_with_solutions
 
 pytestmark = [pytest.mark.statistics, pytest.mark.xdist_group("wide_priors_by_solutions")]

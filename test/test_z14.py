@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.layout.installation_model import InstallationConvention, ship_rotation
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
+from ship_studies.layout.installation_model import InstallationConvention, ship_rotation
 from tools.papers.z14 import upright_attitudes
 from tools.papers.z14_conclusions import (
     ABEAM,

@@ -33,7 +33,7 @@ from bench_setup import setup_cost
 from bench_stars import late_star_cost, star_solution
 from bench_start import import_cost, start_cost
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.trials.live_run import LiveFailure
+from ship_testing.trials.live_run import LiveFailure
 
 JSON_FILE = Path(__file__).resolve().parents[1] / "out" / "bench.json"
 

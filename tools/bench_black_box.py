@@ -4,8 +4,8 @@ import tempfile
 from pathlib import Path
 
 from bench_rows import Row, process_cpu_s
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_replay.trials.live_run import LiveRun
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_testing.trials.live_run import LiveRun
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
 RATE = 6.0

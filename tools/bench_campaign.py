@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from bench_rows import WITH_INTEGRITY, Row, alternate, own_cpu_s
-from ship_replay.campaign.items import campaign_items
-from ship_replay.campaign.one_item import run_item
-from ship_replay.campaign.processes import run_in_processes
-from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_studies.campaign.items import campaign_items
+from ship_studies.campaign.one_item import run_item
+from ship_studies.campaign.processes import run_in_processes
+from ship_testing.trials.monte_carlo import final_error
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3

@@ -11,13 +11,13 @@ import numpy as np
 from bench_rows import Row, alternate, median_ratio, median_us
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_model import load_sky_model
-from ship_estimation.parameters import build
-from ship_replay.trials.main_filter_only import ShipFilterWithoutSubfilters, SightingStepWithoutSubfilters
-from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing
+from ship_estimation.parameters.schema import build
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
+from ship_stars.sky.sky_model import load_sky_model
+from ship_testing.trials.main_filter_only import ShipFilterWithoutSubfilters, SightingStepWithoutSubfilters
+from ship_testing.trials.monte_carlo import core_for, feed_attitude, feed_pointing
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.core import OpticalAxisCore

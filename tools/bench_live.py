@@ -24,8 +24,8 @@ from bench_rows import WITH_INTEGRITY, Row, alternate, median_ratio, process_cpu
 from ship_bags.live.dds import use_dds_profile
 from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S, stamp_fields
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import LiveFailure
+from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import LiveFailure
 
 SUITE = Path(__file__).resolve().parents[1] / "examples" / "theodolite.yaml"
 """Parameters of the node, for a ship with two star sensors, whose messages are absent here."""

@@ -9,8 +9,8 @@ from bench_rows import Row, alternate, median_ratio, median_us
 from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
-from ship_estimation.ins import InsInputConfig
-from ship_node.edge.ins_messages import ins_sample
+from ship_estimation.parameters.ins import InsInputConfig
+from ship_node.messages.ins_messages import ins_sample
 
 ROUNDS = 5
 MOST_TEMPLATE_RATIO = 0.5

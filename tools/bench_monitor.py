@@ -23,10 +23,10 @@ from tornado.httpclient import AsyncHTTPClient
 from tornado.websocket import websocket_connect
 
 from bench_rows import Row, process_cpu_s
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.live.installed_types import installed_class
-from ship_replay.trials.live_process import LiveProcess
-from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
+from ship_testing.trials.live_process import LiveProcess
+from ship_testing.trials.live_run import LiveFailure, LiveRun, executable
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
 RATE = 3.0

@@ -16,11 +16,11 @@ import numpy as np
 from bench_filter import run_of, ship_steps_us
 from bench_rows import Row, alternate, median_ratio, median_us
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_estimation.kalman import LinearMeasurement
+from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_replay.trials.main_filter_only import ShipFilterWithoutSubfilters
-from ship_replay.trials.monte_carlo import core_for, feed_attitude
 from ship_simulation.run import SimulatedRun
+from ship_testing.trials.main_filter_only import ShipFilterWithoutSubfilters
+from ship_testing.trials.monte_carlo import core_for, feed_attitude
 
 DURATION_S, ROUNDS = 60.0, 3
 LAG_S = 2.0

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from bench_rows import Row
-from ship_replay.trials.live_run import LiveFailure
+from ship_testing.trials.live_run import LiveFailure
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_S = 180.0

@@ -9,15 +9,15 @@ from scipy.spatial.transform import Rotation
 from bench_filter import ship_steps_us
 from bench_rows import Row, alternate, median_ratio, median_us, own_cpu_s
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
-from ship_attitude_star.stars.solution import SolutionStatus
-from ship_estimation.parameters import build
-from ship_replay.trials.monte_carlo import core_for, feed_attitude, sky_input, star_exposure
+from ship_estimation.parameters.schema import build
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
+from ship_stars.sky.sky_model import load_sky_model
+from ship_stars.solution.solution import SolutionStatus
+from ship_testing.trials.monte_carlo import core_for, feed_attitude, sky_input, star_exposure
 
 SCENARIO = Path(__file__).resolve().parents[1] / "bags" / "scenarios" / "paper_stars.yaml"
 MOST_SOLUTION_RATIO = 150.0 / 46.0

@@ -17,8 +17,8 @@ import numpy as np
 
 from bench_rows import Row, alternate, median_ratio, process_cpu_s
 from ship_bags.live.ros_process import executable
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import LiveFailure
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import LiveFailure
 
 SUITE = Path(__file__).resolve().parents[1] / "examples" / "theodolite.yaml"
 """Parameters of the nodes on a ship."""
@@ -31,9 +31,9 @@ _START_S = 60.0
 _LOOK_S = 0.002
 
 _NODES = {
-    "ship_attitude": ("ship_attitude_star", "ship_attitude_star.ros.ship_attitude_adapter", "ins/imu"),
-    "star_attitude": ("ship_attitude_star", "ship_attitude_star.ros.star_attitude_adapter", "gnss/fix"),
-    "optical_axis": ("theodolite_calib", "theodolite_calib.ros.optical_axis_adapter", "theodolite/encoder"),
+    "ship_attitude": ("ship_attitude_star", "ship_attitude_star.adapters.ship_attitude_adapter", "ins/imu"),
+    "star_attitude": ("ship_attitude_star", "ship_attitude_star.adapters.star_attitude_adapter", "gnss/fix"),
+    "optical_axis": ("theodolite_calib", "theodolite_calib.adapters.optical_axis_adapter", "theodolite/encoder"),
 }
 """Node → its package, its adapter, one of its inputs."""
 

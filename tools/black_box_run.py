@@ -18,10 +18,10 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
 from ship_simulation.simulate_command import main as simulate
+from ship_testing.trials.live_run import LiveFailure, LiveRun, executable
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIO = ROOT / "bags" / "scenarios" / "demo.yaml"

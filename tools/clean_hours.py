@@ -16,9 +16,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_estimation.gates import mean_nees_band
-from ship_estimation.protection_levels import TESTS_PER_H
-from ship_replay.trials.clean_hours import (
+from ship_estimation.innovations.gates import mean_nees_band
+from ship_estimation.integrity.protection_levels import TESTS_PER_H
+from ship_testing.trials.clean_hours import (
     ALERT_LIMIT_ARCSEC,
     SETTLED_S,
     THEODOLITE,
@@ -26,7 +26,7 @@ from ship_replay.trials.clean_hours import (
     clean_voyages,
     run_clean_voyage,
 )
-from ship_replay.trials.results_file import Result, ResultsFile, run_and_record
+from ship_testing.trials.results_file import Result, ResultsFile, run_and_record
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"

@@ -18,20 +18,20 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topic
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 from ship_replay.evaluation.bounds import read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.figures import attitude_error_figure, save_figure
 from ship_replay.evaluation.tables import attitude_table
-from ship_replay.trials.live_run import LiveFailure, LiveRun
+from ship_testing.trials.live_run import LiveFailure, LiveRun
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "build" / "demo"

@@ -14,19 +14,11 @@ from rich.console import Console
 from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.trials.fault_results import (
-    PAIR_HEAD,
-    THREAT_HEAD,
-    Row,
-    pair_rows,
-    results_file,
-    threat_rows,
-    totals,
-)
-from ship_replay.trials.fault_voyage import Voyage, make_bag, replay_fault_free, run_voyage, voyages
-from ship_replay.trials.one_fault import one_fault_lines
-from ship_replay.trials.results_file import Result, ResultsFile, run_and_record
-from ship_replay.trials.threats import OVERLAPPING, SINGLE
+from ship_testing.trials.fault_results import PAIR_HEAD, THREAT_HEAD, Row, pair_rows, results_file, threat_rows, totals
+from ship_testing.trials.fault_voyage import Voyage, make_bag, replay_fault_free, run_voyage, voyages
+from ship_testing.trials.one_fault import one_fault_lines
+from ship_testing.trials.results_file import Result, ResultsFile, run_and_record
+from ship_testing.trials.threats import OVERLAPPING, SINGLE
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"

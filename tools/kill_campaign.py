@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from ship_replay.trials.kill_trial import RATE_HZ, KillTrial, kill_node, kill_recorder
+from ship_testing.trials.kill_trial import RATE_HZ, KillTrial, kill_node, kill_recorder
 
 BOX_FLUSH_PERIOD_S = 0.1
 

@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_msgs.msg import AlignmentState
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import LiveFailure
 from ship_simulation.scenario.scenario import start_time_ns
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_simulation.suite.suite import suite_yaml
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import LiveFailure
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIO = ROOT / "bags" / "scenarios" / "paper.yaml"

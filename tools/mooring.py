@@ -18,22 +18,22 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import relative_topics
+from ship_geometry.earth.time_scales import utc_text
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
-from ship_geometry.time_scales import utc_text
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, InsAttitude, Truth
 from ship_replay.offline.replay import replay
-from ship_replay.trials.fault_voyage import make_bag
+from ship_stars.solution.solution import SolutionStatus
+from ship_testing.trials.fault_voyage import make_bag
 from ship_watch.orientations import SHIP_ATTITUDE
 
 ROOT = Path(__file__).resolve().parents[1]

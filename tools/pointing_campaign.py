@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.progress import track
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_replay.trials.monte_carlo import PointingErrors, pointing_errors
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_testing.trials.monte_carlo import PointingErrors, pointing_errors
 
 SCENARIO = Path(__file__).parents[1] / "bags" / "scenarios" / "theodolite_sweep.yaml"
 BAND = (0.88, 1.12)

@@ -10,19 +10,19 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from unittest import mock
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.command_line import LAUNCHER_VARIABLE
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.parameters import ParameterDescription, describe
-from ship_node.edge.adapter import Adapter
+from ship_estimation.parameters.schema import ParameterDescription, describe
+from ship_node.adapters.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import topic_rows, usage_text
 from ship_simulation.messages.message_stream import TRUTH_TYPES
 from ship_simulation.scenario.scenario import Scenario
 from ship_watch.limits import Limits
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
 
 ROOT = Path(__file__).parents[1]
 if str(ROOT) not in sys.path:

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_geometry.ray_trace import traced_refraction
-from ship_geometry.refraction import LOWEST_ELEVATION, MODELS, ModelName, Weather, refraction
+from ship_geometry.air.ray_trace import traced_refraction
+from ship_geometry.air.refraction import LOWEST_ELEVATION, MODELS, ModelName, Weather, refraction
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 ELEVATIONS_DEG = (5.3, 6.0, 7.0, 8.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import write_atomically
-from ship_node.documents.figure_files import write_figures
+from ship_node.pages.figure_files import write_figures
 from tools.papers import p15, w18, z14
 from tools.papers.figures import figures
 

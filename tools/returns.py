@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.trials.results_file import Result, run_and_record
+from ship_testing.trials.results_file import Result, run_and_record
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "test") not in sys.path:

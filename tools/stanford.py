@@ -13,7 +13,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.commands.stanford import main as draw
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_replay.trials.fault_voyage import make_bag
+from ship_testing.trials.fault_voyage import make_bag
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"

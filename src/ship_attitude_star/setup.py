@@ -100,9 +100,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "ship_attitude = ship_attitude_star.ros.nodes:ship_attitude",
-            "star_attitude = ship_attitude_star.ros.nodes:star_attitude",
-            "layout_study = ship_attitude_star.layout.layout_study_command:main",
+            "ship_attitude = ship_attitude_star.nodes:ship_attitude",
+            "star_attitude = ship_attitude_star.nodes:star_attitude",
+            "layout_study = ship_studies.layout.layout_study_command:main",
         ],
     },
 )

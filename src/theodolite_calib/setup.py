@@ -100,11 +100,11 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "design_study = theodolite_calib.design.design_study_command:main",
-            "fit_axes = theodolite_calib.axis_fit.fit_axes_command:main",
-            "optical_axis = theodolite_calib.ros.nodes:optical_axis",
-            "triangulation = theodolite_calib.ros.nodes:triangulation",
-            "triangulate = theodolite_calib.triangulation.triangulate_command:main",
+            "design_study = ship_studies.design.design_study_command:main",
+            "fit_axes = ship_studies.axis_fit.fit_axes_command:main",
+            "optical_axis = theodolite_calib.nodes:optical_axis",
+            "triangulation = theodolite_calib.nodes:triangulation",
+            "triangulate = theodolite_calib.commands.triangulate:main",
         ],
     },
 )

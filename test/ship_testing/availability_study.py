@@ -17,25 +17,25 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 from scipy.stats import chi2, norm
 
-from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.selection import StarPrior
-from ship_attitude_star.stars.solution import SolutionStatus, StarSolution
-from ship_estimation.gates import normalized_error_squared
-from ship_estimation.parameters import build
+from ship_estimation.innovations.gates import normalized_error_squared
+from ship_estimation.parameters.schema import build
+from ship_geometry.air.refraction import Weather
 from ship_geometry.frames import angles_from_rotation
-from ship_geometry.refraction import Weather
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, wrap_pi
-from ship_replay.trials.monte_carlo import sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
+from ship_stars.sky.sky_model import SkyModel, load_sky_model
+from ship_stars.solution.exposure import StarExposure
+from ship_stars.solution.selection import StarPrior
+from ship_stars.solution.solution import SolutionStatus, StarSolution
 from ship_testing import pan_peers
 from ship_testing.pan_peers import ErfaSky, SensorView
 from ship_testing.paper_stars import PAPER_STARS, with_exact_optics
+from ship_testing.trials.monte_carlo import sky_input, star_exposure
 
 LIMIT_ARCSEC = 5.0
 """Limit of the errors of heading, pitch and roll of an available attitude."""

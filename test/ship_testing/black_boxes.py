@@ -12,19 +12,19 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from rclpy.serialization import deserialize_message
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import RosidlFactory, message_class
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.saved_document import RecordingFiles
-from ship_node.edge.overload import Overload
+from ship_node.health.overload import Overload
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import load_config
+from ship_node.saved_files.saved_document import RecordingFiles
 from ship_testing.places import ROOT
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 BAGS = ROOT / "bags"
 LENGTH_NS = 8_000_000_000

@@ -6,8 +6,8 @@ import struct
 import sys
 from pathlib import Path
 
-from ship_replay.campaign.items import Item
-from ship_replay.campaign.one_item import Result, failed_result
+from ship_studies.campaign.items import Item
+from ship_studies.campaign.one_item import Result, failed_result
 
 DEADLY_SEED = 2
 

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.parameter_yaml import in_any_namespace
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_node.adapters.reporting_adapter import ReportingAdapter
 from ship_node.parameters.parameter_file import load_config
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
@@ -33,9 +33,9 @@ from ship_simulation.suite.suite import suite_yaml
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over, stamp_of
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replace_nested, with_stars_and_targets
 from ship_testing.theodolite_stations import buoy_direction, direction_message, triangulation_values
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
-from theodolite_calib.target.config import TriangulationConfig
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
+from theodolite_calib.triangulation.config import TriangulationConfig
 
 NODES = ("ship_attitude", "star_attitude", "optical_axis", "optical_axis by ins", "triangulation")
 _SEED = 11

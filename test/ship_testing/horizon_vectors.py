@@ -1,6 +1,6 @@
 """Straight lines between positions on WGS 84: the reference for computations on the ellipsoid."""
 
-from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
+from ship_geometry.earth.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
 from ship_geometry.rotations import FloatArray
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample
 
 Angles = tuple[float, float, float]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import FinalError, error_at_end
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario, StarSensor
+from ship_testing.trials.monte_carlo import FinalError, error_at_end
 
 _CLOCK = 0
 """Key of the INS's clock. The keys of the mountings are next, then the keys of the times."""

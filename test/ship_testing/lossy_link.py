@@ -12,7 +12,7 @@ from signal import SIGUSR1, SIGUSR2
 from types import TracebackType
 
 from ship_bringup.suite.dds_ports import UDP_ONLY
-from ship_replay.trials.live_process import LiveProcess, live_environment
+from ship_testing.trials.live_process import LiveProcess, live_environment
 
 NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"
 """Connects the namespaces relA and relB by two TAP devices, and drops some of the UDP packets between them."""

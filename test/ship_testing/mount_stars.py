@@ -9,24 +9,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import AirReading, PositionFix
-from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
-from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.optics_errors import OpticsErrors
-from ship_attitude_star.stars.spatial_errors import SpatialErrors
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.true_optics import TrueOptics
+from ship_stars.camera.camera import StarCamera
+from ship_stars.camera.optics_errors import OpticsErrors
+from ship_stars.camera.spatial_errors import SpatialErrors
+from ship_stars.samples.readings import AirReading, PositionFix
+from ship_stars.sky.catalogue import julian_year
+from ship_stars.sky.sky_model import SkyModel, load_sky_model
+from ship_stars.solution.exposure import StarExposure
 from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import EncoderSample
-from theodolite_calib.measured.star_sighting import StarSighting
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+from theodolite_calib.samples.samples import EncoderSample
+from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 CAMERA_ID = "night"
 FIELD = np.deg2rad(4.0)

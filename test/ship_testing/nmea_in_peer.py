@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from ship_bags.message_factory import message_class
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import stamp_fields
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_nmea.instruments.config import NmeaInConfig
 from ship_nmea.instruments.nmea_in import NAME, NmeaIn
 from ship_nmea.nmea_node import NmeaNode

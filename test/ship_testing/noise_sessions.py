@@ -7,14 +7,14 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import ARCSEC
-from ship_replay.ins_noise.session import NoiseSession, StarComparisons, noise_session, session_config
-from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
 from ship_simulation.scenario.scenario import Ins, Position, Scenario, StarSensor
 from ship_simulation.suite.suite import suite_configuration
+from ship_studies.ins_noise.session import NoiseSession, StarComparisons, noise_session, session_config
+from ship_testing.trials.monte_carlo import attitude_outcomes
 
 STILL = CarrierMotion(
     kind="sinusoids", heading=AngleMotion(mean_deg=5.0), pitch=AngleMotion(mean_deg=0.5), roll=AngleMotion(mean_deg=2.0)

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from ship_replay.trials.live_process import free_domain_id
+from ship_testing.trials.live_process import free_domain_id
 
 
 @pytest.fixture(autouse=True)

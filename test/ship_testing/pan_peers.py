@@ -14,11 +14,11 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.refraction import Weather
+from ship_geometry.air.refraction import Weather
+from ship_geometry.earth.earth_orientation import earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.star_directions import StarPositions
 from ship_geometry.rotations import FloatArray
-from ship_geometry.star_directions import StarPositions
 
 MIN_STARS = 4
 """[P15] §1: a sensor determines its boresight by four identified stars or more."""

@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import ship_testing.copies  # noqa: F401
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import build, flatten, nest
+from ship_estimation.parameters.schema import build, flatten, nest
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import feed_arrival
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_beacons, with_theodolite
+from ship_testing.trials.monte_carlo import feed_arrival
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import PointingEstimate, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.samples.samples import PointingEstimate, PointingOutcome
 
 FAULT_S, DURATION_S = 40.0, 85.0
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.outcome import Status
-from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_estimation.time_order.outcome import Status
+from ship_node.adapters.reporting_adapter import ReportingAdapter
 from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, stamp_of
 
 

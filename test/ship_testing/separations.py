@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.protection_levels import ProtectionLevels, SigmaMultipliers, protection_levels
+from ship_estimation.integrity.protection_levels import ProtectionLevels, SigmaMultipliers, protection_levels
 from ship_geometry.rotations import FloatArray
 
 

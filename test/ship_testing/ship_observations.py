@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_testing.adapter_runs import (
     FACTORY,
 )

@@ -11,15 +11,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_estimation.parameters import build, nest
+from ship_estimation.parameters.schema import build, nest
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.beacon_camera.image import Image
+from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M, BeaconPoses
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.lights.image import Image
-from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M, BeaconPoses
-from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+from theodolite_calib.samples.sighting import Sighting
+from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS

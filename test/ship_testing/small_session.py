@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import make_header
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
@@ -28,11 +28,11 @@ from ship_testing.adapter_runs import (
     stamp_of,
 )
 from ship_testing.simulated_sightings import project, raise_elevation
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.axis_geometry.axes import AxisErrors, encoder_angles, main_axis_rotation
+from theodolite_calib.beacon_camera.image import Camera
+from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ENCODER, SHIP, INS, BEACONS = "theodolite/encoder", "ship/attitude", "ins/imu", "theodolite/beacons"
 BASELINE = {"alpha": "beacon/alpha/baseline", "bravo": "beacon/bravo/baseline"}

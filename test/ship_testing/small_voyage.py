@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import make_header
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import (
     enu_covariance,

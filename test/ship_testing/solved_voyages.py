@@ -2,21 +2,21 @@
 
 from collections.abc import Container, Iterator
 
-from ship_attitude_star.measurements.samples import AttitudeOutcome
-from ship_attitude_star.ros.messages_in import star_measurement
-from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
+from ship_attitude_star.adapters.star_attitude_adapter import star_horizon_attitude
+from ship_attitude_star.messages.input_messages import star_measurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.stars.config import JOINT
-from ship_estimation.parameters import build
-from ship_geometry.attitude_track import AttitudeSample
-from ship_replay.trials.monte_carlo import sky_input, star_exposure
+from ship_estimation.parameters.schema import build
+from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_simulation.run import SKY_SOURCES, SimulatedRun
 from ship_simulation.suite.suite import star_attitude_configuration, suite_configuration
+from ship_stars.camera.config import JOINT
+from ship_stars.samples.attitude_samples import AttitudeOutcome
+from ship_stars.sky.sky_model import load_sky_model
 from ship_testing.adapter_runs import FACTORY
+from ship_testing.trials.monte_carlo import sky_input, star_exposure
 
 
 def run_with_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.stars.fit import MatchedStars
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_stars.solution.fit import MatchedStars
 
 FIELD_RADIUS_DEG = 6.0
 """Radius of the round field of view, chosen here: models.md §2, the source of the error terms, states none."""

@@ -1,7 +1,7 @@
 """A ship under the real sky for the tests of ``star_attitude``: two star sensors at 5 Hz, an INS, fixes, weather.
 
 The ship and its INS are those of small_voyage. The directions of the stars are computed by the functions of
-ship_geometry.star_directions, which the node does not use, and projected by the camera.
+ship_geometry.earth.star_directions, which the node does not use, and projected by the camera.
 """
 
 import functools
@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
-from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.stars.camera import StarCamera
 from ship_bags.stamps import make_header
-from ship_estimation.parameters import build
-from ship_geometry.earth_orientation import earth_orientation_table
+from ship_estimation.parameters.schema import build
+from ship_geometry.air.refraction import Weather, elevation_of, raised_directions, refraction
+from ship_geometry.earth.earth_orientation import earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.star_directions import Observer, directions
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.refraction import Weather, elevation_of, raised_directions, refraction
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_geometry.star_directions import Observer, directions
+from ship_stars.camera.camera import StarCamera
+from ship_stars.sky.catalogue import hipparcos
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exact_value, sort_by_arrival
 from ship_testing.small_voyage import INS, Run, attitude, run_adapter
 from ship_testing.small_voyage import voyage as small_voyage

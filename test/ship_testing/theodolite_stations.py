@@ -8,8 +8,8 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
-from ship_geometry.geodetic import GeodeticPosition
-from theodolite_calib.target.triangulation import Air, Station
+from ship_geometry.earth.geodetic import GeodeticPosition
+from theodolite_calib.triangulation.triangulation import Air, Station
 
 ORIGIN = GeodeticPosition(np.deg2rad(31.945213), np.deg2rad(120.293086), 20.0)
 AIR = Air(0.13, 0.06)

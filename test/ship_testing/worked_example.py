@@ -5,12 +5,12 @@ from dataclasses import replace
 import erfa
 import numpy as np
 
-from ship_geometry.earth_orientation import EarthOrientation, earth_orientation_table
-from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.refraction import Weather, elevation_of
+from ship_geometry.air.refraction import Weather, elevation_of
+from ship_geometry.earth.earth_orientation import EarthOrientation, earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.star_directions import Observer, StarPositions, stars_from_epoch
+from ship_geometry.earth.time_scales import julian_date, tt_julian_date
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.star_directions import Observer, StarPositions, stars_from_epoch
-from ship_geometry.time_scales import julian_date, tt_julian_date
 
 TABLE = earth_orientation_table()
 TIME_NS = 1_404_906_607_800_000_000  # 2014-07-09 11:50:07.8 UTC

@@ -5,15 +5,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes, core_for
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario import Scenario
+from ship_stars.samples.attitude_samples import AttitudeEstimate
 from ship_testing.solved_voyages import core_with_solutions, outcomes_with_solutions
+from ship_testing.trials.monte_carlo import attitude_outcomes, core_for
 
 _EXACT_SIGMA_M = 1e-12
 

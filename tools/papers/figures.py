@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ship_attitude_star.layout.figures import sweep_figures
-from ship_attitude_star.layout.installation_model import all_curves
+from ship_studies.layout.figures import sweep_figures
+from ship_studies.layout.installation_model import all_curves
 from tools.papers import w18
 from tools.papers.z14_conclusions import POINT
 

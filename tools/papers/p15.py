@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ship_geometry.refraction import elevation_of, refraction
+from ship_geometry.air.refraction import elevation_of, refraction
+from ship_geometry.earth.star_directions import directions
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.star_directions import directions
 from ship_testing.worked_example import (
     ORIENTATION,
     SHIP,

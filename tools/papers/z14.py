@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ship_attitude_star.layout.installation_model import SWEEPS, InstallationConvention, ship_rotation
 from ship_geometry.rotations import FloatArray
+from ship_studies.layout.installation_model import SWEEPS, InstallationConvention, ship_rotation
 from tools.papers.table import Row, rows_table, table
 from tools.papers.z14_conclusions import ABEAM, AHEAD_ASTERN, CONCLUSIONS, HEADING, PITCH, curve_arcsec, of_star_roll
 from tools.papers.z14_factors import (

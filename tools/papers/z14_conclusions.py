@@ -11,15 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.layout.config import OperatingPoint
-from ship_attitude_star.layout.installation_model import (
+from ship_geometry.rotations import FloatArray
+from ship_studies.layout.config import OperatingPoint
+from ship_studies.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
     InstallationConvention,
     all_curves,
     linearise,
     point_angles_deg,
 )
-from ship_geometry.rotations import FloatArray
 from tools.papers.z14_factors import ANGLES, exact_jacobian, random_attitudes
 
 POINT = OperatingPoint()

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.layout.installation_model import InstallationConvention, linearise, ship_rotation
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from ship_geometry.rotations import FloatArray, skew
+from ship_studies.layout.installation_model import InstallationConvention, linearise, ship_rotation
 
 ANGLES = ("As", "Es", "γs", "A0", "E0", "γ0")
 

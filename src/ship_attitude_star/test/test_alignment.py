@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import yaml
 
-from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_node.documents.saved_document import RecordingFiles
-from ship_node.documents.saved_start import less_certain_quantity
+from ship_node.saved_files.saved_document import RecordingFiles
+from ship_node.saved_files.saved_start import less_certain_quantity
 from ship_testing.adapter_runs import FACTORY, START_NS
 from ship_testing.small_voyage import FORE, INS, config, fault_free_run, new_adapter, run_adapter, voyage
 

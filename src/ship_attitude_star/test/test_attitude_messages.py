@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries, Horizon
-from ship_attitude_star.ros.attitude_messages import AttitudeNumbers, attitude_messages, attitude_rows
+from ship_attitude_star.messages.attitude_messages import AttitudeNumbers, attitude_messages, attitude_rows
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import exp_rotation
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon
 
 RATE_SIGMA = 2e-5
 KINDS = [

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,

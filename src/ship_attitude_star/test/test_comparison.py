@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import devices
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.parameters import build
-from ship_geometry.attitude_track import InterpolatedAttitude, PropagatedBlock
+from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
+from ship_geometry.tracks.attitude_track import InterpolatedAttitude, PropagatedBlock
+from ship_stars.samples.attitude_samples import AttitudeMeasurement
 
 CONFIG = build(
     ShipAttitudeConfig,

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE, star_residuals
-from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_PIXEL, SpatialErrors
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_estimation.rejections import Reason
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.camera.camera import StarCamera
+from ship_stars.camera.spatial_errors import FIELD_MODES, SOURCE_PIXEL, SpatialErrors
+from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.samples.readings import InertialAttitude, PositionFix
+from ship_stars.solution.residuals import SOURCE_STAR_NOISE, star_residuals
 from ship_testing.star_sky import (
     ROTATION_ND,
     SENSORS,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.guards.diagnosis_hints import AttitudeResidual, consistency_text, heading_hint
+from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, consistency_text, heading_hint
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 

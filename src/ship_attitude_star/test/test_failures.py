@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from ship_attitude_star.ros import ship_attitude_adapter
+from ship_attitude_star.adapters import ship_attitude_adapter
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.star_attitude import core as star_core
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_testing import star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exact_value, index_at, stamp_of, without
 from ship_testing.small_voyage import FORE, STARBOARD, fault_free_run, new_adapter, remove_interval, run_adapter, voyage

@@ -18,21 +18,21 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_estimation.ins import InsJump
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError, build
-from ship_estimation.protection_levels import IntegrityReport, IntegrityState
+from ship_estimation.fault_detection.subfilters import filter_covariances
+from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState
+from ship_estimation.parameters.ins import InsJump
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejections import Reason
-from ship_estimation.subfilters import filter_covariances
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 
 INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
 AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0, "stern": 180.0}

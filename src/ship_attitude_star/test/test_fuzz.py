@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, put_garbage

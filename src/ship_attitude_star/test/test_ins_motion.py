@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.guards.stream_checks import PlausibilityChecks
+from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
-from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.config import MountingConfig
-from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
-from ship_estimation.gates import sigma_ratio_band
-from ship_estimation.ins import StarInsConfig
+from ship_estimation.innovations.gates import sigma_ratio_band
+from ship_estimation.parameters.ins import StarInsConfig
 from ship_estimation.rejections import Reason
-from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_geometry.star_directions import fixed_stars
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.camera.camera import StarCamera
+from ship_stars.camera.config import MountingConfig
+from ship_stars.solution.exposure import ExposureLength, StarExposure
 from ship_testing.small_voyage import attitude
 
 MS = 1_000_000

@@ -5,16 +5,16 @@ import os
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import build
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 
 SECOND_NS, START_NS = 1_000_000_000, 1_700_000_000_000_000_000
 INS_SIGMA_N = np.array([10.0, 72.0, 10.0]) * ARCSEC

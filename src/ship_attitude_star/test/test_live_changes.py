@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.adapter_runs import change_where, index_at, replace_message

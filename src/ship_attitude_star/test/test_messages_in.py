@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.surroundings_in import humidity, position_fix, pressure, temperature
-from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
-from ship_node.edge.messages_in import MessageRejected
+from ship_node.messages.field_checks import MessageRejected
+from ship_stars.messages.surroundings_messages import humidity, position_fix, pressure, temperature
+from ship_stars.sky.config import SkyConfig
 
 FACTORY = RosidlFactory()
 STAMP_NS = 1_404_906_607_800_000_000

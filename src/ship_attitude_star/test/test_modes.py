@@ -10,16 +10,16 @@ from geometry_msgs.msg import Quaternion
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.measurements.samples import Horizon
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
 from ship_msgs.msg import Innovation, ShipAttitude
+from ship_stars.samples.attitude_samples import Horizon
 from ship_testing.adapter_runs import SECOND_NS, START_NS, change_where, stamp_of
 from ship_testing.small_voyage import (
     FORE,

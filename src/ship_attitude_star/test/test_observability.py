@@ -9,11 +9,11 @@ import pytest
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_replay.trials.monte_carlo import attitude_outcomes, core_for
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage, Turn
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_testing.trials.monte_carlo import attitude_outcomes, core_for
 
 SCENARIOS = Path(__file__).parents[3] / "bags" / "scenarios"
 

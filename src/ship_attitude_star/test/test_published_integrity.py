@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.messages_out import Level
+from ship_node.messages.common_messages import Level
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, stamp_of
 from ship_testing.published_levels import ProtectionLevelRun
 from ship_testing.small_voyage import FORE, INS, STARBOARD, Run, new_adapter, remove_interval, run_adapter, voyage

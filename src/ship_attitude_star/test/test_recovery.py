@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_attitude_star.ros.messages_in import star_measurement
+from ship_attitude_star.messages.input_messages import star_measurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_attitude_star.ship_attitude.state import with_changes
 from ship_bags.stamps import ns_from_stamp, stamp_fields
-from ship_estimation.outcome import Status
-from ship_estimation.published_levels import PublishedLevels
+from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
 from ship_testing.overconfident_filter import make_overconfident

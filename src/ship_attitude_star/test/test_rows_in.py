@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY, AttitudeMeasurement
-from ship_attitude_star.ros import messages_in, rows_in
+from ship_attitude_star.messages import input_messages, input_rows
 from ship_attitude_star.ship_attitude.config import StarSensorConfig
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import MessageRejected, ReadMessage
+from ship_node.messages.field_checks import MessageRejected, ReadMessage
+from ship_stars.samples.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY, AttitudeMeasurement
 from ship_testing.message_rows import rows
 
 TYPE, FRAME = "ship_msgs/msg/StarHorizonAttitude", "star_bow"
@@ -84,11 +84,11 @@ def content(reading: ReadMessage[AttitudeMeasurement]) -> tuple[Any, ...]:
 
 @pytest.mark.parametrize("sharing", [SHARED_BY_SKY, SHARED_BY_MESSAGES, "none"])
 def test_messages_read_as_a_block_equal_those_read_singly(sharing: str) -> None:
-    read = functools.partial(messages_in.star_measurement, sensor_id="bow", config=star(sharing))
+    read = functools.partial(input_messages.star_measurement, sensor_id="bow", config=star(sharing))
     changes = SAME_LAYOUT + [{}] * (COUNT - len(SAME_LAYOUT))
     block = rows(TYPE, [message(number, **changed) for number, changed in enumerate(changes)])
     receive_ns = START_NS + 10_000_000 * np.arange(COUNT)
-    found = rows_in.star_attitudes(block, receive_ns, "bow", star(sharing))
+    found = input_rows.star_attitudes(block, receive_ns, "bow", star(sharing))
     for number, reading in enumerate(found):
         if reading is not None:
             alone = read(block.message(number), receive_ns=int(receive_ns[number]))
@@ -101,8 +101,8 @@ def test_messages_rejected_singly_are_not_read_as_a_block() -> None:
     for changed in ODD:
         one = message(1, **changed)
         try:
-            messages_in.star_measurement(one, "bow", config, receive_ns)
+            input_messages.star_measurement(one, "bow", config, receive_ns)
         except MessageRejected:
             rejected += 1
-            assert rows_in.star_attitudes(rows(TYPE, [one]), np.array([receive_ns]), "bow", config) == [None]
+            assert input_rows.star_attitudes(rows(TYPE, [one]), np.array([receive_ns]), "bow", config) == [None]
     assert rejected > len(ODD) // 2

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
 
-from ship_attitude_star.measurements.baseline import BASELINE, BaselineMeasurement
-from ship_attitude_star.ros.messages_in import baseline
+from ship_attitude_star.messages.input_messages import baseline
+from ship_attitude_star.samples.baseline import BASELINE, BaselineMeasurement
 from ship_attitude_star.ship_attitude.comparison import compare, predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejections import Reason
-from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, wrap_pi
+from ship_geometry.tracks.attitude_track import AttitudeSample, InterpolatedAttitude
 from ship_msgs.msg import RtkBaseline
-from ship_node.edge.messages_in import MessageRejected
+from ship_node.messages.field_checks import MessageRejected
 
 START_NS = 1_700_000_000_000_000_000
 BASELINE_D = np.array([8.0, 0.4, -1.5])

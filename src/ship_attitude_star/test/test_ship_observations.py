@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import Horizon
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_stars.samples.attitude_samples import Horizon
 from ship_testing.adapter_runs import (
     FACTORY,
     SECOND_NS,

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.smoothing.core import SmoothingCore
-from ship_estimation.parameters import build
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 from ship_testing.sparse_least_squares import covariance_of, solve
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000

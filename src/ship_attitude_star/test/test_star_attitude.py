@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.stars.solution import SolutionStatus
-from ship_estimation.gates import chi_square_gate, mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import ParameterError
+from ship_estimation.innovations.gates import chi_square_gate, mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason
 from ship_geometry.frames import angle_covariance, rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance, quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_stars.sky.catalogue import hipparcos
+from ship_stars.solution.solution import SolutionStatus
 from ship_testing import small_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, exact_value, sort_by_arrival, stamp_of
 from ship_testing.small_voyage import INS, Run, run_adapter

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.stars.solution import SolutionStatus
 from ship_estimation.rejections import Reason
-from ship_geometry.earth_orientation import earth_orientation_table
+from ship_geometry.earth.earth_orientation import earth_orientation_table
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_stars.solution.solution import SolutionStatus
 from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.masks import MaskConfig, deck_masks
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.stars.exposure import StarExposure, identify_stars
-from ship_attitude_star.stars.identification import find_candidates
-from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.parameters import ParameterError, build, flatten
-from ship_geometry.deck_masks import SensorMasks
+from ship_estimation.parameters.schema import ParameterError, build, flatten
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.sky.deck_masks import SensorMasks
+from ship_stars.sky.masks import MaskConfig, deck_masks
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure, identify_stars
+from ship_stars.solution.identification import find_candidates
+from ship_stars.solution.selection import StarPrior
 from ship_testing.star_sky import ROTATION_ND, TIME_NS, configuration, exposure_of, sky_at_anchor, without_identity
 
 CONFIG = configuration()

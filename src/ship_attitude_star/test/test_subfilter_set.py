@@ -8,7 +8,7 @@ from scipy.stats import norm
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.subfilter_set import SubfilterSet
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.schema import ParameterError, build
 
 
 def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> SubfilterSet:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_estimation.outcome import Status
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import log_rotation
-from ship_node.edge.time_base import TimeBase
+from ship_node.health.time_base import TimeBase
 from ship_testing.adapter_runs import (
     FACTORY,
     SECOND_NS,

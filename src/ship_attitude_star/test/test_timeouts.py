@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, hand_over, sort_by_arrival, stamp_of
 from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import (

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import Horizon
 from ship_bags.stamps import make_header
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
+from ship_stars.samples.attitude_samples import Horizon
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, sort_by_arrival
 from ship_testing.small_voyage import Run, new_adapter, run_adapter, voyage
 

@@ -5,16 +5,16 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix
-from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.vertical.config import GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason
-from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_geometry.time_scales import SECOND_NS
+from ship_stars.samples.readings import DeflectionReading, PositionFix
+from ship_stars.sky.config import SkyConfig
 
 START_NS = 1_700_000_000 * SECOND_NS
 M_PER_DEG_OF_LATITUDE = 110_574.0

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.samples.attitude_samples import AttitudeMeasurement
 
 SEEDS = int(os.environ.get("SEEDS", "12"))
 """Number of seeds; ``make campaign`` sets SEEDS to take more."""

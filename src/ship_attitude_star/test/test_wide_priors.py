@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.selection import StarPrior
-from ship_attitude_star.stars.solution import SolutionStatus, solve_stars, solve_with_fallback
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacobian, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
+from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure, visible_stars
+from ship_stars.solution.selection import StarPrior
+from ship_stars.solution.solution import SolutionStatus, solve_stars, solve_with_fallback
 from ship_testing.adapter_runs import START_NS, change_where, stamp_of
 from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, quaternion_message

@@ -60,11 +60,11 @@ CASES = {
     "simulate": ("ship_simulation.simulate_command", "1,2", ["short.yaml", "--out", "out.mcap"]),
     "replay": ("ship_replay.commands.replay", "1,2", ["in.mcap", "--config", "suite.yaml", "--out", "out.mcap"]),
     "calibrate_installation": (
-        "ship_replay.commands.calibrate_installation",
+        "ship_studies.installation.calibrate_installation_command",
         "1,2,3,4",
         ["session.mcap", "--out", "alignment.yaml", "--report", "report"],
     ),
-    "layout_study": ("ship_attitude_star.layout.layout_study_command", "1,2,11", ["--out", "study"]),
+    "layout_study": ("ship_studies.layout.layout_study_command", "1,2,11", ["--out", "study"]),
 }
 
 

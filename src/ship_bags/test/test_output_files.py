@@ -16,7 +16,7 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition
 from ship_bags.output_files import DiskSync, open_new, part_path, write_atomically, write_csv
-from ship_node.documents.saved_document import DISK
+from ship_node.saved_files.saved_document import DISK
 
 NEEDS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="mounts a tiny disk in a namespace of its own: needs root")
 

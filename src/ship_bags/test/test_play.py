@@ -13,9 +13,9 @@ import pytest
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import serialize
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import executable
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, vector, write_imu_bag
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import executable
 
 pytestmark = pytest.mark.live
 

@@ -21,7 +21,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import message_class
 from ship_bags.message_store import RosbagsFactory, message_store
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 

@@ -14,9 +14,9 @@ from ship_bags.errors import BadInput
 from ship_bags.live.record import MIN_STEP_NS, ClockStepDetector, Recorder, RecordOptions
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import executable
 from ship_testing.rosbag2_folders import information, rosbags_times
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.trials.live_run import executable
 
 IMU = "sensor_msgs/msg/Imu"
 PERIOD_NS = 10_000_000

@@ -5,14 +5,14 @@ import sys
 import pytest
 import rclpy
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.replay import replay
-from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.hand_made_bags import START_NS, imu
+from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
 
@@ -40,7 +40,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
         for number in range(30):
             stamp_ns = START_NS + number * 10_000_000
             writer.write("ins/imu", imu(stamp_ns, "1e3"), stamp_ns)
-    start = "from ship_attitude_star.ros.nodes import ship_attitude; ship_attitude()"
+    start = "from ship_attitude_star.nodes import ship_attitude; ship_attitude()"
     options = ("-r", "__ns:=/aurora", "--params-file", tmp_path / "suite.yaml", "-p", f"black_box:={tmp_path}/box.mcap")
     node = [sys.executable, "-c", start, "--ros-args", *map(str, options)]
     recorder = command("ship_bags.commands.record", "--out", str(out))

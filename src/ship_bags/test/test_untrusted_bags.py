@@ -20,11 +20,11 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_content import BagContent, bag_content
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.chunk_content import MAX_CHUNK_RECORDS, records_of_chunk
-from ship_replay.commands import axis_sightings as axis_sightings_command
-from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import evaluate as evaluate_command
-from ship_replay.commands import identify_noise as identify_noise_command
 from ship_replay.commands import replay as replay_command
+from ship_studies.axis_fit import axis_sightings_command
+from ship_studies.ins_noise import identify_noise_command
+from ship_studies.installation import calibrate_installation_command
 from ship_testing.hand_made_bags import START_NS, write_imu_bag
 from ship_testing.mcap_places import places
 

@@ -17,7 +17,7 @@ import yaml
 from ship_bags.live.dds import DDS_PROFILE
 from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
-from ship_node.edge.recovering_adapter import RecoveringAdapter
+from ship_node.adapters.recovering_adapter import RecoveringAdapter
 from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import usage_text
 from ship_replay.offline.nodes import ADAPTERS

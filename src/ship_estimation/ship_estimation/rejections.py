@@ -6,12 +6,12 @@ A measurement is checked in this order:
 2. the reader of the message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): all
    reasons for a wrong field; and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off:
    OFF;
-3. :class:`ship_estimation.time_ordered_estimator.LagWindow`: LATE;
-4. the checks of a single stream (:mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
-   references, ``theodolite_calib/measured/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample
+3. :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`: LATE;
+4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS, ``guards/`` for star sensors
+   and references, ``theodolite_calib/measured/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample
    that jumps. The checks of position and weather (``sky/stamped_values``): DUPLICATE, CONFLICT, LATE and JUMP;
-5. :class:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for
-   defects of the software;
+5. :class:`ship_estimation.time_order.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and
+   FAILED for defects of the software;
 6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
    its measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
 
@@ -23,7 +23,7 @@ from collections.abc import Iterable, Set
 from dataclasses import dataclass
 from typing import Protocol
 
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS
 
 CONFLICT_HOLD_S = 10.0
 """Time without a conflict of stamps after which results from a source may be VALID again, s."""
@@ -150,7 +150,7 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
 
     Example:
-        >>> from ship_geometry.vector_track import VectorSample
+        >>> from ship_geometry.tracks.vector_track import VectorSample
         >>> import numpy as np
         >>> known, other = VectorSample(1, np.array([1.0])), VectorSample(1, np.array([2.0]))
         >>> takes_its_place, rejection = resolve_same_stamp(known, known)

@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, propagate_covariance, update
+from ship_estimation.kalman.kalman_filter import (
+    LinearMeasurement,
+    StateModel,
+    block,
+    innovation,
+    propagate_covariance,
+    update,
+)
 
 TIMES_S = [0.0, 0.0, 3.0, 10.0, 11.0, 60.0, 61.5, 200.0]
 DRIFT_SIGMA, DRIFT_TIME_S, WHITE_SIGMA, CONSTANT_SIGMA, WALK_SIGMA, WALK = 4.0, 30.0, 0.7, 6.0, 2.0, 0.3

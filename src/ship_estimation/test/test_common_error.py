@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ship_estimation.common_error import NO_CORRECTIONS, CorrectionSums, with_common_error
-from ship_estimation.protection_levels import ProtectionLevels, SigmaMultipliers
-from ship_estimation.subfilters import FilterInnovations
+from ship_estimation.fault_detection.common_error import NO_CORRECTIONS, CorrectionSums, with_common_error
+from ship_estimation.fault_detection.subfilters import FilterInnovations
+from ship_estimation.integrity.protection_levels import ProtectionLevels, SigmaMultipliers
 from ship_geometry.rotations import FloatArray
 
 NOISE, WALK, COUNT = 9.0, 0.2, 40

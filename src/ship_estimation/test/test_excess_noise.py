@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_check import CheckedInsSample, InsCheck
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
+from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.plausibility.ins_check import CheckedInsSample, InsCheck
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
 from ship_testing.every_case import check_every_case
 from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, stream, with_step
 

@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.fault_isolation import ExcludedSource, evaluate_reinstatement, isolate_fault
-from ship_estimation.innovation_means import cleared_means, excess_limit, initial_means, updated_means
-from ship_estimation.kalman import LinearMeasurement
-from ship_estimation.protection_levels import IntegrityConfig
-from ship_estimation.subfilters import subfilter_innovations, update_subfilters
-from ship_geometry.time_scales import SECOND_NS
+from ship_estimation.fault_detection.fault_isolation import ExcludedSource, evaluate_reinstatement, isolate_fault
+from ship_estimation.fault_detection.innovation_means import cleared_means, excess_limit, initial_means, updated_means
+from ship_estimation.fault_detection.subfilters import subfilter_innovations, update_subfilters
+from ship_estimation.integrity.protection_levels import IntegrityConfig
+from ship_estimation.kalman.kalman_filter import LinearMeasurement
+from ship_geometry.earth.time_scales import SECOND_NS
 
 NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 

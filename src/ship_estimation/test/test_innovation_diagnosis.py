@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.innovation_diagnosis import (
+from ship_estimation.innovations.innovation_diagnosis import (
     WINDOW_S,
     DiagnosisKind,
     InnovationDiagnosis,
     InnovationHistory,
     clock_diagnoses,
 )
-from ship_estimation.innovations import LEAST_COUNT
-from ship_estimation.kalman import StateModel, block
-from ship_estimation.outcome import MeasurementDecision
+from ship_estimation.innovations.innovation_statistics import LEAST_COUNT
+from ship_estimation.kalman.kalman_filter import StateModel, block
 from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.time_order.outcome import MeasurementDecision
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
-from ship_geometry.vector_track import VectorSample
+from ship_geometry.tracks.vector_track import VectorSample
 
 ATTITUDE = ("forward", "up", "right")
 SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC

@@ -5,8 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from ship_estimation.chi_square import value_above
-from ship_estimation.innovations import LEAST_COUNT, Innovation, InnovationTable, PartStatistics, axis_statistics
+from ship_estimation.innovations.chi_square import value_above
+from ship_estimation.innovations.innovation_statistics import (
+    LEAST_COUNT,
+    Innovation,
+    InnovationTable,
+    PartStatistics,
+    axis_statistics,
+)
 from ship_geometry.rotations import FloatArray
 
 

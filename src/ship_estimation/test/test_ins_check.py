@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins import CheckedInsConfig, InsJump
-from ship_estimation.ins_check import InsCheck
-from ship_estimation.rate_consistency import RateStatus
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_estimation.parameters.ins import CheckedInsConfig, InsJump
+from ship_estimation.plausibility.ins_check import InsCheck
+from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_testing.ins_streams import CALM, STORM, stream
 
 NOTHING_LATE = AttitudeTrack(500_000_000)

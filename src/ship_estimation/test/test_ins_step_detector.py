@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins_step_detector import InsStepDetector
-from ship_estimation.integrated_rates import IntegratedAttitude, IntegratedRun
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.plausibility.ins_step_detector import InsStepDetector
+from ship_estimation.plausibility.integrated_rates import IntegratedAttitude, IntegratedRun
 from ship_geometry.rotations import exp_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample
 
 _RATE_NS, _SAMPLES = 10_000_000, 3000
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi, chi2
 
-from ship_estimation.ins import CheckedInsConfig, InsJump
-from ship_estimation.ins_check import InsCheck
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_estimation.parameters.ins import CheckedInsConfig, InsJump
+from ship_estimation.plausibility.ins_check import InsCheck
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_testing.ins_streams import CALM, STORM, SWELL, stream, with_step
 
 RATES_HZ = (20.0, 50.0, 100.0, 200.0)

@@ -5,7 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, propagate_covariance, update
+from ship_estimation.kalman.kalman_filter import (
+    LinearMeasurement,
+    StateModel,
+    block,
+    innovation,
+    propagate_covariance,
+    update,
+)
 
 SOURCES = ["drift", "white", "installation", "star_noise", "reference_noise"]
 

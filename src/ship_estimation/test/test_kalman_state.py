@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ship_estimation.kalman import StateModel, block, propagate_covariance
+from ship_estimation.kalman.kalman_filter import StateModel, block, propagate_covariance
 
 DRIFT, WHITE, CONSTANT, WALK = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
 

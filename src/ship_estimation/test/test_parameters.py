@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_estimation.parameters import ParameterError, build, describe, flatten, nest, with_changes
+from ship_estimation.parameters.fields import mapping_of, parameter, section
+from ship_estimation.parameters.schema import ParameterError, build, describe, flatten, nest, with_changes
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from ship_estimation.parameters import ParameterError, build
-from ship_estimation.protection_levels import (
+from ship_estimation.integrity.protection_levels import (
     TESTS_PER_H,
     IntegrityConfig,
     IntegrityState,
@@ -18,6 +17,7 @@ from ship_estimation.protection_levels import (
     separation_inflation,
     sigma_multipliers,
 )
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_geometry.rotations import ARCSEC
 from ship_testing.separations import solution_separations
 

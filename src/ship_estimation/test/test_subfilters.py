@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.kalman import LinearMeasurement, innovation, update
-from ship_estimation.protection_levels import separation_sigma
-from ship_estimation.subfilters import (
+from ship_estimation.fault_detection.subfilters import (
     are_consistent,
     filter_covariances,
     restart_from_subfilter,
@@ -13,6 +11,8 @@ from ship_estimation.subfilters import (
     subfilter_innovations,
     update_subfilters,
 )
+from ship_estimation.integrity.protection_levels import separation_sigma
+from ship_estimation.kalman.kalman_filter import LinearMeasurement, innovation, update
 
 STATES, SOURCES = 7, 3
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from ship_estimation.outcome import MeasurementDecision, Outcome
 from ship_estimation.rejections import Reason, Rejection
-from ship_estimation.time_ordered_estimator import (
+from ship_estimation.time_order.outcome import MeasurementDecision, Outcome
+from ship_estimation.time_order.time_ordered_estimator import (
     MOST_OVERTAKEN_PER_S,
     MOST_REPEATS_AT_ONCE,
     MOST_REPEATS_PER_S,
@@ -19,8 +19,8 @@ from ship_estimation.time_ordered_estimator import (
     LagWindow,
     TimeOrderedEstimator,
 )
-from ship_geometry.time_scales import SECOND_NS
-from ship_geometry.vector_track import VectorSample, VectorTrack
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
 
 # Fixed examples, nothing kept between runs.
 repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=100)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.motion_check import MotionReference
-from ship_estimation.value_checks import (
+from ship_estimation.plausibility.motion_check import MotionReference
+from ship_estimation.plausibility.value_checks import (
     JumpCheck,
     JumpDecision,
     PredictionBound,

@@ -56,28 +56,28 @@ Names and units
 Terms of the sky
     Catalogue place
         Right ascension and declination in the ICRS at the catalogue's epoch, with proper motion and parallax.
-        Unit: rad, c; module: ship_attitude_star.sky.catalogue.
+        Unit: rad, c; module: ship_stars.sky.catalogue.
     Direction without air
         Catalogue place after proper motion, parallax, light deflection, aberration and Earth rotation: SOFA's
         topocentric place.
-        Unit: unit vector in n; source: IAU 2006/2000A; module: ship_geometry.star_directions.
+        Unit: unit vector in n; source: IAU 2006/2000A; module: ship_geometry.earth.star_directions.
     Apparent place, apparent direction
         Direction of a star as seen from the ship, refraction included: SOFA's observed place. An almanac's apparent
         place is geocentric and without air.
-        Unit: unit vector in n; module: ship_attitude_star.sky.sky_model.
+        Unit: unit vector in n; module: ship_stars.sky.sky_model.
     Aberration
         Shift of a star's direction by the observer's velocity: 20″ by the Earth's orbit (annual), 0.3″ by its rotation
         (diurnal), 0.01″ by the ship.
-        Unit: rad; module: ship_geometry.star_directions.
+        Unit: rad; module: ship_geometry.earth.star_directions.
     Refraction
         Angle by which the air raises the apparent place of a star or a light.
-        Unit: rad; source: Hohenkerk, Sinclair 1985; module: ship_geometry.refraction.
+        Unit: rad; source: Hohenkerk, Sinclair 1985; module: ship_geometry.air.refraction.
     Sky model
         Apparent places of all stars for the ship's position, time and weather, with the errors that they share.
-        Unit: unit vectors in n; module: ship_attitude_star.sky.sky_model.
+        Unit: unit vectors in n; module: ship_stars.sky.sky_model.
     Earth orientation parameters (EOP), UT1
         UT1 − UTC and polar motion, measured by the IERS; UT1 is the time scale of the Earth's rotation, 15″ per second.
-        Unit: s; source: finals2000A; module: ship_geometry.earth_orientation.
+        Unit: s; source: finals2000A; module: ship_geometry.earth.earth_orientation.
     Deflection of the vertical
         Angle from the ellipsoid normal Up to gravity's zenith, to which an INS levels itself: xi northward, eta
         eastward.
@@ -86,25 +86,25 @@ Terms of the sky
 Terms of the ship
     INS
         Inertial navigation system: attitude and rate at about 100 Hz without gaps, with correlated errors.
-        Module: ship_estimation.ins.
+        Module: ship_estimation.parameters.ins.
     Star sensor
         Camera that measures the pixels of stars, or the attitude that it solves from them.
-        Module: ship_attitude_star.stars.camera.
+        Module: ship_stars.camera.camera.
     Reference
         Another attitude system aboard, without stars.
-        Module: ship_attitude_star.measurements.samples.
+        Module: ship_stars.samples.attitude_samples.
     Horizon attitude, inertial attitude
         Attitude of a sensor in n, and in c.
-        Unit: azimuth, elevation, roll, rad; quaternion; module: ship_attitude_star.sky.tracker_attitude.
+        Unit: azimuth, elevation, roll, rad; quaternion; module: ship_stars.sky.tracker_attitude.
     Sight line
         Straight line from a sensor to a star or a light; also called line of sight.
-        Unit: unit vector; module: theodolite_calib.lights.line_of_sight.
+        Unit: unit vector; module: theodolite_calib.beacon_camera.line_of_sight.
     Wahba's problem
         Find the rotation between two frames from directions that are known in both.
         Source: Wahba 1965; module: ship_geometry.wahba.
     Solution
         Attitude computed from stars, of one sensor, or of the deck by all sensors (*joint*).
-        Unit: rad, n; module: ship_attitude_star.stars.solution.
+        Unit: rad, n; module: ship_stars.solution.solution.
     Installation, mounting
         Orientation of a device on the deck: three angles, and a small rotation vector of their error.
         Unit: rad, d; module: ship_attitude_star.ship_attitude.model.
@@ -113,7 +113,7 @@ Terms of the ship
         Module: ship_attitude_star.ship_attitude.alignment.
     Deck mask
         Obstruction on deck in the view of a sensor, as a polygon.
-        Unit: azimuth and elevation, rad, d; module: ship_geometry.deck_masks.
+        Unit: azimuth and elevation, rad, d; module: ship_stars.sky.deck_masks.
     Flexure
         Bending of the hull between the INS and a sensor.
         Unit: rad, d; module: ship_attitude_star.ship_attitude.model.
@@ -122,10 +122,10 @@ Terms of the ship
         Unit: s; module: ship_attitude_star.ship_attitude.model.
     Exposure, streak
         Time over which a camera collects light; trail of a star or light during this time.
-        Unit: s; module: ship_geometry.exposure_mean.
+        Unit: s; module: ship_geometry.tracks.exposure_mean.
     Pixel dwell
         Series of exposures in which the stars stay near the same pixels, so that pixel errors do not average out.
-        Module: ship_attitude_star.stars.spatial_errors.
+        Module: ship_stars.camera.spatial_errors.
 
 Terms of the theodolite
     Main optical axis
@@ -136,7 +136,7 @@ Terms of the theodolite
         Module: theodolite_calib.axis_geometry.axes.
     Encoder
         Scale on an axis of the mount; two encoders measure azimuth and elevation.
-        Unit: rad, d; module: theodolite_calib.measured.encoder_check.
+        Unit: rad, d; module: theodolite_calib.samples.encoder_check.
     Axis errors
         Terms of a pointing model: zero points g and h of the encoders, collimation c, non-perpendicularity I, tilt
         beta_x, beta_y of the vertical axis, flexure of the tube. TPOINT has IA, IE, CA, NPAE, AN, AW and TF for them.
@@ -158,103 +158,103 @@ Terms of the theodolite
         Module: theodolite_calib.optical_axis.calibration.
     Beacon, light
         Drone whose position is measured by RTK; the lamp on it that the telescope observes.
-        Module: theodolite_calib.lights.
+        Module: theodolite_calib.beacon_camera.
     Baseline
         Vector from the ship's antenna to the antenna of a beacon.
-        Unit: m, n; module: theodolite_calib.measured.baseline_track.
+        Unit: m, n; module: theodolite_calib.samples.baseline_track.
     Lever
         Vector between two points of one rigid body: from an antenna to a lens or to a light.
-        Unit: m, d or b; module: theodolite_calib.lights.line_of_sight.
+        Unit: m, d or b; module: theodolite_calib.beacon_camera.line_of_sight.
     Principal point
         Of the lens (N'): point of the telescope at which sight lines meet. Of the detector: intersection with the axis
         of the lens.
-        Unit: m; module: theodolite_calib.lights.image.
+        Unit: m; module: theodolite_calib.beacon_camera.image.
     Sighting
         Measurement of the axis by one exposure of the telescope, or by one row of a table.
-        Module: theodolite_calib.measured.sighting.
+        Module: theodolite_calib.samples.sighting.
 
 Terms of estimation
     Innovation
         Measured minus predicted, with its covariance.
-        Unit: that of the measurement; module: ship_estimation.innovations.
+        Unit: that of the measurement; module: ship_estimation.innovations.innovation_statistics.
     Normalised innovation
         Innovation divided by its standard deviation.
-        Unit: sigmas; module: ship_estimation.innovations.
+        Unit: sigmas; module: ship_estimation.innovations.innovation_statistics.
     Whitened innovation
         Innovation multiplied by an inverse square root of its covariance; the covariance of the product is the unit
         matrix.
-        Unit: sigmas; module: ship_estimation.compiled_innovations.
+        Unit: sigmas; module: ship_kernels.compiled_innovations.
     NIS, NEES
         Normalised innovation squared and normalised estimation error squared: e^T P^-1 e; the mean is the number of
         components if P is consistent.
-        Source: Bar-Shalom, Li, Kirubarajan 2001; module: ship_estimation.gates.
+        Source: Bar-Shalom, Li, Kirubarajan 2001; module: ship_estimation.innovations.gates.
     Windowed innovation mean
         Exponential mean of the whitened innovations of a source over 3, 30 or 300 measurements.
-        Unit: sigmas; module: ship_estimation.innovation_means.
+        Unit: sigmas; module: ship_estimation.fault_detection.innovation_means.
     Innovation gate
         Threshold of the NIS above which a measurement is rejected.
-        Module: ship_estimation.gates.
+        Module: ship_estimation.innovations.gates.
     Plausibility check
         Check of a source before its measurement is used: frozen value, jump, rates.
-        Module: ship_estimation.value_checks.
+        Module: ship_estimation.plausibility.value_checks.
     Motion reference
         Another source that shows the motion of the ship for a plausibility check.
-        Module: ship_estimation.motion_check.
+        Module: ship_estimation.plausibility.motion_check.
     Measurement decision
         A measurement is accepted or rejected.
-        Module: ship_estimation.outcome.
+        Module: ship_estimation.time_order.outcome.
     Rejection, conflict
         A measurement that is not used, with its reason; a series of rejections of one source, or different data with
         one stamp.
         Module: ship_estimation.rejections.
     Innovation diagnosis
         Statistical test of a source's innovations: are sigma, alignment and clock as configured?
-        Module: ship_estimation.innovation_diagnosis.
+        Module: ship_estimation.innovations.innovation_diagnosis.
     Covariance by error source (error budget)
         Parts of a covariance, one for each named cause of error; their sum is the covariance.
-        Unit: rad², n; module: ship_estimation.kalman.
+        Unit: rad², n; module: ship_estimation.kalman.kalman_filter.
     White, correlated, constant error
         Error that is independent in each sample; that has a correlation time (Gauss–Markov); that is constant.
-        Module: ship_estimation.kalman.
+        Module: ship_estimation.kalman.kalman_filter.
     Covariance inflation
         Addition of the covariance of a possible jump or fault to that of the estimate.
         Unit: rad², n; module: ship_attitude_star.ship_attitude.ins_fault_handling.
     Prior
         Estimate before a measurement, with its covariance.
-        Module: ship_estimation.kalman.
+        Module: ship_estimation.kalman.kalman_filter.
 
 Terms of integrity
     Main filter, subfilter
         Filter that uses all sources; filter that excludes one source or several, updated in parallel.
-        Module: ship_estimation.subfilters.
+        Module: ship_estimation.fault_detection.subfilters.
     Solution separation
         Difference between the estimates of a subfilter and of the main filter.
-        Unit: rad, n; source: Blanch, Walter, Enge and others 2015; module: ship_estimation.protection_levels.
+        Unit: rad, n; source: Blanch, Walter, Enge and others 2015; module: ship_estimation.integrity.protection_levels.
     Fault detection and exclusion (FDE)
         Detection of an inconsistency, isolation of the faulty source, and its exclusion.
-        Module: ship_estimation.fault_isolation.
+        Module: ship_estimation.fault_detection.fault_isolation.
     Unresolved fault
         Fault that is detected but not isolated; the covariance is inflated.
         Module: ship_attitude_star.ship_attitude.fault_detection.
     Excluded, monitored
         A source is not used; its innovations are still computed.
-        Module: ship_estimation.fault_isolation.
+        Module: ship_estimation.fault_detection.fault_isolation.
     Reinstatement
         An excluded source is used again after a time of consistency.
-        Module: ship_estimation.fault_isolation.
+        Module: ship_estimation.fault_detection.fault_isolation.
     Mounting shift
         Step of the installation of a device.
         Unit: rad, d; module: ship_watch.mounting_shifts.
     Drift
         Slow change of an attitude or of a mounting.
-        Unit: rad, n or d; module: ship_estimation.rate_drift_detector.
+        Unit: rad, n or d; module: ship_estimation.fault_detection.rate_drift_detector.
     Protection level, alert limit
         Bound of an error under an undetected fault; largest acceptable protection level.
-        Unit: rad; module: ship_estimation.protection_levels.
+        Unit: rad; module: ship_estimation.integrity.protection_levels.
     VALID, COASTING, DEGRADED, UNVERIFIED, INVALID
         The value rests on stars or lights; on recent stars or lights; on neither; on too few stars to detect a
         misidentified star; there is no value (NaN).
-        Module: ship_estimation.outcome.
+        Module: ship_estimation.time_order.outcome.
     SAFE, CAUTION, UNSAFE
         An angle is within the limits of the ship; usable with care; not usable.
         Module: ship_watch.safety.
@@ -265,19 +265,19 @@ Terms of running
         Unit: ns; module: ship_node.live.node_clock.
     Lag
         Maximum delay of a measurement that is still applied at its own time.
-        Unit: s; module: ship_estimation.time_ordered_estimator.
+        Unit: s; module: ship_estimation.time_order.time_ordered_estimator.
     Time-ordered estimator
         Applies measurements in the order of their stamps and publishes outputs in order.
-        Module: ship_estimation.time_ordered_estimator.
+        Module: ship_estimation.time_order.time_ordered_estimator.
     Pending, commit
         A measurement waits for data that may still arrive; after the lag its decision is final.
-        Module: ship_estimation.time_ordered_estimator.
+        Module: ship_estimation.time_order.time_ordered_estimator.
     Batch
         Consecutive messages of one topic that an offline replay processes together.
-        Module: ship_node.edge.batches.
+        Module: ship_node.messages.batches.
     Core, adapter
         Estimator of a node, without ROS; conversion of messages to its types and back.
-        Module: ship_node.edge.adapter.
+        Module: ship_node.adapters.adapter.
     Node runtime
         Live execution of an adapter: messages, clocks, parameters, services, exit codes.
         Module: ship_node.live.node_runtime.

@@ -7,8 +7,8 @@ docs/explanation/frames.md.
 
 import numpy as np
 
-from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray, wrap_two_pi
+from ship_kernels import compiled_rotations
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
 """Magnitude of the elevation beyond which the covariance of the angles is NaN, rad.
@@ -29,7 +29,7 @@ def rotation_from_angles(
         [0.     0.0872 0.9962]
     """
     if isinstance(azimuth, float) and isinstance(elevation, float) and isinstance(roll, float):
-        of_one: FloatArray = compiled_angles.rotations(np.array([[azimuth, elevation, roll]]))[0]
+        of_one: FloatArray = compiled_rotations.rotations(np.array([[azimuth, elevation, roll]]))[0]
         return of_one
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     ce, se = np.cos(elevation), np.sin(elevation)
@@ -59,7 +59,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
         [359.   5.  -3.]
     """
     if rotation.ndim == 2:
-        angles: FloatArray = compiled_angles.angles(rotation[None])[0]
+        angles: FloatArray = compiled_rotations.angles(rotation[None])[0]
         return angles
     azimuth = wrap_two_pi(np.arctan2(rotation[..., 2, 0], rotation[..., 0, 0]))
     # atan2 keeps full precision near the zenith, where an arcsine would not.
@@ -107,7 +107,7 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: Fl
         [34.6  0.  40. ]
     """
     if isinstance(azimuth, float) and isinstance(elevation, float):
-        errors: FloatArray = compiled_angles.angle_errors(azimuth, elevation, SINGULAR_ELEVATION)
+        errors: FloatArray = compiled_rotations.angle_errors(azimuth, elevation, SINGULAR_ELEVATION)
         return errors
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
     ca, sa = np.cos(azimuth), np.sin(azimuth)

@@ -8,8 +8,8 @@ z, w. No other module converts axes.
 
 import numpy as np
 
-from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray
+from ship_kernels import compiled_rotations
 
 ENU_FROM_HORIZON = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Rotation "(East, North, Up) from (North, Up, East)"."""
@@ -40,7 +40,7 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
     """
     parent, device = _axes(convention)
     quaternion = np.asarray(quaternion, dtype=float)
-    matrix = compiled_angles.rotations_of(quaternion.reshape(-1, 4)).reshape(*quaternion.shape[:-1], 3, 3)
+    matrix = compiled_rotations.rotations_of(quaternion.reshape(-1, 4)).reshape(*quaternion.shape[:-1], 3, 3)
     rotation: FloatArray = parent.T @ matrix @ device
     return rotation
 
@@ -138,7 +138,7 @@ def _axes(convention: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _quaternion_of_one(matrix: FloatArray) -> FloatArray:
-    quaternion: FloatArray = compiled_angles.quaternions(matrix[None])[0]
+    quaternion: FloatArray = compiled_rotations.quaternions(matrix[None])[0]
     return quaternion
 
 
@@ -161,5 +161,5 @@ def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
 
 
 def _matrix_of_one(quaternion: FloatArray) -> FloatArray:
-    matrix: FloatArray = compiled_angles.rotations_of(quaternion[None])[0]
+    matrix: FloatArray = compiled_rotations.rotations_of(quaternion[None])[0]
     return matrix

@@ -1,14 +1,14 @@
 """Rotation vectors and rotation matrices: exponential, its left Jacobian, and logarithm.
 
 All functions accept any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3). A
-single vector or matrix is converted by :mod:`ship_geometry.compiled_rotations`. Formulas: Sola, Deray, Atchuthan, "A
+single vector or matrix is converted by :mod:`ship_kernels.compiled_rotations`. Formulas: Sola, Deray, Atchuthan, "A
 micro Lie theory" (2018), section on SO(3).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry import compiled_rotations
+from ship_kernels import compiled_rotations
 
 FloatArray = NDArray[np.float64]
 

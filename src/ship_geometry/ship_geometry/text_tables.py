@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry import compiled_tables
 from ship_geometry.rotations import FloatArray
+from ship_kernels import compiled_arrays
 
 Columns = tuple[int, int]
 """First and last character of a number in its line, counted from 1 as in the ReadMe of a catalogue."""
@@ -45,7 +45,7 @@ def numbers(lines: NDArray[np.uint8], *columns: Columns) -> FloatArray:
          [-7.     nan]]
     """
     found: FloatArray
-    found, plain = compiled_tables.plain_numbers(lines, np.array(columns, dtype=np.intp))
+    found, plain = compiled_arrays.plain_numbers(lines, np.array(columns, dtype=np.intp))
     for column, row in np.argwhere(~plain).tolist():
         first, last = columns[column]
         found[column, row] = float(bytes(lines[row, first - 1 : last]))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 
 SECOND_NS = 1_000_000_000
 STEP_NS = 100_000_000

@@ -6,14 +6,14 @@ import astropy_iers_data
 import numpy as np
 import pytest
 
-from ship_geometry.earth_orientation import (
+from ship_geometry.earth.earth_orientation import (
     OutsideEarthOrientation,
     earth_orientation_table,
     prediction_sigma_s,
     read_finals2000a,
 )
+from ship_geometry.earth.time_scales import DAY_NS, SECOND_NS, UNIX_EPOCH_MJD, leap_seconds
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.time_scales import DAY_NS, SECOND_NS, UNIX_EPOCH_MJD, leap_seconds
 
 RECORD = 188
 

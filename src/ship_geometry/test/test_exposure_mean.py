@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_motion, exposure_nodes
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_motion, exposure_nodes
 
 SECOND_NS = 1_000_000_000
 # Time of the largest roll, where the angular acceleration is largest.

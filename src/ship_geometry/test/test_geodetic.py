@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_geometry.geodetic import (
+from ship_geometry.earth.geodetic import (
     GeodeticPosition,
     ecef_from_geodetic,
     geodetic_from_ecef,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 
 Motion = Callable[[float], np.ndarray]
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ship_geometry.ray_trace import STANDARD, Atmosphere, traced_refraction
-from ship_geometry.refraction import LOWEST_ELEVATION, Weather, refraction
+from ship_geometry.air.ray_trace import STANDARD, Atmosphere, traced_refraction
+from ship_geometry.air.refraction import LOWEST_ELEVATION, Weather, refraction
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 REFRACTIVE = 79.0265e-6

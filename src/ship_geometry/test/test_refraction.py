@@ -4,7 +4,7 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.refraction import (
+from ship_geometry.air.refraction import (
     MODELS,
     Weather,
     elevation_of,

@@ -7,10 +7,9 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.earth_orientation import OutsideEarthOrientation, earth_orientation_table
-from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.rotations import ARCSEC, angle_between
-from ship_geometry.star_directions import (
+from ship_geometry.earth.earth_orientation import OutsideEarthOrientation, earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.star_directions import (
     REFRESH_PERIOD_NS,
     Observer,
     RefreshedSky,
@@ -19,7 +18,8 @@ from ship_geometry.star_directions import (
     fixed_stars,
     stars_from_epoch,
 )
-from ship_geometry.time_scales import DAY_NS, SECOND_NS, tt_julian_date
+from ship_geometry.earth.time_scales import DAY_NS, SECOND_NS, tt_julian_date
+from ship_geometry.rotations import ARCSEC, angle_between
 
 MAS = 1e-3 * ARCSEC
 TABLE = earth_orientation_table()

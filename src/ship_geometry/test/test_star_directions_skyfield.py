@@ -8,11 +8,11 @@ import pytest
 import skyfield_data
 from skyfield.api import Loader, Star, wgs84
 
-from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.earth.earth_orientation import earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.star_directions import Observer, StarPositions, directions
+from ship_geometry.earth.time_scales import TT_MINUS_TAI_S, tt_julian_date
 from ship_geometry.rotations import ARCSEC, angle_between
-from ship_geometry.star_directions import Observer, StarPositions, directions
-from ship_geometry.time_scales import TT_MINUS_TAI_S, tt_julian_date
 
 TABLE = earth_orientation_table()
 YEAR_1995_NS, YEAR_2025_NS = 788_918_400_000_000_000, 1_735_689_600_000_000_000

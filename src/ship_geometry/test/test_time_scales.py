@@ -5,7 +5,14 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.time_scales import SECOND_NS, julian_date, leap_seconds, read_leap_seconds, tt_julian_date, utc_text
+from ship_geometry.earth.time_scales import (
+    SECOND_NS,
+    julian_date,
+    leap_seconds,
+    read_leap_seconds,
+    tt_julian_date,
+    utc_text,
+)
 
 
 def ns_of(*date):

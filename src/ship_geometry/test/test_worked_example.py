@@ -2,9 +2,9 @@
 
 import pytest
 
-from ship_geometry.refraction import elevation_of, raised_directions, refraction
+from ship_geometry.air.refraction import elevation_of, raised_directions, refraction
+from ship_geometry.earth.star_directions import RefreshedSky, directions
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.star_directions import RefreshedSky, directions
 from ship_testing.worked_example import (
     ORIENTATION,
     SHIP,

@@ -19,9 +19,9 @@ from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live import topic_reader as reader_module
 from ship_monitor.live.live_suite import LiveSuite
 from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
-from ship_replay.trials.live_process import LiveProcess
 from ship_testing.foxglove_client import FoxgloveClient, client_that_never_reads
 from ship_testing.publishing_ship import SuitePublisher, attitude
+from ship_testing.trials.live_process import LiveProcess
 from ship_watch.limits import Limits
 
 pytestmark = pytest.mark.live

@@ -4,8 +4,8 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.time_scales import julian_date, tt_julian_date
+from ship_geometry.earth.earth_orientation import earth_orientation_table
+from ship_geometry.earth.time_scales import julian_date, tt_julian_date
 from ship_monitor.page.sky import map_position, moon_direction
 
 ECLIPSE_NS = 1_503_339_931_800_000_000

@@ -21,16 +21,16 @@ from ship_bags.command_line import CommandParser
 from ship_bags.live.ros_process import split_ros_arguments
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
-from ship_estimation.parameter_rows import key_rows
+from ship_estimation.parameters.rows import key_rows
 from ship_geometry.input_error import InputError
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus, diagnostic_array
-from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.node_clock import NodeClock
 from ship_node.live.node_events import NodeEvents
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status
 from ship_node.live.node_runtime import run_node
 from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus, diagnostic_array
+from ship_node.messages.topics import InputTopic, OutputTopic
 from ship_node.parameters.parameter_file import error_with_location, section_warnings
 
 SPIN_TIMEOUT_S = 0.1
@@ -51,7 +51,7 @@ def run_nmea_node(
     Args:
         name: name of the node and of its executable.
         description: text of ``--help`` before the parameters.
-        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters.schema`.
         make_work: creates the work of the node.
         arguments: command line without the program's name; None for the command line of the process.
 
@@ -97,7 +97,7 @@ class NmeaNode:
 
     Args:
         name: name of the node.
-        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters.schema`.
         make_work: creates the work of the node.
         context: an initialised rclpy context.
         parameter_files: files given on the command line, so that an error text can name file and line of a bad

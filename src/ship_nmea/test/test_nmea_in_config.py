@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_nmea.instruments.config import NmeaInConfig
 
 UDP = {"kind": "udp", "port": 10110}

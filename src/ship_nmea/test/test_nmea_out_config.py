@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_nmea.out.config import NmeaOutConfig
 
 UDP = {"kind": "udp", "address": "192.168.1.40", "port": 10110}

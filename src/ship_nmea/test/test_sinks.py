@@ -18,7 +18,7 @@ from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.network_outlets import MAX_CLIENTS_PER_HOST
 from ship_nmea.out.outlet import command_texts
 from ship_nmea.out.sink import MAX_QUEUED, RETRY_S, Sink
-from ship_node.edge.messages_out import Level
+from ship_node.messages.common_messages import Level
 from ship_testing.nmea_in_peer import free_port
 
 TIMEOUT_S = 20.0

@@ -10,11 +10,11 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.nmea.instrument_line import datetime_ns
 from ship_bags.nmea.lines import parse_line
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_nmea.instruments.config import NmeaInConfig
 from ship_nmea.instruments.links import UdpLink
 from ship_nmea.instruments.source import NO_TIME, Source
-from ship_node.edge.messages_out import Level
+from ship_node.messages.common_messages import Level
 from ship_testing.nmea_in_peer import free_port
 from ship_testing.ship_logs import sentence
 

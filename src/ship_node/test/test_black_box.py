@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_node.black_box import black_box as black_box_module
 from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox
 from ship_node.black_box.black_box_files import free_path
@@ -38,10 +38,10 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
-from ship_node.documents.saved_document import RecordingFiles
-from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.messages.common_messages import Level
 from ship_node.parameters.parameter_file import load_config, parameter_text
+from ship_node.saved_files.saved_document import RecordingFiles
 from ship_testing.black_box_entries import SECOND_NS, read_entries
 from ship_testing.relay_adapter import RelayAdapter, RelayConfig
 

@@ -6,7 +6,7 @@ from rclpy.serialization import deserialize_message
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
-from ship_node.edge.messages_out import DIAGNOSTICS_TYPE, DiagnosticStatus, Level, diagnostic_array
+from ship_node.messages.common_messages import DIAGNOSTICS_TYPE, DiagnosticStatus, Level, diagnostic_array
 
 NOW_NS = 1_700_000_000_123_456_789
 STATUSES = [

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ship_estimation.interleaved import WINDOW
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.plausibility.interleaved import WINDOW
 from ship_geometry.rotations import exp_rotation
-from ship_node.edge.duplicate_publishers import ATTITUDE, DuplicatePublishers
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.health.duplicate_publishers import ATTITUDE, DuplicatePublishers
 
 NAMES = "two publishers send on ins/imu: /a and /b; stop all but one"
 

@@ -6,19 +6,19 @@ import sys
 import pytest
 
 WITHOUT_ROS = [
-    "ship_node.edge.adapter",
+    "ship_node.adapters.adapter",
     "ship_bags.output_files",
-    "ship_node.edge.messages_out",
+    "ship_node.messages.common_messages",
     "ship_bags.errors",
-    "ship_node.documents.figure_files",
+    "ship_node.pages.figure_files",
     "ship_node.live.node_report",
-    "ship_node.edge.input_health",
-    "ship_node.edge.messages_in",
+    "ship_node.health.input_health",
+    "ship_node.messages.field_checks",
     "ship_bags.message_factory",
     "ship_node.parameters.parameter_file",
     "ship_bags.stamps",
     "ship_node.live.node_clock",
-    "ship_node.edge.topics",
+    "ship_node.messages.topics",
     "ship_node.parameters.usage",
 ]
 

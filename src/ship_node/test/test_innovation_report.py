@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_estimation.kalman import StateModel, block
-from ship_estimation.outcome import MeasurementDecision
+from ship_estimation.kalman.kalman_filter import StateModel, block
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.innovation_report import InnovationReport, clock_status
-from ship_node.edge.messages_out import Level
+from ship_node.health.innovation_report import InnovationReport, clock_status
+from ship_node.messages.common_messages import Level
 
 STATED = (3.0 * ARCSEC) ** 2 * np.eye(2)
 

@@ -5,9 +5,9 @@ import pytest
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import duration_text
 from ship_estimation.rejections import Reason, Rejection
-from ship_node.edge.input_health import InputHealthMonitor
-from ship_node.edge.messages_out import Level
-from ship_node.edge.topics import InputTopic
+from ship_node.health.input_health import InputHealthMonitor
+from ship_node.messages.common_messages import Level
+from ship_node.messages.topics import InputTopic
 
 MS = 1_000_000
 S = 1_000_000_000

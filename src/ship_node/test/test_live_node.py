@@ -26,7 +26,7 @@ import ship_node.live.node_clock as node_clock
 import ship_node.live.node_events as node_events
 from ship_bags.message_store import message_store
 from ship_bags.stamps import ns_from_stamp
-from ship_node.edge.adapter import TICK_PERIOD_NS
+from ship_node.adapters.adapter import TICK_PERIOD_NS
 from ship_node.live.node_clock import CLOCK_TIMEOUT_NS
 from ship_node.live.node_events import MAX_MESSAGE_BYTES
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, TIMEOUT_S, imu_message

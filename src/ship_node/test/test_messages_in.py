@@ -6,7 +6,7 @@ import pytest
 
 from ship_estimation.rejections import LONGEST_TEXT, Reason, Rejection, shorten
 from ship_msgs.msg import Innovation
-from ship_node.edge.messages_in import (
+from ship_node.messages.field_checks import (
     MessageRejected,
     angular_covariance,
     check_device_id,

@@ -11,9 +11,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 
-from ship_node.edge.messages_out import Level
 from ship_node.live.node_events import MAX_EVENTS, MAX_MESSAGE_BYTES, Arrival, Inbox, NodeEvents
 from ship_node.live.node_report import ExceptionGuard
+from ship_node.messages.common_messages import Level
 
 DEPTH = 100
 S = 1_000_000_000

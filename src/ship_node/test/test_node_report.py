@@ -2,8 +2,8 @@
 
 import pytest
 
-from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.node_report import ExceptionGuard, StatusLog
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 
 class Log:

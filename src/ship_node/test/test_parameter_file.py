@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import full_name, in_any_namespace
-from ship_estimation.parameter_fields import parameter, section
+from ship_estimation.parameters.fields import parameter, section
 from ship_node.parameters.parameter_file import (
     load_config,
     read_matching_sections,

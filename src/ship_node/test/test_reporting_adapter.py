@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.outcome import MeasurementDecision, Outcome, Status
-from ship_estimation.parameter_fields import autosave_period, parameter, sources_off
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.fields import autosave_period, parameter, sources_off
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason, Rejection
-from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
-from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.messages_in import MessageRejected, ReadMessage
-from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.edge.overload import Overload
-from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, ignore_time
-from ship_node.edge.topics import InputTopic, OutputMessage
+from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
+from ship_node.adapters.reporting_adapter import Feed, ReportingAdapter, ignore_time
+from ship_node.health.overload import Overload
+from ship_node.messages.common_messages import DiagnosticStatus, Level
+from ship_node.messages.field_checks import MessageRejected, ReadMessage
+from ship_node.messages.topics import InputTopic, OutputMessage
+from ship_node.saved_files.saved_document import DISK, SavedFormat, section, stamp_ns
+from ship_node.saved_files.saved_start import SavedStart
 
 FACTORY = RosidlFactory()
 NOW_NS = 1_400_000_000_000_000_000

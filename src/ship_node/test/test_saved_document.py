@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_node.documents.saved_document import (
+from ship_node.saved_files.saved_document import (
     DISK,
     READ_ONLY,
     DiskFiles,
@@ -22,7 +22,7 @@ from ship_node.documents.saved_document import (
     stamp_ns,
     texts,
 )
-from ship_node.documents.saved_start import SavedStart
+from ship_node.saved_files.saved_start import SavedStart
 from ship_replay.offline.black_box_replay import RecordedFiles
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from ship_node.edge.time_base import TimeBase
+from ship_node.health.time_base import TimeBase
 
 S = 1_000_000_000
 START_NS = 1_700_000_000 * S

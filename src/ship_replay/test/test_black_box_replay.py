@@ -10,19 +10,19 @@ import pytest
 import yaml
 from mcap.records import Attachment, Message, Metadata, Schema
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store
 from ship_estimation.rejections import Reason
-from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.messages_out import INTEGRITY_TYPE
+from ship_node.messages.common_messages import INTEGRITY_TYPE
+from ship_node.saved_files.saved_start import SavedStart
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main
 from ship_simulation.inject_command import main as inject
 from ship_testing.black_boxes import FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, make_black_box, write_changed_copy
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 ATTITUDE = "ship_msgs/msg/ShipAttitude"
 

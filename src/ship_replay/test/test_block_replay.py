@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.protection_levels import IntegrityConfig
+from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_replay.offline import block_run
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_voyage import input_topics, make_bag
-from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_testing.memory_sink import MemorySink, Published
 from ship_testing.overconfident_filter import make_overconfident
+from ship_testing.trials.fault_voyage import input_topics, make_bag
+from ship_testing.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"

@@ -22,16 +22,15 @@ from ship_bags.commands import record as record_command
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
-from ship_replay.commands import axis_sightings as axis_sightings_command
-from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import check_config as check_config_command
 from ship_replay.commands import evaluate as evaluate_command
 from ship_replay.commands import replay as replay_command
 from ship_simulation import simulate_command
+from ship_studies.axis_fit import axis_sightings_command, fit_axes_command
+from ship_studies.installation import calibrate_installation_command
 from ship_testing.mcap_places import places
 from ship_testing.ship_logs import GYR1, MWX1, SEAP
 from ship_testing.short_scenario import SHORT
-from theodolite_calib.axis_fit import fit_axes_command
 
 # Number of mutations for each command; FUZZ_COUNT=500 tries more.
 COUNT = int(os.environ.get("FUZZ_COUNT", "12"))

@@ -4,7 +4,7 @@ import pytest
 
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_replay.commands.check_config import main
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.load import load_text, load_warnings, measured_slowness, node_loads

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import message_store, serialize

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
@@ -14,15 +14,15 @@ from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition, suite_definitio
 from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
-from ship_estimation.parameter_fields import parameter
+from ship_estimation.parameters.fields import parameter
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.input_health import InputHealthMonitor
-from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_node.health.input_health import InputHealthMonitor
+from ship_node.messages.topics import InputTopic, OutputTopic
 from ship_replay.commands.replay import main
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag
-from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
+from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
 
 TICK_NS = 100_000_000
 TRIANGULATION = """/**/triangulation:

@@ -10,7 +10,7 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import make_header
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.stanford import main
 from ship_replay.evaluation.stanford import Epochs, Region, read_epochs

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import truth_indices
 from ship_simulation.draws.stretch import STRETCH_S, Draws, Stretch, split_voyage
 from ship_simulation.scenario.scenario import Scenario, start_time_ns

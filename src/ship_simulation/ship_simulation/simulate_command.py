@@ -9,8 +9,8 @@ from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force_option, check_file
 from ship_bags.progress import with_progress
-from ship_estimation.parameter_rows import key_rows
-from ship_geometry.time_scales import SECOND_NS
+from ship_estimation.parameters.rows import key_rows
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate_stretches
 from ship_simulation.scenario.fault import kind_rows

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, Outage
 from ship_simulation.scenario.scenario import Ins, Position, Reference, Scenario, StarSensor

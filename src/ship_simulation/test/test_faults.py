@@ -8,7 +8,7 @@ import pytest
 
 from ship_bags.message_store import RosbagsFactory, serialize
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Fault

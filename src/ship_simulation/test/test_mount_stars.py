@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.gates import sigma_ratio_band
+from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.messages.message_stream import generate_messages

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ship_estimation.gates import sigma_ratio_band
-from ship_geometry.time_scales import SECOND_NS
+from ship_estimation.innovations.gates import sigma_ratio_band
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, arrival_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch, split_voyage
 from ship_simulation.scenario.scenario import start_time_ns

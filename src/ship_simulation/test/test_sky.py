@@ -9,13 +9,13 @@ import pytest
 import skyfield_data
 from skyfield.api import Loader, wgs84
 
-from ship_estimation.gates import sigma_ratio_band
-from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.refraction import elevation_of
+from ship_estimation.innovations.gates import sigma_ratio_band
+from ship_geometry.air.refraction import elevation_of
+from ship_geometry.earth.earth_orientation import earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.star_directions import Observer, directions, fixed_stars
+from ship_geometry.earth.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
-from ship_geometry.star_directions import Observer, directions, fixed_stars
-from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import start_time_ns
 from ship_simulation.ship.ship_track import ShipTrack

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from ship_attitude_star.sky.masks import MaskConfig
-from ship_estimation.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_geometry.air.refraction import refraction
+from ship_geometry.earth.time_scales import SECOND_NS, julian_date
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.refraction import refraction
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
-from ship_geometry.time_scales import SECOND_NS, julian_date
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.motion import make_carrier
+from ship_stars.sky.masks import MaskConfig
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 
 MAS = 1e-3 * ARCSEC

@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.gates import sigma_ratio_band
+from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import CorrelatedError, random_stream
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage

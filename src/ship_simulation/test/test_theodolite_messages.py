@@ -9,9 +9,9 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory, serialize
 from ship_bags.stamps import ns_from_stamp
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.run import simulate
 from ship_simulation.scenario.theodolite_scenario import Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.theodolite.devices import points_on_detector
@@ -23,8 +23,8 @@ from ship_testing.theodolite_scenes import (
     without_errors,
 )
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
+from theodolite_calib.beacon_camera.image import Camera
+from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 
 NONE = np.zeros(3)
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
-from ship_geometry.attitude_track import AttitudeTrack
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.tracks.attitude_track import AttitudeTrack
 from ship_watch.budget import angle_variances
 from ship_watch.detections import BeaconDetections, StarExposures
 from ship_watch.history import (

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from ship_bags.parameter_yaml import read_nested_parameters
-from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.fields import mapping_of, parameter, section
+from ship_estimation.parameters.schema import ParameterError, build
 
 INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 """Kinds of sources. A kind is the name of a source, or the part of the name before the id: "star" of ``star.bow``."""

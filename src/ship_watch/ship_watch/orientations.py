@@ -8,11 +8,11 @@ import numpy as np
 
 from ship_bags.cdr_template import CdrRows
 from ship_bags.stamps import ns_from_stamp, stamps_of_rows
-from ship_geometry import compiled_angles
-from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import device_vector_from_ros
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_kernels import compiled_rotations
 
 _RATE = "angular_velocity"
 
@@ -72,7 +72,7 @@ class Orientation:
             rates_d = [
                 rate_d if known else None for rate_d, known in zip(measured_d, _is_row_finite(measured_d), strict=True)
             ]
-        samples = map(AttitudeSample, times_ns, compiled_angles.rotations(angles), rates_d)
+        samples = map(AttitudeSample, times_ns, compiled_rotations.rotations(angles), rates_d)
         return [sample if known else None for sample, known in zip(samples, _is_row_finite(angles), strict=True)]
 
     def scale(self, angles: FloatArray) -> FloatArray:

@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import NORMAL_95, IntegrityState
+from ship_estimation.integrity.protection_levels import NORMAL_95, IntegrityState
+from ship_estimation.time_order.outcome import Status
 from ship_watch.limits import Limits
 from ship_watch.safety import AngleProtection
 

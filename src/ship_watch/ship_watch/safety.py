@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityState
+from ship_estimation.integrity.protection_levels import IntegrityState
+from ship_estimation.time_order.outcome import Status
 from ship_watch import value_texts
 from ship_watch.suite_state import Safety, SourceState
 

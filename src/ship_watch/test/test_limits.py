@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_estimation.parameters import build
+from ship_estimation.parameters.schema import build
 from ship_watch.limits import INPUT_KINDS, InputLimits, Limits, read_limits
 from ship_watch.suite_state import ANGLES
 

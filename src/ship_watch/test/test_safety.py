@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityState
+from ship_estimation.integrity.protection_levels import IntegrityState
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_watch.safety import (
     AngleInputs,

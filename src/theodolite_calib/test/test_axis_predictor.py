@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.rts_smoother import Anchor
-from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.kalman.rts_smoother import Anchor
+from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.simulated_session import BEACONS_DEG, config
 from theodolite_calib.smoothing.axis_predictor import AxisStatePredictor

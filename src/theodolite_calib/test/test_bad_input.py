@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import LONGEST_TEXT, Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,
@@ -38,8 +38,8 @@ from ship_testing.small_session import (
     run_adapter,
     session,
 )
-from theodolite_calib.measured.samples import Mode
-from theodolite_calib.ros.messages_in import MAX_BEACONS
+from theodolite_calib.messages.input_messages import MAX_BEACONS
+from theodolite_calib.samples.samples import Mode
 
 CHANGE_S = 3.0
 ALPHA = BASELINE["alpha"]

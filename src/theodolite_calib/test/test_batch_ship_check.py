@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_check import CheckedInsSample, InsCheck
-from ship_geometry.attitude_track import AttitudeTrack
+from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.plausibility.ins_check import CheckedInsSample, InsCheck
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from theodolite_calib.measured.batch_ship_check import BatchShipCheck, stated_step_rad
-from theodolite_calib.measured.samples import ShipSample
+from ship_geometry.tracks.attitude_track import AttitudeTrack
+from theodolite_calib.samples.batch_ship_check import BatchShipCheck, stated_step_rad
+from theodolite_calib.samples.samples import ShipSample
 
 CONFIG = CheckedInsConfig(white_sigma_arcsec=2.0)
 RATE_HZ, SECONDS = 50, 30

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation
 from ship_testing.simulated_sightings import (
     BEACONS_DEG,
@@ -16,8 +16,8 @@ from ship_testing.simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.lights.beacon_check import BeaconCheck, BeaconCheckResult, angle_residuals, check_beacons
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, solve_attitude
+from theodolite_calib.beacon_camera.beacon_check import BeaconCheck, BeaconCheckResult, angle_residuals, check_beacons
+from theodolite_calib.beacon_camera.telescope_attitude import AttitudePrior, solve_attitude
 
 PROBABILITY = 0.999
 THREE_LIGHTS_DEG = FOUR_BEACONS_DEG[:3]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_node.live.node_report import start_line
 from ship_testing.adapter_runs import FACTORY, SECOND_NS
@@ -22,10 +22,10 @@ from ship_testing.small_session import (
     run_adapter,
     session,
 )
+from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_from_state, state_from_prior
-from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 NOW_NS = session()[-1].receive_ns
 DAY_NS = 86400 * SECOND_NS

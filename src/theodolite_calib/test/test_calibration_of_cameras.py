@@ -9,6 +9,7 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_testing.mount_stars import CAMERA_ID, MOUNTED_DEG, mount_config
+from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.optical_axis.calibration import (
@@ -18,7 +19,6 @@ from theodolite_calib.optical_axis.calibration import (
     prior_from_state,
     state_from_prior,
 )
-from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 NOW_NS = 1_767_225_600_000_000_000
 OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC

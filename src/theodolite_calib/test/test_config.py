@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_testing.small_session import config
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import state_model

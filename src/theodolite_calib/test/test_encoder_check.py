@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.vector_track import VectorTrack
+from ship_geometry.tracks.vector_track import VectorTrack
 from ship_testing.adapter_runs import START_NS, Arrival, change_where, index_at, replace_message, without
 from ship_testing.small_session import (
     BEACONS,
@@ -23,8 +23,8 @@ from ship_testing.small_session import (
     session,
     stamp_of,
 )
-from theodolite_calib.measured.encoder_check import EncoderCheck
-from theodolite_calib.measured.samples import EncoderSample
+from theodolite_calib.samples.encoder_check import EncoderCheck
+from theodolite_calib.samples.samples import EncoderSample
 
 PERIOD_NS = 10_000_000
 FREE = 1e9

@@ -7,9 +7,9 @@ import pytest
 
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.measured.encoder_check import EncoderCheck
-from theodolite_calib.measured.samples import EncoderSample
+from ship_geometry.tracks.vector_track import VectorTrack
+from theodolite_calib.samples.encoder_check import EncoderCheck
+from theodolite_calib.samples.samples import EncoderSample
 
 RATE_HZ = 50
 PERIOD_NS = 20_000_000

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.beacon_camera.image import Camera, Image
+from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
+from theodolite_calib.beacon_camera.telescope_attitude import solve_attitude
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.lights.image import Camera, Image
-from theodolite_calib.lights.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
-from theodolite_calib.lights.telescope_attitude import solve_attitude
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 AZIMUTH, LEVER_M = 1.3, np.array([12.0, 7.0, -3.0])
 PAPER_FIELD_DEG = np.array([[3.0, 2.0], [-2.0, -3.0]])

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from ship_estimation.fault_isolation import ExcludedSource
-from ship_geometry.time_scales import SECOND_NS
+from ship_estimation.fault_detection.fault_isolation import ExcludedSource
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
 from theodolite_calib.filter.fault_detection import (
     ExclusionRecord,

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.samples import Exposure
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.samples import Exposure
+from theodolite_calib.samples.sighting import Sighting
 
 EVERYTHING = {
     "ship__source": "ins/imu",

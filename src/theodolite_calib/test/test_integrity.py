@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import Integrity
 from ship_testing.adapter_runs import SECOND_NS, START_NS, change_where, delay_arrivals

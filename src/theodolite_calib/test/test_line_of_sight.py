@@ -8,7 +8,7 @@ import pytest
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free_epochs, raise_elevation, truth_of
-from theodolite_calib.lights.line_of_sight import (
+from theodolite_calib.beacon_camera.line_of_sight import (
     BeaconPoses,
     ErrorTerm,
     LeverArm,

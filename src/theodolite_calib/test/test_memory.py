@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations.gates import mean_nees_band
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.optical_axis.memory import (
     StreamJump,
     largest_difference_sigmas,
@@ -20,6 +18,8 @@ from theodolite_calib.optical_axis.memory import (
     start_from_memory,
     stuck_encoder_jump,
 )
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.sighting import Sighting
 
 SETTINGS = config(ship_antenna__sigma_m=0.01)
 FILTER = CalibrationFilter(SETTINGS)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_msgs.msg import OpticalAxisPointing, ShipAttitude
 from ship_testing.adapter_runs import change_where
 from ship_testing.small_session import (
@@ -15,7 +15,7 @@ from ship_testing.small_session import (
     session,
     session_with_ins_only,
 )
-from theodolite_calib.measured.samples import Mode
+from theodolite_calib.samples.samples import Mode
 
 # The time offset of 5 ms alone is 36" at 2°/s.
 INS = {"ship__source": "ins/imu", "ins__time_offset_sigma_s": 0.0}

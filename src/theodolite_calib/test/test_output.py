@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
@@ -17,7 +17,8 @@ from theodolite_calib.filter.fault_detection import UnresolvedFault
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import (
+from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput
+from theodolite_calib.samples.samples import (
     EncoderSample,
     EncoderSeries,
     Exposure,
@@ -25,8 +26,7 @@ from theodolite_calib.measured.samples import (
     PointingEstimate,
     PointingSeries,
 )
-from theodolite_calib.measured.tracks import ShipAt, ShipSeries
-from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput
+from theodolite_calib.samples.tracks import ShipAt, ShipSeries
 
 TIMES_S = np.arange(0.0, 10.0)
 COUNT = 12

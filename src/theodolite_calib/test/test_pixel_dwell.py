@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_simulation.scenario.scenario import Detector
 from ship_simulation.stars.spatial_errors import DetectorErrors
+from ship_stars.camera.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_testing.mount_stars import (
     CAMERA,
     CAMERA_ID,
@@ -29,9 +29,9 @@ from ship_testing.star_sky import TIME_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.star_step import StarStep
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.samples import Mode, PointingEstimate
 
 ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
 """Spatial errors of 2.7″ and 1.3″; the noise is 1.3″."""

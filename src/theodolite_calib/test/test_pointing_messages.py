@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, mounting_quaternion, quaternion_from_rotation
 from ship_geometry.rotations import exp_rotation
-from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingSeries
-from theodolite_calib.ros.pointing_messages import PointingNumbers, pointing_messages, pointing_rows
+from theodolite_calib.messages.pointing_messages import PointingNumbers, pointing_messages, pointing_rows
+from theodolite_calib.samples.samples import Mode, PointingEstimate, PointingSeries
 
 LEVER = {"x": 12.0, "y": 2.0, "z": 3.0}
 KINDS = [

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_node.edge.messages_in import MessageRejected, ReadMessage
+from ship_node.messages.field_checks import MessageRejected, ReadMessage
 from ship_testing.message_rows import rows
 from ship_testing.small_session import config
-from theodolite_calib.ros import messages_in, rows_in
+from theodolite_calib.messages import input_messages, input_rows
 
 START_NS, COUNT = 1_400_000_000_000_000_000, 60
 FACTORY = RosbagsFactory()
@@ -22,8 +22,8 @@ NAN = float("nan")
 KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, list[Any]]]] = {
     "encoder": (
         "ship_msgs/msg/TheodoliteEncoder",
-        functools.partial(messages_in.encoder, config=CONFIG),
-        functools.partial(rows_in.encoders, config=CONFIG),
+        functools.partial(input_messages.encoder, config=CONFIG),
+        functools.partial(input_rows.encoders, config=CONFIG),
         {
             "sigma": [0.0, NAN, -1e-6, 7.0, float("inf")],
             "status": [1, 2],
@@ -33,8 +33,8 @@ KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, li
     ),
     "ship": (
         "ship_msgs/msg/ShipAttitude",
-        functools.partial(messages_in.ship_attitude, config=CONFIG),
-        functools.partial(rows_in.ship_attitudes, config=CONFIG),
+        functools.partial(input_messages.ship_attitude, config=CONFIG),
+        functools.partial(input_rows.ship_attitudes, config=CONFIG),
         {
             "orientation": [dict.fromkeys("xyzw", 0.0), dict.fromkeys("xyzw", NAN), dict.fromkeys("xyzw", 1e200)],
             "rotation_covariance": [
@@ -53,8 +53,8 @@ KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, li
     ),
     "drone": (
         "sensor_msgs/msg/Imu",
-        functools.partial(messages_in.drone_attitude, beacon=BEACON),
-        functools.partial(rows_in.drone_attitudes, beacon=BEACON),
+        functools.partial(input_messages.drone_attitude, beacon=BEACON),
+        functools.partial(input_rows.drone_attitudes, beacon=BEACON),
         {
             "orientation": [dict.fromkeys("xyzw", 0.0), {**dict.fromkeys("xyz", NAN), "w": 1.0}],
             "orientation_covariance": [np.r_[-1.0, np.zeros(8)]],

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ship_estimation.gates import sigma_ratio_band
+from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.simulated_session import BEACONS_DEG, Session, config, session, sweep
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import EncoderSeries, Exposure
-from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.tracks import ShipSeries
 from theodolite_calib.optical_axis.output import CorrectedAxis
+from theodolite_calib.samples.samples import EncoderSeries, Exposure
+from theodolite_calib.samples.sighting import Sighting
+from theodolite_calib.samples.tracks import ShipSeries
 
 SEEDS = 16
 SWEEP_S = np.arange(0.0, 301.0)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import exp_rotation
 from ship_testing.adapter_runs import (
@@ -31,7 +31,7 @@ from ship_testing.small_session import (
     session_with_ins_only,
     stamp_of,
 )
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 Change = Callable[[Any], None]
 ZERO, TRUE, DEGREES = 0.0, 1.0, np.rad2deg(1.0)

@@ -8,11 +8,11 @@ import pytest
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, angle_between
 from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
+from theodolite_calib.beacon_camera.image import Image
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.lights.image import Image
-from theodolite_calib.measured.samples import Exposure
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.samples.samples import Exposure
+from theodolite_calib.samples.sighting import Sighting
 
 THREE_DEG = {**BEACONS_DEG, "charlie": (-2.0, 2.5)}
 CHARLIE = {"beacons__charlie__rtk__bias_sigma_m": 0.0}

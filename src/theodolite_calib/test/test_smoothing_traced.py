@@ -5,13 +5,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ship_estimation.fault_isolation import ExcludedSource
+from ship_estimation.fault_detection.fault_isolation import ExcludedSource
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.fault_detection import ExclusionRecord
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.sighting import Sighting
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
 
 SETTINGS = config()

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import EncoderSample, Exposure, PointingEstimate
 from theodolite_calib.optical_axis.integrity import integrity_of
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
+from theodolite_calib.samples.samples import EncoderSample, Exposure, PointingEstimate
 
 SEEDS = 8
 START_S = 30.0

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.rejections import Reason, Rejection
+from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.star_directions import fixed_stars
+from ship_stars.solution.exposure import ExposureLength, StarExposure
 from ship_testing.mount_stars import CAMERA_ID, mount_config
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.measured.samples import EncoderSample, ShipSample
-from theodolite_calib.measured.star_sighting import StarSighting, star_sighting
-from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.samples.samples import EncoderSample, ShipSample
+from theodolite_calib.samples.star_sighting import StarSighting, star_sighting
+from theodolite_calib.samples.tracks import MeasuredTracks
 
 SETTINGS = mount_config()
 CAMERA = SETTINGS.telescopes[CAMERA_ID].camera.camera("camera")

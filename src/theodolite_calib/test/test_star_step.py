@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.exposure import ExposureLength, reduce_to_mid_exposure
-from ship_attitude_star.stars.fit import square_roots
-from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.fault_isolation import ExcludedSource
-from ship_estimation.gates import mean_nees_band, sigma_ratio_band
-from ship_estimation.outcome import Status
+from ship_estimation.fault_detection.fault_isolation import ExcludedSource
+from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import ExposureLength, reduce_to_mid_exposure
+from ship_stars.solution.fit import square_roots
+from ship_stars.solution.selection import StarPrior
 from ship_testing.mount_stars import (
     CAMERA_ID,
     STAR_SIGMA,
@@ -35,9 +35,9 @@ from theodolite_calib.filter.fault_detection import ExclusionRecord
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.subfilters import ENCODER
-from theodolite_calib.measured.samples import Mode, PointingEstimate
-from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
+from theodolite_calib.samples.samples import Mode, PointingEstimate
+from theodolite_calib.samples.star_sighting import StarSighting
 
 SETTINGS = mount_config()
 SEEDS = 50

@@ -10,7 +10,7 @@ from ship_estimation.rejections import Reason
 from ship_testing.adapter_runs import FACTORY, START_NS
 from ship_testing.mount_stars import CAMERA, MOUNTED_DEG
 from ship_testing.small_session import config
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 STARS, INNOVATION = "theodolite/night/stars", "theodolite/innovation"
 VEGA, ALTAIR = 91262, 97649

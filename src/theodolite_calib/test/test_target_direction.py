@@ -8,22 +8,17 @@ import functools
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import build, nest
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import build, nest
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
-from theodolite_calib.measured.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.target.direction import (
-    MainDetector,
-    direction_angles,
-    observed_direction,
-    ranged_position,
-)
+from theodolite_calib.samples.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample
+from theodolite_calib.targets.direction import MainDetector, direction_angles, observed_direction, ranged_position
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS

@@ -18,8 +18,8 @@ from ship_testing.simulated_sightings import (
     raise_elevation,
     truth_of,
 )
-from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import (
+from theodolite_calib.beacon_camera.line_of_sight import LeverArm, covariance_by_source
+from theodolite_calib.beacon_camera.telescope_attitude import (
     AttitudePrior,
     TelescopeAttitude,
     linearise,

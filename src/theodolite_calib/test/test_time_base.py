@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, hand_over, stamp_of
 from ship_testing.small_session import ENCODER, Run, new_adapter, run_adapter, session
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, sort_by_arrival, stamp_of
 from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, fault_free_run, new_adapter, run_adapter, session
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from ship_estimation.outcome import Status
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_testing.simulated_session import config
-from theodolite_calib.measured.samples import BaselineSample, EncoderSample, ShipSample
-from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.samples.samples import BaselineSample, EncoderSample, ShipSample
+from theodolite_calib.samples.tracks import MeasuredTracks
 
 STEP_NS, SECOND_NS = 400_000_000, 1_000_000_000
 ENCODER_SIGMA = 1.0 * ARCSEC

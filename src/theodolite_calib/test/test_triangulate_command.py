@@ -12,10 +12,10 @@ import yaml
 
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_utc_text
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.theodolite_stations import DIRECTION, buoy_direction, buoy_n, direction_message, triangulation_values
-from theodolite_calib.triangulation.triangulate_command import COLUMNS, main
+from theodolite_calib.commands.triangulate import COLUMNS, main
 
 START_NS, PERIOD_NS = 1_767_225_600_000_000_000, 100_000_000
 SIGMA = 3.0 * ARCSEC

@@ -10,7 +10,7 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_testing.theodolite_stations import (
@@ -23,7 +23,7 @@ from ship_testing.theodolite_stations import (
     station,
     theodolite_n,
 )
-from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPosition, _Line, triangulate
+from theodolite_calib.triangulation.triangulation import Air, StationDirection, TriangulatedPosition, _Line, triangulate
 
 SIGMA, DRAWS = 3.0 * ARCSEC, 1000
 

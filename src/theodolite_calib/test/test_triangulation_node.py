@@ -10,17 +10,17 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header, ns_from_stamp
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.garbage import paths, put_garbage
 from ship_testing.theodolite_stations import FACTORY, buoy_direction, buoy_n, direction_message, triangulation_values
-from theodolite_calib.ros.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
-from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.triangulation_core import MAX_TARGETS, MAX_WAITING
+from theodolite_calib.adapters.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
+from theodolite_calib.triangulation.config import TriangulationConfig
+from theodolite_calib.triangulation.triangulation_core import MAX_TARGETS, MAX_WAITING
 
 START_NS, PERIOD_NS, LATENCY_NS = 1_767_225_600_000_000_000, 100_000_000, 50_000_000
 SIGMA = 3.0 * ARCSEC

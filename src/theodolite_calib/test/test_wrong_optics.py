@@ -12,16 +12,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_simulation.scenario.scenario import Detector
 from ship_simulation.stars.true_optics import TrueOptics, draw_optics
+from ship_stars.camera.camera import StarCamera
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.selection import StarPrior
 from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, observe_stars
 from ship_testing.simulated_session import START_NS, config, session
 from ship_testing.star_sky import without_identity
@@ -29,10 +29,10 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import EncoderSample, Exposure
-from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.calibration import calibration_from_state
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
+from theodolite_calib.samples.samples import EncoderSample, Exposure
+from theodolite_calib.samples.star_sighting import StarSighting
 
 TELESCOPE = "main"
 SEEDS, STARS = 20, 6

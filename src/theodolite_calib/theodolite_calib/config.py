@@ -5,12 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import RequiredCameraConfig
-from ship_estimation.frame_names import FrameNames, publish_tf
-from ship_estimation.gates import GateConfig
-from ship_estimation.ins import InsErrorConfig, StarInsConfig
-from ship_estimation.parameter_fields import (
+from ship_estimation.innovations.gates import GateConfig
+from ship_estimation.integrity.protection_levels import IntegrityConfig
+from ship_estimation.parameters.fields import (
     accept_unset_covariance,
     arcsec,
     autosave_period,
@@ -21,10 +18,13 @@ from ship_estimation.parameter_fields import (
     sources_off,
     stamp_age,
 )
-from ship_estimation.parameters import ParameterError
-from ship_estimation.protection_levels import IntegrityConfig
+from ship_estimation.parameters.frame_names import FrameNames, publish_tf
+from ship_estimation.parameters.ins import InsErrorConfig, StarInsConfig
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.camera.config import RequiredCameraConfig
+from ship_stars.sky.config import SkyConfig
 from theodolite_calib.axis_geometry.axes import NAMES
 
 _MAX_LEVER_M = 200.0

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ship_replay.trials.threats import OVERLAPPING, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.scenario.fault import KINDS, Fault
 from ship_simulation.scenario.names import (
@@ -34,6 +33,7 @@ from ship_simulation.scenario.names import (
     is_applicable,
 )
 from ship_testing.returns.voyages import VOYAGES, VoyageData
+from ship_testing.trials.threats import OVERLAPPING, draw_faults
 
 START_S = 40.0
 """Start of the first fault after the beginning of the voyage, in all cells but random histories, s."""

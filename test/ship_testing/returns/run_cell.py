@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, stamp_fields
-from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
+from ship_node.adapters.adapter import TICK_PERIOD_NS
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
-from ship_replay.trials.voyage_outputs import VoyageSink
 from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.scenario.fault import Fault
 from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell
 from ship_testing.returns.voyages import BOUND_S, VOYAGES, Message, VoyageData, load_voyage
+from ship_testing.trials.voyage_outputs import VoyageSink
 
 STEADY_S = 15.0
 """Duration of normal state before a run ends, s."""

@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_replay.trials.results_file import Result, ResultsFile
+from ship_testing.trials.results_file import Result, ResultsFile
 
 HEAD = (
     "fault",

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from ship_estimation.parameter_fields import parameter
+from ship_estimation.parameters.fields import parameter
 
 GAUSS_MARKOV, SCHULER = "gauss_markov", "schuler"
 

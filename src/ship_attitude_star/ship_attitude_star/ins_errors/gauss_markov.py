@@ -19,9 +19,9 @@ import numpy as np
 
 from ship_attitude_star.ins_errors.process import ATTITUDE_ERROR, DEFLECTION, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.kalman import StateBlock, exceeds_model
+from ship_estimation.kalman.kalman_filter import StateBlock, exceeds_model
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 
 _SIZE = 5
 

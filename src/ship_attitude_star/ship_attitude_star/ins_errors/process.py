@@ -70,7 +70,7 @@ class InsProcess(Protocol):
         """Return the propagated states of h filters, shape (h, n), at N times, shape (N, h, n).
 
         An attitude error far beyond its standard deviation, as after a jump, does not decay
-        (:func:`ship_estimation.kalman.exceeds_model`).
+        (:func:`ship_estimation.kalman.kalman_filter.exceeds_model`).
         """
 
 

@@ -36,10 +36,10 @@ import numpy as np
 from ship_attitude_star.ins_errors.config import SchulerConfig
 from ship_attitude_star.ins_errors.process import ATTITUDE_ERROR, DEFLECTION, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import STEP_NS, LocalVertical
-from ship_estimation.kalman import exceeds_model
-from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_estimation.kalman.kalman_filter import exceeds_model
+from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 
 _VELOCITY, _LATITUDE, _DRIFT, _BIAS = slice(5, 7), 7, slice(8, 11), slice(11, 13)
 _ALL = 13

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.measurements.baseline import BASELINE
+from ship_attitude_star.samples.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT, Device

@@ -1,6 +1,6 @@
 """Predicted attitude of a device, and residual, Jacobian and noise of a measurement compared with this attitude.
 
-Single stars are compared one by one (:mod:`ship_attitude_star.stars.residuals`).
+Single stars are compared one by one (:mod:`ship_stars.solution.residuals`).
 """
 
 import math
@@ -8,20 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, BaselineMeasurement
-from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
+from ship_attitude_star.samples.baseline import BASELINE_COMPONENTS, BaselineMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.camera_states import camera_state_indices
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.residuals import star_residuals
-from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.kalman import LinearMeasurement
-from ship_estimation.outcome import Measurement
+from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_estimation.rejections import Reason, Rejection
-from ship_geometry import compiled_rotations
-from ship_geometry.attitude_track import InterpolatedAttitude
+from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
+from ship_geometry.tracks.attitude_track import InterpolatedAttitude
+from ship_kernels import compiled_rotations
+from ship_stars.camera.camera_states import camera_state_indices
+from ship_stars.samples.attitude_samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure
+from ship_stars.solution.residuals import star_residuals
+from ship_stars.solution.selection import StarPrior
 
 _UP_RIGHT_BY_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Jacobian of the forward axis's direction (up, right) with respect to a rotation of the device (forward, up, right).

@@ -7,14 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
-from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
-from ship_attitude_star.sky.config import InertialConfig, SkyConfig
-from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_attitude_star.vertical.config import GravityConfig
-from ship_estimation.frame_names import FrameNames, publish_tf
-from ship_estimation.gates import GateConfig
-from ship_estimation.ins import InsErrorConfig, StarInsConfig
-from ship_estimation.parameter_fields import (
+from ship_estimation.innovations.gates import GateConfig
+from ship_estimation.integrity.protection_levels import IntegrityConfig
+from ship_estimation.parameters.fields import (
     accept_unset_covariance,
     arcsec,
     autosave_period,
@@ -25,11 +21,15 @@ from ship_estimation.parameter_fields import (
     sources_off,
     stamp_age,
 )
-from ship_estimation.parameters import ParameterError
-from ship_estimation.protection_levels import IntegrityConfig
+from ship_estimation.parameters.frame_names import FrameNames, publish_tf
+from ship_estimation.parameters.ins import InsErrorConfig, StarInsConfig
+from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
+from ship_stars.camera.config import CameraConfig, MountingConfig, StarSensorsById
+from ship_stars.samples.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
+from ship_stars.sky.config import InertialConfig, SkyConfig
 
 GEODETIC, GRAVITY = "geodetic", "gravity"
 

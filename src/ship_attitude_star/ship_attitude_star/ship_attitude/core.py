@@ -1,9 +1,9 @@
 """Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
 The core uses no ROS, no files and no clock. The core consists of the filter, the INS samples and the sky model, in a
-time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when a measurement is applied and
-which output may follow. This module adds the parts for the ship attitude. These are the plausibility checks of the
-inputs, and the attitude from star sensors alone when the INS is not available.
+time-ordered estimator (:mod:`ship_estimation.time_order.time_ordered_estimator`), which decides when a measurement is
+applied and which output may follow. This module adds the parts for the ship attitude. These are the plausibility checks
+of the inputs, and the attitude from star sensors alone when the INS is not available.
 """
 
 from collections import deque
@@ -13,16 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_checks import PlausibilityChecks
-from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix, SkyInput
-from ship_attitude_star.measurements.samples import (
-    AttitudeDecision,
-    AttitudeEstimate,
-    AttitudeMeasurement,
-    AttitudeOutcome,
-    AttitudeSeries,
-    StampArray,
-)
+from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -49,22 +40,31 @@ from ship_attitude_star.ship_attitude.observability import Observability, observ
 from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate_from_star, invalid_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
-from ship_estimation.ins import InsChange, InsJump
-from ship_estimation.ins_check import CheckedInsSample
-from ship_estimation.outcome import Measurement, Status
-from ship_estimation.protection_levels import IntegrityReport
-from ship_estimation.rate_consistency import RateStatus
+from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.integrity.protection_levels import IntegrityReport
+from ship_estimation.parameters.ins import InsChange, InsJump
+from ship_estimation.plausibility.ins_check import CheckedInsSample
+from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.rejections import Rejection
-from ship_estimation.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator, is_within_lag
-from ship_estimation.time_shift import with_shifted_stamps
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_estimation.time_order.outcome import Measurement, Status
+from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator, is_within_lag
+from ship_estimation.time_order.time_shift import with_shifted_stamps
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_stars.samples.attitude_samples import (
+    AttitudeDecision,
+    AttitudeEstimate,
+    AttitudeMeasurement,
+    AttitudeOutcome,
+    AttitudeSeries,
+    StampArray,
+)
+from ship_stars.samples.readings import DeflectionReading, PositionFix, SkyInput
+from ship_stars.sky.sky_model import SkyModel
 
 INS = "ins"
 

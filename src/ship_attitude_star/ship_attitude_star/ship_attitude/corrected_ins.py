@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.ins_errors.ins_error_propagation import InsErrorPropagation, InsErrors
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries, Horizon, StampArray
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import UNKNOWN_INS_RAD_PER_SQRT_S
@@ -16,13 +15,14 @@ from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import INS
-from ship_estimation.kalman import exceeds_model
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import alert_limit_text
-from ship_geometry import compiled_rotations
-from ship_geometry.attitude_track import InterpolatedAttitude, PropagatedBlock
+from ship_estimation.integrity.protection_levels import alert_limit_text
+from ship_estimation.kalman.kalman_filter import exceeds_model
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import InterpolatedAttitude, PropagatedBlock
+from ship_kernels import compiled_rotations
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon, StampArray
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
 """Indices of the states that correct an INS attitude: the correlated error (north, up, east) and the time offset."""

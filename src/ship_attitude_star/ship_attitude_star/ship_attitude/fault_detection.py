@@ -7,7 +7,7 @@ other sources is excluded in the same way.
 A step between the INS and all stars is treated differently, because a position error rotates all stars just as a step
 of the INS would. If all stars suddenly contradict the INS, the fault is unresolved, and the stars are excluded until
 they are consistent with the INS again. A jump of the INS is detected from its own rates
-(:mod:`ship_estimation.ins_check`). If such a jump was reported recently, the INS is excluded instead
+(:mod:`ship_estimation.plausibility.ins_check`). If such a jump was reported recently, the INS is excluded instead
 (:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
 """
 
@@ -33,8 +33,8 @@ from ship_attitude_star.ship_attitude.state import (
     with_entry,
 )
 from ship_attitude_star.ship_attitude.subfilter_set import INS, MIN_SOURCES_FOR_PAIRS, SubfilterSet
-from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
-from ship_estimation.fault_isolation import (
+from ship_estimation.fault_detection.common_error import COMMON_ERROR_START_SIGMAS
+from ship_estimation.fault_detection.fault_isolation import (
     MAX_MEASUREMENT_AGE_NS,
     ExcludedSource,
     FaultIsolation,
@@ -43,10 +43,14 @@ from ship_estimation.fault_isolation import (
     isolate_fault,
     reinstatement_time_s,
 )
-from ship_estimation.innovation_means import INITIAL_MEANS, cleared_means, initial_means, updated_mean, updated_means
-from ship_estimation.outcome import Measurement
-from ship_estimation.protection_levels import INFLATION_START_SIGMAS, separation_inflation
-from ship_estimation.subfilters import (
+from ship_estimation.fault_detection.innovation_means import (
+    INITIAL_MEANS,
+    cleared_means,
+    initial_means,
+    updated_mean,
+    updated_means,
+)
+from ship_estimation.fault_detection.subfilters import (
     FilterInnovations,
     add_error,
     are_consistent,
@@ -54,8 +58,10 @@ from ship_estimation.subfilters import (
     solution_separations,
     update_subfilters,
 )
+from ship_estimation.integrity.protection_levels import INFLATION_START_SIGMAS, separation_inflation
+from ship_estimation.time_order.outcome import Measurement
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
 
 _SHIFT_SIGMA_RATIO = 2.0
 """Standard deviation of the mounting after a mounting shift, as a ratio to the observed shift."""

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.guards.diagnosis_hints import AttitudeResidual, diagnosis_hint
-from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
+from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, diagnosis_hint
 from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
@@ -21,20 +20,21 @@ from ship_attitude_star.ship_attitude.model import (
 )
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, with_changes, with_entry, without_entry
 from ship_attitude_star.ship_attitude.subfilter_set import INS
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
-from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.ins import InsChange
-from ship_estimation.outcome import Measurement
+from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
+from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
+from ship_estimation.innovations.gates import GateConfig, chi_square_gate
+from ship_estimation.parameters.ins import InsChange
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
-from ship_estimation.subfilters import FilterInnovations, add_error, subfilter_innovations
-from ship_estimation.unconfirmed_step import UnconfirmedStep
-from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
+from ship_estimation.time_order.outcome import Measurement
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, log_rotation
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeTrack, ExtraNoise
+from ship_stars.camera.optics_errors import SOURCE_OPTICS
+from ship_stars.samples.attitude_samples import AttitudeDecision, AttitudeMeasurement
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure
+from ship_stars.solution.scale_check import check_estimated_focal_length
 
 _MAX_CLOCK_STEP_SIGMAS = 8.0
 """Maximum clock step of the INS that can be estimated, in standard deviations of the configured clock offset."""

@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeOutcome, AttitudeSeries, StampArray
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_estimates
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.ins_check import CheckedBlock
-from ship_estimation.outcome import Status
+from ship_estimation.plausibility.ins_check import CheckedBlock
 from ship_estimation.rejections import Rejection, failure_rejection
-from ship_geometry.attitude_track import (
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.tracks.attitude_track import (
     AttitudeSample,
     ExtraNoise,
     PropagatedBlock,
@@ -26,6 +25,7 @@ from ship_geometry.attitude_track import (
     SampleBlock,
     propagate_block,
 )
+from ship_stars.samples.attitude_samples import AttitudeOutcome, AttitudeSeries, StampArray
 
 
 class _BatchSegment(NamedTuple):

@@ -23,13 +23,13 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.state import FilterState, UnresolvedFault, with_changes, with_entry, without_entry
 from ship_attitude_star.ship_attitude.subfilter_set import INS, SubfilterSet
-from ship_estimation.fault_isolation import ExcludedSource, reinstatement_time_s
-from ship_estimation.gates import chi_square_gate
-from ship_estimation.innovation_means import cleared_means
-from ship_estimation.subfilters import FilterInnovations, add_error
-from ship_estimation.unconfirmed_step import UnconfirmedStep
+from ship_estimation.fault_detection.fault_isolation import ExcludedSource, reinstatement_time_s
+from ship_estimation.fault_detection.innovation_means import cleared_means
+from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error
+from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
+from ship_estimation.innovations.gates import chi_square_gate
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
 
 _UNKNOWN_INS_RAD = 600.0 * ARCSEC
 UNKNOWN_INS_RAD_PER_SQRT_S = 2.0 * ARCSEC

@@ -2,22 +2,22 @@
 
 Protection levels bound the error in the presence of an undetected fault. The levels are computed from the solution
 separations of the subfilters (:mod:`ship_attitude_star.ship_attitude.fault_detection`) by
-:mod:`ship_estimation.protection_levels`.
+:mod:`ship_estimation.integrity.protection_levels`.
 """
 
 import numpy as np
 
 from ship_attitude_star.ins_errors.process import own_error_matrix
-from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import GEODETIC, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import ALL_STARS, INS
-from ship_estimation.common_error import with_common_error
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityReport, integrity_report, protection_levels
+from ship_estimation.fault_detection.common_error import with_common_error
+from ship_estimation.integrity.protection_levels import IntegrityReport, integrity_report, protection_levels
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray
+from ship_stars.samples.attitude_samples import AttitudeEstimate
 
 QUANTITIES = ("heading", "pitch", "roll")
 """Quantities with a protection level."""

@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.ship_attitude.comparison import (
     ComparedMeasurement,
     PredictedAttitude,
@@ -22,21 +20,23 @@ from ship_attitude_star.ship_attitude.comparison import (
     predict_attitude,
 )
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
-from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
-from ship_attitude_star.stars.selection import LINEAR_RANGE
-from ship_attitude_star.stars.solution import initial_attitude
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation import compiled_steps
-from ship_estimation.kalman import LinearMeasurement
-from ship_estimation.outcome import Measurement
+from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.time_order.outcome import Measurement
 from ship_geometry import lapack
-from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
-from ship_geometry.exposure_mean import exposure_motion
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeTrack, InterpolatedAttitude
+from ship_geometry.tracks.exposure_mean import exposure_motion
+from ship_kernels import compiled_kalman
+from ship_stars.samples.attitude_samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
+from ship_stars.samples.readings import InertialAttitude
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.sky.tracker_attitude import to_horizon_attitude
+from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
+from ship_stars.solution.selection import LINEAR_RANGE
+from ship_stars.solution.solution import initial_attitude
 
 _CONVERGED_RAD = 2e-4
 """Convergence limit of the distance between linearisation point and estimate, rad; the second-order term is 0.004″."""
@@ -231,7 +231,7 @@ class Linearisation:
         source = measurement.source
         device, by_offset = self._devices[source], self._offset_jacobians[source]
         # An inflation of the covariance must not raise the sigma of a clock offset above the configured sigma.
-        offset_variance = compiled_steps.variance_along(by_offset, covariance)
+        offset_variance = compiled_kalman.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
         task = _LinearisationTask(
             measurement, device, mean, covariance, last_used_ns, track, sky_model, may_wait, offset_sigma_s
@@ -240,7 +240,7 @@ class Linearisation:
         if not isinstance(matched, _MatchedMeasurement):
             return matched
         predicted = predict_attitude(device, self._model, mean, matched.ins)
-        rotation_variance = compiled_steps.projected_variance(predicted.jacobian_v, covariance, by_offset)
+        rotation_variance = compiled_kalman.projected_variance(predicted.jacobian_v, covariance, by_offset)
         if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or rotation_variance > LINEAR_RANGE**2:
             return self._iterate(task, matched, predicted)
         compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)

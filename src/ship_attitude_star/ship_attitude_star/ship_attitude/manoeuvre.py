@@ -12,18 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.baseline import BaselineMeasurement
-from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.samples.baseline import BaselineMeasurement
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.outcome import Measurement
-from ship_geometry.attitude_track import InterpolatedAttitude
+from ship_estimation.time_order.outcome import Measurement
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import InterpolatedAttitude
+from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.samples.readings import InertialAttitude
+from ship_stars.solution.exposure import StarExposure
 
 _TURNS_DEG = (45.0, 90.0, 180.0)
 _DURATION_S = 900.0

@@ -11,12 +11,12 @@ from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearisation import NotEvaluable
 from ship_attitude_star.ship_attitude.state import FilterState, with_changes
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_estimation.ins import InsJump
-from ship_estimation.outcome import Measurement
+from ship_estimation.parameters.ins import InsJump
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.time_scales import SECOND_NS
+from ship_estimation.time_order.outcome import Measurement
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeTrack
+from ship_stars.sky.sky_model import SkyModel
 
 _CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
 """Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""

@@ -57,8 +57,7 @@ from ship_attitude_star.ins_errors.config import SCHULER, SchulerConfig
 from ship_attitude_star.ins_errors.gauss_markov import GaussMarkovIns
 from ship_attitude_star.ins_errors.process import InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
-from ship_attitude_star.measurements.baseline import BASELINE
-from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, SHARED_BY_MESSAGES, SHARED_BY_SKY
+from ship_attitude_star.samples.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import (
     InsConfig,
     ReferenceConfig,
@@ -66,13 +65,14 @@ from ship_attitude_star.ship_attitude.config import (
     ShipBaselineConfig,
     StarSensorConfig,
 )
-from ship_attitude_star.sky.shared_states import sky_blocks, sky_slice
-from ship_attitude_star.stars.camera_states import camera_blocks
-from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
-from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
-from ship_estimation.kalman import StateBlock, StateModel, block
+from ship_estimation.kalman.kalman_filter import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.camera.camera_states import camera_blocks
+from ship_stars.camera.spatial_errors import SOURCE_PIXEL
+from ship_stars.samples.attitude_samples import SHARED_BY_GRAVITY, SHARED_BY_MESSAGES, SHARED_BY_SKY
+from ship_stars.sky.shared_states import sky_blocks, sky_slice
+from ship_stars.solution.residuals import SOURCE_STAR_NOISE
 
 SOURCE_INS = "ins_drift"
 SOURCE_INS_NOISE = "ins_noise"
@@ -123,7 +123,7 @@ class Device:
 
 @dataclass(frozen=True)
 class RotationChain:
-    """Chain of rotations from a device to the horizon, for :func:`ship_geometry.compiled_rotations.composed_attitude`.
+    """Chain of rotations from a device to the horizon, for :func:`ship_kernels.compiled_rotations.composed_attitude`.
 
     Attributes:
         links: index of the first state of each rotation, from the device outwards, shape (k,).

@@ -12,7 +12,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.unobservable_combinations import unobservable_combinations
+from ship_estimation.kalman.unobservable_combinations import unobservable_combinations
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _AXES = {

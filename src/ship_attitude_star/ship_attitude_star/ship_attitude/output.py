@@ -4,25 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.measurements.samples import (
-    AttitudeEstimate,
-    AttitudeMeasurement,
-    Horizon,
-    SolvedAttitude,
-)
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
-from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
-from ship_estimation.outcome import Measurement, Status
 from ship_estimation.rejections import Rejection
+from ship_estimation.time_order.outcome import Measurement, Status
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import exp_rotation, left_jacobian
-from ship_geometry.time_scales import SECOND_NS
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement, Horizon, SolvedAttitude
+from ship_stars.samples.readings import InertialAttitude
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.sky.tracker_attitude import to_horizon_attitude
+from ship_stars.solution.exposure import StarExposure, visible_stars
+from ship_stars.solution.solution import SolutionStatus, solve_stars
 
 
 def attitude_from_star(

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.guards.diagnosis_hints import AttitudeResidual
-from ship_attitude_star.stars.spatial_errors import PixelDwell
+from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation import compiled_steps
-from ship_estimation.common_error import NO_CORRECTIONS, CorrectionSums
-from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS, ExcludedSource
-from ship_estimation.innovation_means import InnovationMeans
-from ship_estimation.unconfirmed_step import UnconfirmedStep
+from ship_estimation.fault_detection.common_error import NO_CORRECTIONS, CorrectionSums
+from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS, ExcludedSource
+from ship_estimation.fault_detection.innovation_means import InnovationMeans
+from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_geometry.rotations import FloatArray
+from ship_kernels import compiled_kalman
+from ship_stars.camera.spatial_errors import PixelDwell
 
 __all__ = [
     "NO_PIXEL_DWELLS",
@@ -119,8 +119,8 @@ class RecentInnovations(NamedTuple):
     """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
-        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.running`),
-            shape (w, 5).
+        windowed_means: the windowed means
+            (:attr:`ship_estimation.fault_detection.innovation_means.InnovationMeans.running`), shape (w, 5).
         largest_sigmas: largest deviation of a mean from zero, in standard deviations of the mean.
     """
 
@@ -140,7 +140,7 @@ class FilterState:
         time_ns: time of the state; None before the first measurement.
         means: estimated errors, shape (h, n).
         stack: covariance of the main filter by error source, then covariances of the subfilters, as in
-            :mod:`ship_estimation.subfilters`, shape (n_sources + h - 1, n, n).
+            :mod:`ship_estimation.fault_detection.subfilters`, shape (n_sources + h - 1, n, n).
         innovation_means: windowed innovation means of each source in each filter.
         excluded: excluded sources by name.
         exclusion_counts: number of exclusions of each source.
@@ -221,7 +221,7 @@ class FilterState:
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the main filter, shape (n, n)."""
-        total: FloatArray = compiled_steps.total(self.stack, len(self.stack) - len(self.means) + 1)
+        total: FloatArray = compiled_kalman.total(self.stack, len(self.stack) - len(self.means) + 1)
         return total
 
 

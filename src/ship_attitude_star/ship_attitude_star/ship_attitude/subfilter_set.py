@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
-from ship_estimation.common_error import common_threshold
-from ship_estimation.innovation_means import excess_limit
-from ship_estimation.parameters import ParameterError
-from ship_estimation.protection_levels import SigmaMultipliers, joint_prior_per_h, sigma_multipliers
+from ship_estimation.fault_detection.common_error import common_threshold
+from ship_estimation.fault_detection.innovation_means import excess_limit
+from ship_estimation.integrity.protection_levels import SigmaMultipliers, joint_prior_per_h, sigma_multipliers
+from ship_estimation.parameters.schema import ParameterError
 
 INS = "ins"
 

@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UnresolvedFault, UtcStep, with_changes
-from ship_attitude_star.sky.sky_model import EARTH_ROTATION_RATE
 from ship_estimation.rejections import Reason
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_stars.samples.attitude_samples import AttitudeDecision
+from ship_stars.sky.sky_model import EARTH_ROTATION_RATE
 
 _MIN_SIGMAS = 6.0
 """Minimum rotation of the sky that stars can detect, in standard deviations of the propagated attitude."""

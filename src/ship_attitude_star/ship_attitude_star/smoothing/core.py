@@ -10,21 +10,21 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeOutcome
 from ship_attitude_star.ship_attitude.config import GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter, TracedState
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.rts_smoother import RtsSmoother
-from ship_estimation.rts_step import GaussianEstimate
-from ship_geometry import compiled_rotations
-from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
+from ship_estimation.kalman.rts_smoother import RtsSmoother
+from ship_estimation.kalman.rts_step import GaussianEstimate
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
+from ship_kernels import compiled_rotations
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeOutcome
+from ship_stars.sky.sky_model import SkyModel
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
 """Indices of attitude error and time offset in the output of :class:`InsErrorPredictor`."""

@@ -8,9 +8,9 @@ import numpy as np
 from ship_attitude_star.ins_errors.process import Propagation, own_error_matrix
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.kalman import propagate_correlated_error
-from ship_estimation.rts_smoother import Anchor
-from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.kalman.kalman_filter import propagate_correlated_error
+from ship_estimation.kalman.rts_smoother import Anchor
+from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
 
 _TIME_OFFSET = 3
@@ -54,7 +54,7 @@ class InsErrorPredictor:
         return self._model.ins_process is None
 
     def cross_to(self, anchor: ShipAnchor, later: ShipAnchor) -> FloatArray:
-        """See :meth:`ship_estimation.rts_smoother.StatePredictor.cross_to`."""
+        """See :meth:`ship_estimation.kalman.rts_smoother.StatePredictor.cross_to`."""
         assert later.time_ns is not None
         (transition,) = self._transition_to(anchor, [later.time_ns]).transition
         cross: FloatArray = anchor.estimate.covariance @ transition.T
@@ -63,7 +63,7 @@ class InsErrorPredictor:
     def estimates_at(
         self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the four quantities that correct the INS; see :class:`ship_estimation.rts_smoother.StatePredictor`.
+        """Return the four quantities that correct the INS; see :class:`ship_estimation.kalman.rts_smoother.StatePredictor`.
 
         For a jump, the covariance is inflated earlier than the jump by the bound of the clock offsets. Times between
         inflation and jump are treated as the time of the inflation.

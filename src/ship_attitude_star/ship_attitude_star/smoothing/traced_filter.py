@@ -12,11 +12,11 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.state import FilterState, with_changes
 from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
-from ship_estimation.ins import InsChange
-from ship_estimation.outcome import Measurement
-from ship_estimation.rts_smoother import StateUpdate
-from ship_estimation.rts_step import GaussianEstimate
-from ship_estimation.subfilters import FilterInnovations
+from ship_estimation.fault_detection.subfilters import FilterInnovations
+from ship_estimation.kalman.rts_smoother import StateUpdate
+from ship_estimation.kalman.rts_step import GaussianEstimate
+from ship_estimation.parameters.ins import InsChange
+from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray
 
 

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import MountingConfig, RequiredCameraConfig, StarSensorsById
-from ship_estimation.frame_names import DeckFrame
-from ship_estimation.ins import StarInsConfig
-from ship_estimation.parameter_fields import mapping_of, parameter, section, sources_off, stamp_age
+from ship_estimation.parameters.fields import mapping_of, parameter, section, sources_off, stamp_age
+from ship_estimation.parameters.frame_names import DeckFrame
+from ship_estimation.parameters.ins import StarInsConfig
+from ship_stars.camera.config import MountingConfig, RequiredCameraConfig, StarSensorsById
+from ship_stars.sky.config import SkyConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,8 @@
 The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure;
 exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the
 attitude of the deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered
-estimator, only its :class:`ship_estimation.time_ordered_estimator.LagWindow`. The timeout clock is described at
-:class:`ship_node.edge.adapter.Adapter`.
+estimator, only its :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`. The timeout clock is described
+at :class:`ship_node.adapters.adapter.Adapter`.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -12,10 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_checks import PlausibilityChecks
-from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampArray
-from ship_attitude_star.sky.sky_model import SkyModel
+from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     AttitudeSolution,
@@ -28,9 +25,6 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_exposure,
 )
 from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, MotionBatch
-from ship_attitude_star.stars.config import JOINT
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.solution import invalid_solution
 from ship_estimation.rejections import (
     CONFLICT_HOLD_S,
     Reason,
@@ -39,11 +33,17 @@ from ship_estimation.rejections import (
     failure_rejection,
     resolve_same_stamp,
 )
-from ship_estimation.time_ordered_estimator import LagWindow
-from ship_geometry.attitude_track import AttitudeSample, SampleBlock
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_estimation.time_order.time_ordered_estimator import LagWindow
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_stars.camera.config import JOINT
+from ship_stars.samples.attitude_samples import AttitudeMeasurement, StampArray
+from ship_stars.samples.readings import SkyInput
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure
+from ship_stars.solution.solution import invalid_solution
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _EXACT: FloatArray = np.zeros((3, 3))

@@ -6,17 +6,17 @@ from itertools import accumulate
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
-from ship_attitude_star.stars.camera import tangent_basis
-from ship_attitude_star.stars.config import JOINT
-from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.fit import MatchedStars, square_roots
-from ship_attitude_star.stars.scale_check import check_focal_length
-from ship_attitude_star.stars.selection import StarPrior
-from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import FloatArray
+from ship_stars.camera.camera import tangent_basis
+from ship_stars.camera.config import JOINT
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure, visible_stars
+from ship_stars.solution.fit import MatchedStars, square_roots
+from ship_stars.solution.scale_check import check_focal_length
+from ship_stars.solution.selection import StarPrior
+from ship_stars.solution.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
 
 _IDENTITY: FloatArray = np.eye(3)
 _AGAINST_INS = "the stars are consistent with each other, but not with ins/imu"

@@ -15,21 +15,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_checks import PlausibilityChecks
-from ship_attitude_star.measurements.samples import StampArray
+from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
-from ship_attitude_star.stars.config import MountingConfig
-from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure
-from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.ins import InsJump, StarInsConfig
-from ship_estimation.ins_check import CheckedBlock, CheckedInsSample
+from ship_estimation.parameters.ins import InsJump, StarInsConfig
+from ship_estimation.plausibility.ins_check import CheckedBlock, CheckedInsSample
 from ship_estimation.rejections import Rejection, StampConflicts, resolve_same_stamp
-from ship_estimation.time_ordered_estimator import is_within_lag
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
-from ship_geometry.exposure_mean import exposure_motion
-from ship_geometry.interpolation_error import joint_covariance
+from ship_estimation.time_order.time_ordered_estimator import is_within_lag
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
+from ship_geometry.tracks.exposure_mean import exposure_motion
+from ship_geometry.tracks.interpolation_error import joint_covariance
+from ship_stars.camera.config import MountingConfig
+from ship_stars.samples.attitude_samples import StampArray
+from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure
+from ship_stars.solution.selection import StarPrior
 
 INS = "ins"
 

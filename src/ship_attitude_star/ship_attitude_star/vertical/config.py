@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from ship_estimation.parameter_fields import arcsec, parameter
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.fields import arcsec, parameter
+from ship_estimation.parameters.schema import ParameterError
 
 NONE, UNKNOWN, CONSTANT, TABLE, TOPIC = "none", "unknown", "constant", "table", "topic"
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ship_attitude_star.vertical.config import GravityConfig
-from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
+from ship_geometry.earth.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 

@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.position_from_fixes import PositionFromFixes, ShipPosition
 from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_estimation.rejections import Reason, Rejection, resolve_same_stamp
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_stars.samples.readings import DeflectionReading, PositionFix
+from ship_stars.sky.config import SkyConfig
+from ship_stars.sky.position_from_fixes import PositionFromFixes, ShipPosition
 
 STEP_NS = 2 * SECOND_NS
 """Interval at which position and deflection are evaluated, ns."""

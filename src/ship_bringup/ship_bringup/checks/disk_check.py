@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_state import ObservedTopic
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 from ship_watch.limits import Limits
 
 ENTRY_BYTES = 31

@@ -26,7 +26,7 @@ from ship_bags.message_factory import message_class
 from ship_bags.parameter_yaml import full_name
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bringup.security.demand import ENCLAVE
-from ship_node.edge.topics import InputTopic
+from ship_node.messages.topics import InputTopic
 
 NAME = "preflight"
 

@@ -15,9 +15,9 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_estimation.parameters import describe
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_STATIC_TOPIC, TF_TOPIC
+from ship_estimation.parameters.schema import describe
+from ship_node.adapters.adapter import Adapter
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import configured_companions
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.adapter_chain import AdapterChain

@@ -15,7 +15,7 @@ from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topic
 from ship_bringup.security.rights import load_companions, suite_rights
 from ship_bringup.suite.enclaves import add_enclaves
 from ship_bringup.suite.program import Program, Role
-from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
+from ship_node.messages.common_messages import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text

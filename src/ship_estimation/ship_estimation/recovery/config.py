@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ship_estimation.parameter_fields import parameter
+from ship_estimation.parameters.fields import parameter
 
 
 @dataclass(frozen=True, kw_only=True)

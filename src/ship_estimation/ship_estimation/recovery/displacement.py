@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.chi_square import value_above
-from ship_estimation.kalman import LinearMeasurement, innovation, update
+from ship_estimation.innovations.chi_square import value_above
+from ship_estimation.kalman.kalman_filter import LinearMeasurement, innovation, update
 from ship_geometry.rotations import FloatArray
 
 _FALSE_STEP = 5.733e-7

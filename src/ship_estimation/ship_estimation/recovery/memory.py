@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from ship_estimation.recovery.trouble import ENDS_AFTER_NS
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS
 
 State = TypeVar("State")
 

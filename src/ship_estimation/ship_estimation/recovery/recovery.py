@@ -18,16 +18,16 @@ All decisions are made once a second by the timeout clock, from the inputs and t
 from collections.abc import Callable, Mapping, Sequence, Set
 from typing import Any, Protocol
 
-from ship_estimation.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.displacements import Displacements
 from ship_estimation.recovery.memory import BEFORE_STEP_NS, StateMemory
 from ship_estimation.recovery.trouble import TroubleDetector
 from ship_estimation.rejections import Rejection, failure_rejection
-from ship_estimation.time_shift import with_shifted_stamps
+from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
+from ship_estimation.time_order.time_shift import with_shifted_stamps
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 
 MEMORY_SIGMAS = 3.0
 """Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""

@@ -1,6 +1,6 @@
 """Detection of trouble, when the status of an estimator is worse than its inputs allow or a source is excluded."""
 
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS
 
 ENDS_AFTER_NS = 30 * SECOND_NS
 """Time without a sign of trouble after which trouble ends, ns."""

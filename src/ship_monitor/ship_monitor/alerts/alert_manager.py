@@ -12,7 +12,7 @@ from typing import Any
 
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
-from ship_node.documents.saved_document import DISK, Files
+from ship_node.saved_files.saved_document import DISK, Files
 from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
 from ship_watch.alerts import AlertChange, AlertList
 from ship_watch.functions import DiagnosticEntry, diagnostic_entries

@@ -23,14 +23,14 @@ from ship_monitor.alerts.alert_manager import AlertManager
 from ship_monitor.live.topic_reader import ALERTS_TOPIC, MAX_QUEUE_DEPTH, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, SuiteState
 from ship_msgs.srv import AcknowledgeAlert
-from ship_node.edge.messages_out import (
+from ship_node.live.node_report import ExceptionGuard
+from ship_node.messages.common_messages import (
     DIAGNOSTICS_TOPIC,
     DIAGNOSTICS_TYPE,
     DiagnosticStatus,
     Level,
     diagnostic_array,
 )
-from ship_node.live.node_report import ExceptionGuard
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits

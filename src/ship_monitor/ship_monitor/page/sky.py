@@ -11,11 +11,11 @@ from functools import lru_cache
 import erfa
 import numpy as np
 
-from ship_geometry.earth_orientation import OutsideEarthOrientation, earth_orientation_table
+from ship_geometry.earth.earth_orientation import OutsideEarthOrientation, earth_orientation_table
+from ship_geometry.earth.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
+from ship_geometry.earth.star_directions import RefreshedSky
+from ship_geometry.earth.time_scales import tt_julian_date
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
-from ship_geometry.star_directions import RefreshedSky
-from ship_geometry.time_scales import tt_julian_date
 from ship_watch.history import ParameterEstimate
 from ship_watch.suite_state import AngleState
 

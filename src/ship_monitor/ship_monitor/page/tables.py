@@ -6,7 +6,7 @@ from html import escape
 
 from bokeh.models import Div, InlineStyleSheet
 
-from ship_geometry.time_scales import utc_text
+from ship_geometry.earth.time_scales import utc_text
 from ship_monitor.page.figures import NARROW, PanelBox
 from ship_monitor.page.marking import is_event_of_source, with_mark
 from ship_monitor.page.themes import FONT, Theme

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENCE, WEATHER, InstrumentRole
 from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
-from ship_estimation.parameter_fields import mapping_of, parameter
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.fields import mapping_of, parameter
+from ship_estimation.parameters.schema import ParameterError
 from ship_node.parameters.machine_resources import (
     ANY_ADDRESS,
     MachineResource,

@@ -11,8 +11,8 @@ from ship_nmea.instruments.links import LinkReader, make_link
 from ship_nmea.instruments.source import Source
 from ship_nmea.link_opening import permanent_error
 from ship_nmea.nmea_node import NmeaNode, run_nmea_node
-from ship_node.edge.messages_out import DiagnosticStatus
-from ship_node.edge.topics import OutputTopic
+from ship_node.messages.common_messages import DiagnosticStatus
+from ship_node.messages.topics import OutputTopic
 
 NAME = "nmea_in"
 

@@ -16,7 +16,7 @@ from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
 from ship_nmea.instruments.sender_filter import SenderFilter
-from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 NO_TIME = "no time: no /clock yet"
 

@@ -30,8 +30,8 @@ from ship_nmea.sentences.alerts import (
     hbt,
     parse_command,
 )
-from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.edge.topics import InputTopic
+from ship_node.messages.common_messages import DiagnosticStatus, Level
+from ship_node.messages.topics import InputTopic
 
 ALERTS = InputTopic("ship/alerts", "ship_msgs/msg/AlertArray", required=False, depth=1)
 ACKNOWLEDGE_SERVICE = "alerts/acknowledge"

@@ -3,8 +3,8 @@
 import re
 from dataclasses import dataclass
 
-from ship_estimation.parameter_fields import mapping_of, parameter
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.fields import mapping_of, parameter
+from ship_estimation.parameters.schema import ParameterError
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
 from ship_node.parameters.machine_resources import (
     MachineResource,

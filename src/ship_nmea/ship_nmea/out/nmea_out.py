@@ -25,8 +25,8 @@ from ship_nmea.sentences.attitude import (
     heading_rate,
     simulated_attitude,
 )
-from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.edge.topics import InputTopic
+from ship_node.messages.common_messages import DiagnosticStatus, Level
+from ship_node.messages.topics import InputTopic
 
 ATTITUDE = InputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude", required=True, depth=200)
 

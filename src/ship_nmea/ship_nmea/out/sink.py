@@ -16,7 +16,7 @@ from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
 from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
 from ship_nmea.out.outlet import LineReceiver, Outlet
-from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 MAX_QUEUED = 200
 """Maximum number of queued sentences; sentences at the end of a longer queue would be old when they are sent."""

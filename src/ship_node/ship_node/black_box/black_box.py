@@ -16,6 +16,7 @@ from std_msgs.msg import String
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import type_hash
+from ship_node.adapters.adapter import Adapter
 from ship_node.black_box.black_box_files import BlackBoxFiles, BlackBoxHeader
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
@@ -27,11 +28,10 @@ from ship_node.black_box.black_box_format import (
     event_text,
 )
 from ship_node.black_box.versions import versions
-from ship_node.documents.saved_document import FileUse
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.edge.topics import OutputTopic
+from ship_node.messages.common_messages import DiagnosticStatus, Level
+from ship_node.messages.topics import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text
+from ship_node.saved_files.saved_document import FileUse
 
 FLUSH_PERIOD_S = 0.07
 """Flush period, s; including the duration of a flush, data are on the disk after 0.1 s."""

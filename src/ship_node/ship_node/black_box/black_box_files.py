@@ -15,7 +15,7 @@ from ship_bags.live.installed_types import installed_definition
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
 from ship_node.black_box.black_box_format import FORMAT, METADATA, VERSIONS_ATTACHMENT
-from ship_node.edge.topics import OutputTopic
+from ship_node.messages.topics import OutputTopic
 
 
 class BlackBoxHeader(NamedTuple):

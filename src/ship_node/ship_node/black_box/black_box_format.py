@@ -3,7 +3,7 @@
 A black box is an MCAP bag. Inputs and outputs have their own topics; events are JSON texts on :data:`EVENTS_TOPIC`. The
 order in the file is the order of use; an input or event is followed by its results. The sequence numbers count all
 entries from 1. The log time is the node time of the use, which may go back; the publish time is the timeout-clock time
-(:class:`ship_node.edge.adapter.Adapter`).
+(:class:`ship_node.adapters.adapter.Adapter`).
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from typing import Any
 
 from ship_bags.errors import BadInput
 from ship_bags.renamed_topics import BLACK_BOX_METADATA
-from ship_node.edge.overload import Overload
+from ship_node.health.overload import Overload
 
 FORMAT = "2"
 """Version of this format."""

@@ -7,7 +7,8 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 
 from ship_bags.cdr_template import CdrMessage
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
+from ship_node.adapters.adapter import Adapter, ServiceResult
 from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
@@ -18,12 +19,11 @@ from ship_node.black_box.black_box_format import (
     ServiceCalled,
     Tick,
 )
-from ship_node.documents.saved_document import RecordingFiles
-from ship_node.edge.adapter import Adapter, ServiceResult
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
-from ship_node.edge.overload import Overload
-from ship_node.edge.topics import OutputMessage
+from ship_node.health.overload import Overload
 from ship_node.live.node_report import StatusLog
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
+from ship_node.messages.topics import OutputMessage
+from ship_node.saved_files.saved_document import RecordingFiles
 
 if TYPE_CHECKING:
     from ship_node.black_box.black_box import BlackBox
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class AdapterCalls:
     """Calls of an adapter; an exception of the adapter is raised after the call was recorded.
 
-    ``now_ns`` is the node time, ``waiting_ns`` the timeout-clock time (:class:`ship_node.edge.adapter.Adapter`).
+    ``now_ns`` is the node time, ``waiting_ns`` the timeout-clock time (:class:`ship_node.adapters.adapter.Adapter`).
 
     Args:
         adapter: the adapter.

@@ -10,7 +10,7 @@ import enum
 import os
 from collections.abc import Callable, Mapping
 
-from ship_node.edge.overload import Overload
+from ship_node.health.overload import Overload
 from ship_node.live.node_clock import TimeoutClock
 
 LONG_QUEUE_TIME_NS = 1_000_000_000

@@ -27,10 +27,7 @@ from std_srvs.srv import Trigger
 from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
-from ship_node.documents.saved_document import RecordingFiles
-from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
-from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.live.active_publishers import ActivePublishers, duplicate_publishers_text, publisher_names
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.backlog import Backlog, OverloadChange, current_overload
@@ -40,7 +37,10 @@ from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
+from ship_node.messages.topics import InputTopic, OutputTopic
 from ship_node.parameters.parameter_file import error_with_location, section_warnings
+from ship_node.saved_files.saved_document import RecordingFiles
 
 if TYPE_CHECKING:
     from ship_node.black_box.black_box import BlackBox

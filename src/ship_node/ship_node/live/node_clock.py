@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.adapters.adapter import TICK_PERIOD_NS
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -34,7 +34,7 @@ CLOCK_DEPTH = 1000
 
 
 class NodeClock:
-    """Node time and timeout clock for an adapter (:class:`ship_node.edge.adapter.Adapter`).
+    """Node time and timeout clock for an adapter (:class:`ship_node.adapters.adapter.Adapter`).
 
     With ``use_sim_time`` both times are equal until /clock times out. Then the node time is frozen, and the timeout
     clock continues by a steady clock in whole ticks, so that timeouts of the inputs still work. When /clock arrives

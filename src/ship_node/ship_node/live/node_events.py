@@ -17,9 +17,9 @@ from rclpy.subscription import Subscription
 
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.stamps import stamp_of_bytes
-from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.node_clock import TimeoutClock
 from ship_node.live.node_report import ExceptionGuard
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 MAX_EVENTS = 1000
 """Maximum number of events processed at once, so that a flood does not stop the node's own work."""

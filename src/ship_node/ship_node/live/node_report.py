@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ship_estimation.rejections import failure_rejection
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.input_health import InputHealthMonitor
-from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.adapters.adapter import Adapter
+from ship_node.health.input_health import InputHealthMonitor
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -19,7 +19,7 @@ from ship_bags.command_line import launcher, print_text
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import prepare_dds
 from ship_bags.message_factory import RosidlFactory
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 from ship_node.live.live_node import LiveNode
 from ship_node.parameters.parameter_file import read_matching_sections
 from ship_node.parameters.usage import usage_text

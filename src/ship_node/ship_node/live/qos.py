@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from ship_bags.errors import BadInput
-from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_node.messages.topics import InputTopic, OutputTopic
 
 OUTPUT_DEPTH = 2000
 """Number of messages kept for late acknowledgements, enough for two seconds at 1 kHz or 20 s at 100 Hz."""

@@ -19,7 +19,7 @@ from ship_bags.parameter_yaml import (
     is_runtime_parameter,
 )
 from ship_bags.renamed_topics import TOPICS_PARAMETER, topic_map
-from ship_estimation.parameters import (
+from ship_estimation.parameters.schema import (
     ParameterDescription,
     ParameterError,
     build,
@@ -29,9 +29,9 @@ from ship_estimation.parameters import (
     with_changes,
 )
 from ship_estimation.rejections import shorten
-from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_log import NodeLog
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 USE_SIM_TIME = "use_sim_time"
 
@@ -78,7 +78,7 @@ class NodeParameters:
 
     Args:
         node: node without declared parameters of the suite.
-        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters.schema`.
         has_black_box: True if the node can write a black box; otherwise the parameters of the black box are ignored.
 
     Raises:

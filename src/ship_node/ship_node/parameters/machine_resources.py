@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from itertools import combinations
 
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
 
 ANY_ADDRESS = "0.0.0.0"
 

@@ -20,7 +20,7 @@ from ship_bags.parameter_yaml import (
     read_sections,
     sections_text,
 )
-from ship_estimation.parameters import ParameterError, build, flatten, nest
+from ship_estimation.parameters.schema import ParameterError, build, flatten, nest
 from ship_geometry.input_error import InputError
 
 Config = TypeVar("Config")
@@ -53,7 +53,7 @@ def parameter_text(node_name: str, config: Any) -> str:
 
     Args:
         node_name: name without namespace.
-        config: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        config: a dataclass in the style of :mod:`ship_estimation.parameters.schema`.
     """
     return sections_text({in_any_namespace(node_name): nest(flatten(config))})
 

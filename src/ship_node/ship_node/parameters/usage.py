@@ -7,10 +7,10 @@ from ship_bags.command_line import launcher
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, BLACK_BOX_PART_PARAMETER, RELIABLE_INPUTS_PARAMETER
 from ship_bags.renamed_topics import TOPICS_PARAMETER
-from ship_estimation.parameter_rows import aligned_lines, parameter_row, wrapped_lines
-from ship_estimation.parameters import ParameterDescription, build, describe, nest
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.topics import InputTopic
+from ship_estimation.parameters.rows import aligned_lines, parameter_row, wrapped_lines
+from ship_estimation.parameters.schema import ParameterDescription, build, describe, nest
+from ship_node.adapters.adapter import Adapter
+from ship_node.messages.topics import InputTopic
 
 _RUNTIME_ROWS = (
     (

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC
+from ship_attitude_star.messages.attitude_messages import SMOOTHED_TOPIC
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
@@ -19,7 +19,7 @@ from ship_bags.parameter_yaml import in_any_namespace
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import namespace_of_outputs, relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_node.edge.messages_in import MessageRejected
+from ship_node.messages.field_checks import MessageRejected
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, attitude_sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationCollector, SourceInnovations
@@ -27,7 +27,7 @@ from ship_replay.evaluation.targets import TARGET_DIRECTION, TARGET_TRUTH, Targe
 from ship_replay.offline.adapter_chain import attachment_error
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
+from theodolite_calib.messages.pointing_messages import SMOOTHED_POINTING_TOPIC
 
 Config = TypeVar("Config")
 

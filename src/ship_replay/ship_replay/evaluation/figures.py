@@ -17,7 +17,7 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_atomically
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import MAX_ROWS, settled_slice, short_name
+from ship_node.pages.figure_files import MAX_ROWS, settled_slice, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name

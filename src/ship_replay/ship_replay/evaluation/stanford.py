@@ -19,7 +19,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import relative_topics
-from ship_estimation.outcome import Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.evaluation.sources import Truth
 from ship_watch.orientations import ORIENTATIONS, Orientation

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.messages_in import covariance_3x3, finite_vector
+from ship_node.messages.field_checks import covariance_3x3, finite_vector
 
 TARGET_DIRECTION, TARGET_TRUTH = "theodolite/target_direction", "truth/target_direction"
 

@@ -14,11 +14,11 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import full_name
 from ship_bags.regular_files import check_regular
 from ship_bags.topic_names import relative_topics
-from ship_node.documents.saved_document import READ_ONLY
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.batch_adapter import BatchAdapter
-from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.adapters.adapter import Adapter
+from ship_node.adapters.batch_adapter import BatchAdapter
+from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
+from ship_node.saved_files.saved_document import READ_ONLY
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
 """Prefixes of device topics, next to occasional inputs. A node whose devices are all missing in a bag is not replayed.

@@ -17,7 +17,8 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import utc_text
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.schema import ParameterError
+from ship_node.adapters.adapter import Adapter
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     ChangeRefused,
@@ -33,10 +34,9 @@ from ship_node.black_box.black_box_format import (
     Tick,
     event_from_text,
 )
-from ship_node.documents.saved_document import FileUse
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.overload import Overload
-from ship_node.edge.topics import OutputMessage
+from ship_node.health.overload import Overload
+from ship_node.messages.topics import OutputMessage
+from ship_node.saved_files.saved_document import FileUse
 from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.black_box_identity import (
     black_box_adapter,

@@ -16,10 +16,10 @@ from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.message_store import definition_in
 from ship_bags.stamps import stamps_of_rows
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_geometry.attitude_track import AttitudeSample
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.batches import StampArray
-from ship_node.edge.topics import OutputMessage
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.adapters.adapter import Adapter
+from ship_node.messages.batches import StampArray
+from ship_node.messages.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
 from ship_replay.offline.node_pass import InputEvent, NodeOutputs, NodePass, TopicBlock, read_ahead

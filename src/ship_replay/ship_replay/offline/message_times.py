@@ -15,7 +15,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.stamps import NS_PER_S, stamp_of_bytes, utc_text
-from ship_estimation.parameters import flatten
+from ship_estimation.parameters.schema import flatten
 from theodolite_calib.config import OpticalAxisConfig
 
 _MAJORITY_SHARE = 0.5

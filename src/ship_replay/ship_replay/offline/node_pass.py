@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ship_bags.cdr_template import CdrRows
-from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
-from ship_node.edge.batch_adapter import BatchAdapter
-from ship_node.edge.batches import BatchOutput, OutputRows, PendingBatch, StampArray
-from ship_node.edge.deferring_adapter import DeferringAdapter
-from ship_node.edge.messages_in import ReadMessage
-from ship_node.edge.topics import OutputMessage
+from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.adapters.batch_adapter import BatchAdapter
+from ship_node.adapters.deferring_adapter import DeferringAdapter
+from ship_node.messages.batches import BatchOutput, OutputRows, PendingBatch, StampArray
+from ship_node.messages.field_checks import ReadMessage
+from ship_node.messages.topics import OutputMessage
 
 _BACKOFF_MESSAGES = 8
 """Number of messages processed one by one after a block could not be started."""

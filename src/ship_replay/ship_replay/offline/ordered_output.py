@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ship_bags.message_store import serialize
-from ship_node.edge.batches import OutputRows, StampArray
+from ship_node.messages.batches import OutputRows, StampArray
 
 
 class BatchSink(Protocol):

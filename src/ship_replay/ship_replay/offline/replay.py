@@ -18,8 +18,8 @@ from ship_bags.renamed_topics import remap_advice
 from ship_bags.stamps import NS_PER_S
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.topics import OutputTopic
+from ship_node.adapters.adapter import Adapter
+from ship_node.messages.topics import OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.message_times import LogDelays, sort_by_stamp

@@ -9,10 +9,10 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_geometry.attitude_track import AttitudeSample
-from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
-from ship_node.edge.topics import OutputMessage
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.adapters.adapter import TICK_PERIOD_NS
+from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
+from ship_node.messages.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS, ExclusionHistory
 from ship_replay.offline.message_times import LogDelays, MessageTimes

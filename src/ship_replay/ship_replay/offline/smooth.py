@@ -17,13 +17,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate
-from ship_attitude_star.ros.attitude_messages import ATTITUDE_TOPIC, ATTITUDE_TYPE, SMOOTHED_TOPIC, smoothed_message
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.messages.attitude_messages import (
+    ATTITUDE_TOPIC,
+    ATTITUDE_TYPE,
+    SMOOTHED_TOPIC,
+    smoothed_message,
+)
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
@@ -31,25 +34,27 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.frame_names import FrameNames
-from ship_estimation.outcome import Status
+from ship_estimation.parameters.frame_names import FrameNames
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.saved_document import DISK, READ_ONLY, Files
-from ship_node.edge.topics import OutputMessage, OutputTopic
+from ship_node.messages.topics import OutputMessage, OutputTopic
+from ship_node.saved_files.saved_document import DISK, READ_ONLY, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import sort_by_stamp
 from ship_replay.offline.replay import ProgressWrapper, match_inputs, median_delay_ns, truth_topic_names, write_head
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_stars.samples.attitude_samples import AttitudeEstimate
+from ship_stars.sky.sky_model import SkyModel
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.ros.pointing_messages import (
+from theodolite_calib.messages.pointing_messages import (
     POINTING_TOPIC,
     POINTING_TYPE,
     SMOOTHED_POINTING_TOPIC,
     smoothed_pointing,
 )
+from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 Three = tuple[float, float, float]

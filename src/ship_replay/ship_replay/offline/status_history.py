@@ -12,10 +12,10 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
 from ship_estimation.rejections import Reason
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded_limits
 from ship_watch.orientations import ORIENTATIONS
-from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC
+from theodolite_calib.adapters.triangulation_adapter import POSITION_TOPIC
 
 STATUS_NAMES = ("VALID", "COASTING", "DEGRADED", "INVALID")
 """Status names, by the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""

@@ -7,9 +7,9 @@ from collections import deque
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp, stamps_of_rows
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.batches import OutputRows
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
+from ship_node.messages.batches import OutputRows
 from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000

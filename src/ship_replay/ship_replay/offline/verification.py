@@ -16,8 +16,8 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp, utc_text
 from ship_bags.topic_names import relative_topics
-from ship_node.edge.adapter import Adapter
-from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
+from ship_node.adapters.adapter import Adapter
+from ship_node.messages.common_messages import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.message_values import are_texts, values
 from ship_replay.offline.replay import ProgressWrapper, match_inputs

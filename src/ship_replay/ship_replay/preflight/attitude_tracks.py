@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.stars.selection import StarPrior
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.vector_track import VectorTrack
+from ship_geometry.tracks.attitude_track import AttitudeTrack
+from ship_geometry.tracks.vector_track import VectorTrack
+from ship_stars.solution.selection import StarPrior
 from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
-from theodolite_calib.measured.samples import EncoderSample
+from theodolite_calib.samples.samples import EncoderSample
 
 ENCODER_TOPIC = "theodolite/encoder"
 _FULL_TURN = 2.0 * np.pi

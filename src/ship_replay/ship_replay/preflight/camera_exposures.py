@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ros.star_messages_in import star_exposure
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.config import CameraConfig
-from ship_attitude_star.stars.exposure import StarExposure, identify_stars
-from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
-from ship_node.edge.messages_in import MessageRejected
+from ship_node.messages.field_checks import MessageRejected
+from ship_stars.camera.config import CameraConfig
+from ship_stars.messages.star_messages import star_exposure
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure, identify_stars
+from ship_stars.solution.selection import StarPrior
 
 _FEWEST_PAIRS = 5
 _LEAST_PAIR_ANGLE = np.deg2rad(0.2)

@@ -10,21 +10,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, full_name, in_any_namespace
 from ship_bags.renamed_topics import ship_names
 from ship_bags.topic_names import relative_topics
-from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
-from ship_node.documents.saved_document import READ_ONLY
-from ship_node.edge.adapter import Adapter
+from ship_estimation.parameters.schema import ParameterDescription, ParameterError, build, describe
+from ship_node.adapters.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
 from ship_node.parameters.machine_resources import MachineResource
 from ship_node.parameters.parameter_file import has_section, read_node_parameters, section_warning, unknown_sections
+from ship_node.saved_files.saved_document import READ_ONLY
 from ship_replay.offline.adapter_chain import nodes_of
+from ship_stars.camera.config import MountingConfig
+from ship_stars.sky.config import SkyConfig
 
 _NODE_SPECIFIC_SKY_PARAMETERS = ("magnitude_limit", "refraction_time_s", "position_time_s")
 """Sky parameters that may differ between nodes: which stars a node identifies, and time constants of its filter."""

@@ -5,16 +5,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.baseline import BASELINE
+from ship_attitude_star.samples.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
-from ship_estimation.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis
+from ship_estimation.innovations.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_node.edge.ins_messages import ins_sample
-from ship_node.edge.messages_in import MessageRejected
-from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_node.adapters.reporting_adapter import ReportingAdapter
+from ship_node.messages.field_checks import MessageRejected
+from ship_node.messages.ins_messages import ins_sample
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 
 CONTRADICTED_FACTOR = 1.5

@@ -7,7 +7,7 @@ from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.rejections import LONGEST_TEXT, Reason, shorten
-from ship_node.edge.batches import StampArray
+from ship_node.messages.batches import StampArray
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.replay_run import ReplaySummary

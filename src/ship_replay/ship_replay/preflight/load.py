@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_node.edge.adapter import Adapter
+from ship_node.adapters.adapter import Adapter
 
 MOST_SHARE = 0.7
 """Share of a core above which a node may fall behind at times."""

@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.sky.catalogue import UNKNOWN
-from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.exposure_solver import PlacedExposure, solve_exposure
-from ship_attitude_star.stars.config import CameraConfig
-from ship_attitude_star.stars.field_scale import OpticsEstimate, estimate_optics, field_information
-from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS
-from ship_attitude_star.stars.solution import SolutionStatus, StarSolution
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_replay.preflight.camera_exposures import EXPECTED_AXES, MIRRORED, CameraRecord, ImageAxes, fit_camera
+from ship_stars.camera.config import CameraConfig
+from ship_stars.sky.catalogue import UNKNOWN
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.field_scale import OpticsEstimate, estimate_optics, field_information
+from ship_stars.solution.selection import MIN_VERIFIED_STARS
+from ship_stars.solution.solution import SolutionStatus, StarSolution
 
 _FEWEST_MAGNITUDES = 5
 

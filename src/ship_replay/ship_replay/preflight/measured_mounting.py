@@ -13,25 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, star_measurement
-from ship_attitude_star.ros.surroundings_in import SURROUNDINGS, surroundings_reader
+from ship_attitude_star.messages.input_messages import inertial_attitude, reference_measurement, star_measurement
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
-from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
-from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S, stamp_of_bytes
 from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.ins_messages import ins_sample
-from ship_node.edge.messages_in import MessageRejected
+from ship_node.messages.field_checks import MessageRejected
+from ship_node.messages.ins_messages import ins_sample
 from ship_replay.preflight.attitude_tracks import ENCODER_TOPIC, AttitudeTracks, offset_ns
 from ship_replay.preflight.camera_exposures import CameraRecord
 from ship_replay.preflight.measured_camera import MeasuredCamera, measure_camera
+from ship_stars.camera.config import MountingConfig
+from ship_stars.messages.surroundings_messages import SURROUNDINGS, surroundings_reader
+from ship_stars.sky.sky_model import SkyModel, load_sky_model
+from ship_stars.sky.tracker_attitude import to_horizon_attitude
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
-from theodolite_calib.ros import messages_in as mount_messages_in
+from theodolite_calib.messages import input_messages as mount_messages_in
 
 _EPOCHS = 30
 """Number of times of the bag at which a device is compared with the INS."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.chi_square import probability_above
+from ship_estimation.innovations.chi_square import probability_above
 from ship_geometry.rotations import FloatArray
 
 _CLEARLY_LIKELIER = 12.0

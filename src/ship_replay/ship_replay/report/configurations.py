@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_estimation.parameters import flatten
+from ship_estimation.parameters.schema import flatten
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.report.recording import RecordedHistory

@@ -22,7 +22,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import MAX_ROWS, short_name
+from ship_node.pages.figure_files import MAX_ROWS, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.protection_levels import NORMAL_95
+from ship_estimation.integrity.protection_levels import NORMAL_95
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import MAX_ROWS, short_name
+from ship_node.pages.figure_files import MAX_ROWS, short_name
 from ship_replay.report.drawings import (
     MAX_POINTS,
     ROUND_NUMBERS,

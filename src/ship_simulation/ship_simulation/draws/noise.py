@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.motion_scenario import Outage
 
 _MAX_STEP_S = 0.1

@@ -13,8 +13,8 @@ from typing import Protocol, TypeVar, cast
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, random_stream
 
 STRETCH_S = 20

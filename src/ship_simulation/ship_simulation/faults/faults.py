@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import stamp_fields
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.optics import Optics
 from ship_simulation.faults.values import ValueFault

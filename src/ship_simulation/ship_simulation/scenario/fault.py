@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ship_estimation.parameter_fields import parameter
-from ship_estimation.parameters import ParameterError
+from ship_estimation.parameters.fields import parameter
+from ship_estimation.parameters.schema import ParameterError
 from ship_simulation.scenario.motion_scenario import DELAY, TIME
 
 _TO_THE_END_S = 1e6

@@ -11,8 +11,8 @@ from rosbags.interfaces import Nodetype
 
 from ship_bags.message_store import message_store
 from ship_bags.parameter_yaml import read_nested_parameters
-from ship_estimation.parameter_fields import mapping_of
-from ship_estimation.parameters import ParameterError, build
+from ship_estimation.parameters.fields import mapping_of
+from ship_estimation.parameters.schema import ParameterError, build
 from ship_simulation.scenario.fault import Fault, size_problems
 from ship_simulation.scenario.names import FIRST_VALUE, is_applicable
 

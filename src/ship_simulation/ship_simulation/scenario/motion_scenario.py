@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from ship_estimation.parameter_fields import mapping_of, parameter, section
+from ship_estimation.parameters.fields import mapping_of, parameter, section
 
 ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
 SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}

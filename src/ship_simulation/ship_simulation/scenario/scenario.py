@@ -12,14 +12,11 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
-from ship_attitude_star.sky.masks import MaskConfig, sensor_masks
-from ship_attitude_star.stars.config import CameraConfig
-from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_geometry.deck_masks import SensorMasks
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
-from ship_geometry.refraction import MODELS
+from ship_estimation.parameters.fields import mapping_of, parameter, section
+from ship_geometry.air.refraction import MODELS
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.motion_scenario import (
     ANGLE,
@@ -33,6 +30,9 @@ from ship_simulation.scenario.motion_scenario import (
     Outage,
 )
 from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Target, Theodolite
+from ship_stars.camera.config import CameraConfig
+from ship_stars.sky.deck_masks import SensorMasks
+from ship_stars.sky.masks import MaskConfig, sensor_masks
 
 _START_PATTERN = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.sky.masks import check_field_not_covered, sensor_masks
 from ship_bags.parameter_yaml import ParameterFile, read_nested_parameters
-from ship_estimation.parameters import ParameterError, build
-from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.time_scales import DAY_NS, SECOND_NS
+from ship_estimation.parameters.schema import ParameterError, build
+from ship_geometry.earth.earth_orientation import earth_orientation_table
+from ship_geometry.earth.time_scales import DAY_NS, SECOND_NS
 from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion, Outage
 from ship_simulation.scenario.names import TELESCOPE_ID, simulated_topics
 from ship_simulation.scenario.scenario import Scenario, StarImaging, StarSensor, StarTelescope, start_time_ns
 from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_COURSE, Beacon, Course, Target
+from ship_stars.sky.masks import check_field_not_covered, sensor_masks
 
 FIELDS_OF_OUTPUTS = {
     ("horizon_attitude",): ("common_sigma_arcsec", "common_time_s", "star_count"),

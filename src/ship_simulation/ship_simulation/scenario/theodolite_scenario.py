@@ -7,8 +7,8 @@ theodolite's axes.
 from dataclasses import dataclass
 from typing import Any
 
-from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
+from ship_estimation.parameters.fields import mapping_of, parameter, section
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, RATE, SIGMA, TIME, Outage
 
 _AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import SCHULER
+from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
     ExposureTimes,
     arrival_times,

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Gravity, Scenario, start_time_ns

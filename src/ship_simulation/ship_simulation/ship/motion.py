@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.draws.sea import Response, ship_phasors, wave_components
 from ship_simulation.scenario.motion_scenario import CarrierMotion, Recording, Sea

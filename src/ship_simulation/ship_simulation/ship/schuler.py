@@ -10,9 +10,9 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.scenario import Scenario, start_time_ns
 from ship_simulation.ship.deflection import Deflection
 from ship_simulation.ship.ship_track import ShipTrack

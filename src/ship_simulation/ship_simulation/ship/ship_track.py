@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
+from ship_geometry.earth.geodetic import GeodeticPosition, horizon_radii_m
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Position, Scenario
 

@@ -12,16 +12,16 @@ from typing import cast
 import erfa
 import numpy as np
 
-from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
-from ship_geometry.earth_orientation import EarthOrientation, earth_orientation_table
-from ship_geometry.geodetic import rotation_horizon_from_ecef
-from ship_geometry.refraction import ModelName, Weather, elevation_of, raised_directions, refraction
+from ship_geometry.air.refraction import ModelName, Weather, elevation_of, raised_directions, refraction
+from ship_geometry.earth.earth_orientation import EarthOrientation, earth_orientation_table
+from ship_geometry.earth.geodetic import rotation_horizon_from_ecef
+from ship_geometry.earth.star_directions import Observer, StarPositions, directions, fixed_stars
+from ship_geometry.earth.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_geometry.rotations import FloatArray, exp_rotation
-from ship_geometry.star_directions import Observer, StarPositions, directions, fixed_stars
-from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.scenario.scenario import Scenario, WeatherStation
 from ship_simulation.ship.ship_track import ShipTrack
+from ship_stars.sky.catalogue import StarCatalogue, hipparcos
 
 _J2000, _JULIAN_YEAR_D = 2_451_545.0, 365.25
 _MINUTE_NS = 60 * SECOND_NS

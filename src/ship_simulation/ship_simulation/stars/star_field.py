@@ -6,10 +6,10 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.stars.camera import StarCamera
 from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector, StarImaging
 from ship_simulation.stars.sky import TrueSky
+from ship_stars.camera.camera import StarCamera
 
 # Candidates are selected once for all exposures of a block of this length, s.
 _BLOCK_S = 2

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.catalogue import UNKNOWN
-from ship_attitude_star.stars.camera import equivalent_sigma
+from ship_geometry.earth.star_directions import StarPositions, fixed_stars
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_simulation.draws.noise import arrival_times, centroids, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
@@ -22,6 +20,8 @@ from ship_simulation.stars.sky import TrueSky, julian_year, position_of_date
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swap_identities
 from ship_simulation.stars.true_optics import draw_optics
+from ship_stars.camera.camera import equivalent_sigma
+from ship_stars.sky.catalogue import UNKNOWN
 
 MAGNITUDE_SIGMA = 0.2
 """Standard deviation of measured magnitudes."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.stars.camera import Distortion, StarCamera
 from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector
+from ship_stars.camera.camera import Distortion, StarCamera
 
 _SURVEYED_FOCAL_SIGMA = 2e-4
 """Relative standard deviation of a focal length whose sigma is not given, as documented at the parameter."""

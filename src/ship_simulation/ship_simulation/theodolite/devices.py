@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, wrap_two_pi
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
     CorrelatedError,
     arrival_times,
@@ -16,7 +16,7 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
 from ship_simulation.ship.rtk import BaselineSamples, simulate_solutions
 from ship_simulation.theodolite.scene import MountState, Scene, TrueBeacon
-from theodolite_calib.lights.image import Camera
+from theodolite_calib.beacon_camera.image import Camera
 
 
 @dataclass(frozen=True)

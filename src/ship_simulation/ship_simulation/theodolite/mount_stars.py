@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import StarTelescope

@@ -25,7 +25,7 @@ from ship_simulation.scenario.theodolite_scenario import (
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, sway_motion
 from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation
-from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
+from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 
 
 @dataclass(frozen=True)

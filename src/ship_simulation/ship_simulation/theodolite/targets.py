@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
-from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import arrival_times, centroids, exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import MainDetector, Target
 from ship_simulation.theodolite.flight import flight_path
 from ship_simulation.theodolite.scene import ObservedBody, Scene, refracted_directions
-from theodolite_calib.lights.image import Camera
+from theodolite_calib.beacon_camera.image import Camera
 
 
 @dataclass(frozen=True)

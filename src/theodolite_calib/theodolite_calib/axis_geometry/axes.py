@@ -21,8 +21,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ship_geometry import compiled_mounts
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, skew, wrap_two_pi
+from ship_kernels import compiled_pointing
 
 Angle = float | FloatArray
 
@@ -179,7 +179,7 @@ def axis_geometry(
         azimuth: encoder azimuth, rad.
         elevation: encoder elevation, rad.
     """
-    arrays = compiled_mounts.axis_geometries(
+    arrays = compiled_pointing.axis_geometries(
         errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]])
     )
     return AxisGeometry(*(of_all[0] for of_all in arrays))

@@ -17,16 +17,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ship_estimation.kalman import LinearMeasurement, innovation, update
+from ship_estimation.kalman.kalman_filter import LinearMeasurement, innovation, update
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
+from theodolite_calib.beacon_camera.image import Image
+from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.prediction import Prediction
-from theodolite_calib.lights.image import Image
-from theodolite_calib.lights.line_of_sight import BeaconPoses
-from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+from theodolite_calib.samples.sighting import Sighting
+from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 _ANYWHERE_M = 1000.0
 

@@ -1,8 +1,9 @@
 """Fault detection and exclusion (FDE) for the theodolite: isolate, exclude, monitor and reinstate sources.
 
-A source is excluded if the other sources are consistent without it (:mod:`ship_estimation.fault_isolation`). A drone is
-also excluded if its baseline jumps by more than its flight allows. If no faulty source is isolated, the fault is
-unresolved, and the pointing covariance covers the disagreement.
+A source is excluded if the other sources are consistent without it
+(:mod:`ship_estimation.fault_detection.fault_isolation`). A drone is also excluded if its baseline jumps by more than
+its flight allows. If no faulty source is isolated, the fault is unresolved, and the pointing covariance covers the
+disagreement.
 
 An excluded source is monitored, and reinstated after it has been consistent for ``return_after_s``. For a drone
 without other beacons in use, or with a jumped baseline, consistency counts only if the fault would be detectable. The
@@ -15,15 +16,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.fault_isolation import (
+from ship_estimation.fault_detection.fault_isolation import (
     MAX_MEASUREMENT_AGE_NS,
     ExcludedSource,
     FaultIsolation,
     evaluate_reinstatement,
     isolate_fault,
 )
-from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.innovation_means import (
+from ship_estimation.fault_detection.innovation_means import (
     CONSISTENT_RATIO,
     FIELDS_BY_SUBFILTER,
     InnovationMeans,
@@ -32,10 +32,11 @@ from ship_estimation.innovation_means import (
     initial_means,
     updated_means,
 )
-from ship_estimation.protection_levels import IntegrityConfig
-from ship_estimation.subfilters import FilterInnovations
+from ship_estimation.fault_detection.subfilters import FilterInnovations
+from ship_estimation.innovations.gates import GateConfig, chi_square_gate
+from ship_estimation.integrity.protection_levels import IntegrityConfig
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.subfilters import (
     AXIS_SOURCES,
     BEACON_PREFIX,
@@ -45,8 +46,8 @@ from theodolite_calib.filter.subfilters import (
     SubfilterInnovations,
     SubfilterSet,
 )
-from theodolite_calib.measured.baseline_track import BaselineJump
-from theodolite_calib.measured.stream_consistency import StreamConsistency
+from theodolite_calib.samples.baseline_track import BaselineJump
+from theodolite_calib.samples.stream_consistency import StreamConsistency
 
 _SAME_JUMP_NS = SECOND_NS
 """Jumps of one baseline within this time count as one jump, ns."""

@@ -10,12 +10,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.spatial_errors import PixelDwell
-from ship_estimation.ins import InsJump
-from ship_estimation.kalman import LinearMeasurement, propagate_covariance, update
-from ship_estimation.subfilters import subfilter_innovations
+from ship_estimation.fault_detection.subfilters import subfilter_innovations
+from ship_estimation.kalman.kalman_filter import LinearMeasurement, propagate_covariance, update
+from ship_estimation.parameters.ins import InsJump
 from ship_geometry.rotations import FloatArray
+from ship_stars.camera.spatial_errors import PixelDwell
+from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import FaultState, initial_fault_state
@@ -24,8 +24,8 @@ from theodolite_calib.filter.observability import Observability, ObservabilitySt
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.star_comparison import StarComparison, StarModel
 from theodolite_calib.filter.subfilters import SubfilterSet, SubfilterStates
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.sighting import Sighting
 
 Jump = EncoderJump | InsJump
 

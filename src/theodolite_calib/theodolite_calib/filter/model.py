@@ -16,7 +16,7 @@ telescope.<id>.parallelism            errors of another star camera's parallelis
 telescope.<id>.optics (4)             errors of the optics of a star camera: focal length, principal point (u, v) and
                                       k1, in their sigmas; calibration telescope: 3, without the focal length
 telescope.<id>.field (18)             field-spatial error of a star camera, in sigmas
-sky.<cause>                           errors common to all stars, in sigmas (ship_attitude_star.sky.shared_states);
+sky.<cause>                           errors common to all stars, in sigmas (ship_stars.sky.shared_states);
                                       only with star cameras
 refraction (1)                        error of the refraction coefficient k, common to all beacons
 light.<id>.rtk (3)         horizon    correlated error of this light's baseline, m
@@ -31,12 +31,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.shared_states import sky_blocks
-from ship_attitude_star.stars.camera_states import camera_blocks
-from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
-from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
-from ship_estimation.kalman import StateBlock, StateModel, block, exceeds_model, propagate_correlated_error
+from ship_estimation.kalman.kalman_filter import (
+    StateBlock,
+    StateModel,
+    block,
+    exceeds_model,
+    propagate_correlated_error,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.camera.camera_states import camera_blocks
+from ship_stars.camera.spatial_errors import SOURCE_PIXEL
+from ship_stars.sky.shared_states import sky_blocks
+from ship_stars.solution.residuals import SOURCE_STAR_NOISE
 from theodolite_calib.axis_geometry.axes import AXIS_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 
@@ -62,7 +68,7 @@ COMMON_TERMS = {
     "principal_point": "lens",
     "refraction": "refraction",
 }
-"""State of each error term common to all lines of sight (:mod:`theodolite_calib.lights.line_of_sight`)."""
+"""State of each error term common to all lines of sight (:mod:`theodolite_calib.beacon_camera.line_of_sight`)."""
 
 OWN_TERMS = {
     "rtk_bias": "rtk",

@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.compiled_integrity import square_root
-from ship_estimation.kalman import StateModel, block
-from ship_estimation.unobservable_combinations import unobservable_combinations
+from ship_estimation.kalman.kalman_filter import StateModel, block
+from ship_estimation.kalman.unobservable_combinations import unobservable_combinations
 from ship_geometry.rotations import FloatArray
+from ship_kernels.compiled_innovations import square_root
 from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep
 

@@ -1,8 +1,9 @@
 """Prediction of a sighting of beacons from a state of the calibration filter, with its Jacobian.
 
 The beacons' points on the detector follow from the attitude of the telescope
-(:mod:`theodolite_calib.axis_geometry.axes`) and from the lines of sight (:mod:`theodolite_calib.lights.line_of_sight`).
-Attitude and lines of sight are corrected by the estimated errors.
+(:mod:`theodolite_calib.axis_geometry.axes`) and from the lines of sight
+(:mod:`theodolite_calib.beacon_camera.line_of_sight`). Attitude and lines of sight are corrected by the estimated
+errors.
 """
 
 from dataclasses import dataclass
@@ -10,23 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.kalman import StateModel
+from ship_estimation.kalman.kalman_filter import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_kernels import compiled_pointing
 from theodolite_calib.axis_geometry.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
 from theodolite_calib.axis_geometry.parallelism import telescope_rotation
-from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter import compiled_points
-from theodolite_calib.filter.model import (
-    COMMON_TERMS,
-    OWN_TERMS,
-    SOURCE_ENCODER,
-    SOURCE_IMAGE,
-    SOURCE_RTK,
-    SOURCE_SHIP_NOISE,
-    axis_state_indices,
-)
-from theodolite_calib.lights.image import Camera, predict_points
-from theodolite_calib.lights.line_of_sight import (
+from theodolite_calib.beacon_camera.image import Camera, predict_points
+from theodolite_calib.beacon_camera.line_of_sight import (
     BASELINE,
     SHIP_ROTATION,
     TERM_COLUMNS,
@@ -37,7 +28,17 @@ from theodolite_calib.lights.line_of_sight import (
     Survey,
     lines_of_sight,
 )
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.model import (
+    COMMON_TERMS,
+    OWN_TERMS,
+    SOURCE_ENCODER,
+    SOURCE_IMAGE,
+    SOURCE_RTK,
+    SOURCE_SHIP_NOISE,
+    axis_state_indices,
+)
+from theodolite_calib.samples.sighting import Sighting
 
 _OWN_WIDTHS = {"rtk": 3, "lever": 3, "attitude": 3, "refraction": 1}
 """Number of components of each state of one beacon."""
@@ -134,7 +135,7 @@ class SightingModel:
         by_state_n = self.by_state_n(geometry, by_parallelism, "parallelism")
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
-        jacobian, by_error = compiled_points.jacobian_by_states(
+        jacobian, by_error = compiled_pointing.jacobian_by_states(
             points.by_attitude_n,
             points.by_direction_n,
             points.by_focal_length,
@@ -145,12 +146,12 @@ class SightingModel:
         )
         self._add_ship_time_offset(jacobian, by_error[..., SHIP_ROTATION], geometry)
         parts_n = np.array([encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T), ship.noise * _UNIT])
-        encoder_noise, ship_noise = compiled_points.covariances_by_rotation(by_attitude_n, parts_n)
+        encoder_noise, ship_noise = compiled_pointing.covariances_by_rotation(by_attitude_n, parts_n)
         noise = {
             SOURCE_ENCODER: encoder_noise,
             SOURCE_SHIP_NOISE: ship_noise,
             SOURCE_IMAGE: sighting.image.covariance_m2,
-            SOURCE_RTK: compiled_points.covariance_by_own_error(
+            SOURCE_RTK: compiled_pointing.covariance_by_own_error(
                 by_error[..., BASELINE], sighting.beacons.baseline_covariance_n
             ),
         }
@@ -213,7 +214,7 @@ class _BeaconSetup:
     Attributes:
         survey: configured quantities, without corrections by the states.
         attitude_covariance_n: covariances of the drones' attitudes, rad², shape (N, 3, 3).
-        couplings: argument ``couplings`` of :func:`theodolite_calib.filter.compiled_points.jacobian_by_states`, shape
+        couplings: argument ``couplings`` of :func:`ship_kernels.compiled_pointing.jacobian_by_states`, shape
             (e, 3).
     """
 

@@ -2,25 +2,25 @@
 
 Two tests apply, each with the probability of the gate. The first tests all residuals together. The second tests only
 the angles between the beacons, which do not depend on the attitude of the telescope. A sighting of two or more beacons
-that fails is tested for misidentification (:mod:`theodolite_calib.lights.beacon_check`), so that the rejection contains
-the cause. Beacons with exchanged names are used under the correct names. One wrong beacon among three or more is
-rejected.
+that fails is tested for misidentification (:mod:`theodolite_calib.beacon_camera.beacon_check`), so that the rejection
+contains the cause. Beacons with exchanged names are used under the correct names. One wrong beacon among three or more
+is rejected.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.gates import GateConfig, chi_square_gate
+from ship_estimation.innovations.gates import GateConfig, chi_square_gate
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.beacon_camera.beacon_check import BeaconCheckResult, angle_residuals, check_beacons
+from theodolite_calib.beacon_camera.image import Camera
+from theodolite_calib.beacon_camera.line_of_sight import LinesOfSight
+from theodolite_calib.beacon_camera.telescope_attitude import AttitudePrior
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
-from theodolite_calib.lights.beacon_check import BeaconCheckResult, angle_residuals, check_beacons
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.line_of_sight import LinesOfSight
-from theodolite_calib.lights.telescope_attitude import AttitudePrior
-from theodolite_calib.measured.samples import Exposure, ExposureDecision
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.samples.samples import Exposure, ExposureDecision
+from theodolite_calib.samples.sighting import Sighting
 
 _ATTITUDE_DEGREES = 3
 """Number of residual components that an attitude of the telescope explains."""

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_estimation.gates import chi_square_gate
+from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import FaultDetector
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -21,8 +21,8 @@ from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.filter.step import count_rejection, hypothesis_multipliers, solution_separations
 from theodolite_calib.filter.subfilters import AXIS_SOURCES
-from theodolite_calib.measured.samples import ExposureDecision
-from theodolite_calib.measured.star_sighting import StarSighting
+from theodolite_calib.samples.samples import ExposureDecision
+from theodolite_calib.samples.star_sighting import StarSighting
 
 _CONFLICT_REASONS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
 """Reasons for which a rejection of stars contradicts the prediction: a correct prediction identifies most stars."""

@@ -13,9 +13,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.fault_isolation import ExcludedSource
-from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.protection_levels import IntegrityConfig, SigmaMultipliers, separation_sigma, sigma_multipliers
+from ship_estimation.fault_detection.fault_isolation import ExcludedSource
+from ship_estimation.innovations.gates import GateConfig, chi_square_gate
+from ship_estimation.integrity.protection_levels import (
+    IntegrityConfig,
+    SigmaMultipliers,
+    separation_sigma,
+    sigma_multipliers,
+)
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
@@ -37,10 +42,10 @@ from theodolite_calib.filter.subfilters import (
     SubfilterStates,
     beacon_innovation,
 )
-from theodolite_calib.measured.baseline_track import BaselineJump
-from theodolite_calib.measured.samples import Exposure, ExposureDecision
-from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.stream_consistency import StreamConsistency
+from theodolite_calib.samples.baseline_track import BaselineJump
+from theodolite_calib.samples.samples import Exposure, ExposureDecision
+from theodolite_calib.samples.sighting import Sighting
+from theodolite_calib.samples.stream_consistency import StreamConsistency
 
 
 class SightingStep:

@@ -16,14 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation import compiled_steps
-from ship_estimation.gates import chi_square_gate
-from ship_estimation.kalman import LinearMeasurement, StateModel, propagate_covariance
-from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
+from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
+from ship_estimation.innovations.gates import chi_square_gate
+from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel, propagate_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_kernels import compiled_kalman
 from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter import compiled_subfilters
 from theodolite_calib.filter.model import ShipErrorProcess
 
 BEACON_PREFIX = "beacon."
@@ -225,7 +224,7 @@ class SubfilterSet:
             self._pattern(names, frozenset(excluded), probability),
             np.ascontiguousarray(subfilters.covariances[:, 0]),
         )
-        residual, gain, nis, whitened_innovation = compiled_subfilters.beacon_innovations(
+        residual, gain, nis, whitened_innovation = compiled_kalman.beacon_innovations(
             subfilters.mean - main_filter[0],
             parts,
             measurement.residual,
@@ -237,7 +236,7 @@ class SubfilterSet:
         )
         accepted = nis <= pattern.gates  # NaN is rejected
         gain[~accepted] = 0.0
-        corrections, updated = compiled_steps.update(
+        corrections, updated = compiled_kalman.update(
             parts,
             measurement.jacobian,
             residual,

@@ -6,17 +6,17 @@ The main axis follows from the estimated parallelism: R_main = R_camera · R(azi
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
-from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
-from ship_estimation.outcome import Status
 from ship_estimation.rejections import Rejection
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure, visible_stars
+from ship_stars.solution.residuals import SOURCE_STAR_NOISE
+from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_PARALLELISM, axis_state_indices, parallelism_block
-from theodolite_calib.measured.samples import Mode, PointingEstimate
+from theodolite_calib.samples.samples import Mode, PointingEstimate
 
 _STAR_NOISE_TERMS = ("installation", "catalogue")
 """Error terms of a solution that count as star noise, because the filter has no source for them. A single camera has

@@ -1,10 +1,10 @@
 """Core of ``optical_axis``, shared by node and replay: estimates the main axis from all measurements.
 
 The core, without ROS, files or clock, combines the calibration filter and the tracks of measured samples with the
-time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which applies exposures and publishes pointings
-in the order of their stamps. This module adds the checks of encoders and ship's attitude, and the queue of readings
-that wait for the ship's attitude. A pointing is published at the stamp of each encoder reading, as soon as the ship's
-attitude of that time is available.
+time-ordered estimator (:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies exposures and publishes
+pointings in the order of their stamps. This module adds the checks of encoders and ship's attitude, and the queue of
+readings that wait for the ship's attitude. A pointing is published at the stamp of each encoder reading, as soon as the
+ship's attitude of that time is available.
 """
 
 import math
@@ -13,42 +13,24 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
-from ship_estimation.protection_levels import IntegrityReport
+from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.rejections import Reason, Rejection, StampConflicts
-from ship_estimation.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
-from ship_estimation.time_shift import with_shifted_stamps
-from ship_geometry.attitude_track import AttitudeSample
+from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
+from ship_estimation.time_order.time_shift import with_shifted_stamps
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.sample_track import SampleTrack
-from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_geometry.tracks.sample_track import SampleTrack
+from ship_stars.samples.readings import SkyInput
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
-from theodolite_calib.measured.encoder_check import CheckedReading, EncoderCheck
-from theodolite_calib.measured.samples import (
-    AnyExposure,
-    BaselineSample,
-    EncoderSample,
-    Exposure,
-    ExposureDecision,
-    PointingEstimate,
-    PointingOutcome,
-    PointingSeries,
-    ShipSample,
-    TargetSample,
-)
-from theodolite_calib.measured.ship_check import ShipCheck
-from theodolite_calib.measured.sighting import Sighting, SightingAssembler
-from theodolite_calib.measured.star_sighting import star_sighting
-from theodolite_calib.measured.stream_consistency import StreamConsistency
-from theodolite_calib.measured.tracks import MeasuredTracks
 from theodolite_calib.optical_axis.by_stars import pointing_by_stars
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
@@ -68,6 +50,24 @@ from theodolite_calib.optical_axis.memory import (
 )
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, invalid_pointing
 from theodolite_calib.optical_axis.targets import TargetProcessor
+from theodolite_calib.samples.encoder_check import CheckedReading, EncoderCheck
+from theodolite_calib.samples.samples import (
+    AnyExposure,
+    BaselineSample,
+    EncoderSample,
+    Exposure,
+    ExposureDecision,
+    PointingEstimate,
+    PointingOutcome,
+    PointingSeries,
+    ShipSample,
+    TargetSample,
+)
+from theodolite_calib.samples.ship_check import ShipCheck
+from theodolite_calib.samples.sighting import Sighting, SightingAssembler
+from theodolite_calib.samples.star_sighting import star_sighting
+from theodolite_calib.samples.stream_consistency import StreamConsistency
+from theodolite_calib.samples.tracks import MeasuredTracks
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice

@@ -5,15 +5,15 @@ Only a node that gives advice imports this module, because loading scipy's optim
 
 import numpy as np
 
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
-from theodolite_calib.measured.samples import BaselineSample, PointingEstimate
-from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.samples.samples import BaselineSample, PointingEstimate
+from theodolite_calib.samples.tracks import MeasuredTracks
 
 
 class EscortAdvisor:

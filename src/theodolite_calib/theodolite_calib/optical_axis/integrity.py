@@ -1,21 +1,21 @@
 """Integrity of the pointing: protection levels of its angles.
 
-The module :mod:`ship_estimation.protection_levels` computes the protection levels from the solution separations of the
-subfilters (:mod:`theodolite_calib.filter.subfilters`).
+The module :mod:`ship_estimation.integrity.protection_levels` computes the protection levels from the solution
+separations of the subfilters (:mod:`theodolite_calib.filter.subfilters`).
 """
 
 import math
 
 import numpy as np
 
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityReport, integrity_report, protection_levels
+from ship_estimation.integrity.protection_levels import IntegrityReport, integrity_report, protection_levels
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import hypothesis_multipliers
-from theodolite_calib.measured.samples import Mode, PointingEstimate
+from theodolite_calib.samples.samples import Mode, PointingEstimate
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 """Quantities bounded by the protection levels."""

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.recovery.displacement import MemoryResidual
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.axis_geometry.axes import axis_geometry
 from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.sighting import Sighting
+from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 _STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
 """Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.outcome import Status
-from ship_estimation.protection_levels import IntegrityReport, alert_limit_text, separation_inflation
+from ship_estimation.integrity.protection_levels import IntegrityReport, alert_limit_text, separation_inflation
 from ship_estimation.rejections import Rejection, failure_rejection
-from ship_geometry import compiled_mounts
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
-from ship_geometry.time_scales import SECOND_NS
+from ship_kernels import compiled_pointing
 from theodolite_calib.axis_geometry.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -30,7 +30,8 @@ from theodolite_calib.filter.model import (
     ship_error_steps,
 )
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
-from theodolite_calib.measured.samples import (
+from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
+from theodolite_calib.samples.samples import (
     EncoderSample,
     EncoderSeries,
     Mode,
@@ -38,8 +39,7 @@ from theodolite_calib.measured.samples import (
     PointingSeries,
     StampArray,
 )
-from theodolite_calib.measured.tracks import ShipAt, ShipSeries
-from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
+from theodolite_calib.samples.tracks import ShipAt, ShipSeries
 
 _NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
 """Empty factors and added covariances, if the ship's error has no step."""
@@ -114,7 +114,7 @@ class CorrectedAxis:
             since_ns = encoders.time_ns - self.state.time_ns
         stated_n = ship.correlated_covariance_n
         step = None if stated_n is None else ship_error_steps(self.state.ship_covariance_n, stated_n)
-        arrays = compiled_mounts.pointings(
+        arrays = compiled_pointing.pointings(
             since_ns,
             ship.rotation_nd,
             ship.rate_d,
@@ -221,7 +221,7 @@ class PointingOutput:
         lights, stars = self._is_recent(time_ns, state.last_beacons_ns), self._is_recent(time_ns, state.last_stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
-        covariance_without_separation_n, covariance_n = compiled_mounts.totals(
+        covariance_without_separation_n, covariance_n = compiled_pointing.totals(
             axes.covariance_by_source_n,
             axes.by_error_n,
             self._corrected.separation_inflation,

@@ -9,31 +9,31 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ship_estimation.outcome import MeasurementDecision, Status
 from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection
+from ship_estimation.time_order.outcome import MeasurementDecision, Status
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
-from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.axis_geometry.axes import AXES, SHIP, AxisErrors, axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
-from theodolite_calib.measured.samples import (
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
+from theodolite_calib.samples.samples import (
     EncoderSample,
     PointingEstimate,
     PointingOutcome,
     TargetEstimate,
     TargetSample,
 )
-from theodolite_calib.measured.tracks import MeasuredTracks
-from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
-from theodolite_calib.target.direction import (
+from theodolite_calib.samples.tracks import MeasuredTracks
+from theodolite_calib.targets.direction import (
     MainDetector,
     ObservedDirection,
     observed_direction,
     ranged_position,
     rotation_main_from_detector,
 )
-from theodolite_calib.target.pending_targets import PendingTargets
+from theodolite_calib.targets.pending_targets import PendingTargets
 
 
 class TargetProcessor:

@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ship_estimation.rts_smoother import Anchor
-from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.kalman.rts_smoother import Anchor
+from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.axis_geometry.axes import SHIP
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.model import ShipErrorStep, axis_state_indices, ship_error_steps
-from theodolite_calib.measured.samples import StampArray
+from theodolite_calib.samples.samples import StampArray
 
 AxisAnchor = Anchor[FloatArray | None]
 """Estimate after an update, with the stated covariance of the ship's error from then on, rad², shape (3, 3)."""
@@ -47,7 +47,7 @@ class AxisStatePredictor:
         assert self._ship.columns == SHIP
 
     def cross_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
-        """See :meth:`ship_estimation.rts_smoother.StatePredictor.cross_to`."""
+        """See :meth:`ship_estimation.kalman.rts_smoother.StatePredictor.cross_to`."""
         assert anchor.time_ns is not None
         assert later.time_ns is not None
         decay, _ = self._model.transition(max(later.time_ns - anchor.time_ns, 0) * 1e-9)
@@ -57,7 +57,7 @@ class AxisStatePredictor:
     def estimates_at(
         self, anchor: AxisAnchor, times_ns: Sequence[int], later: AxisAnchor | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the states in :attr:`state_indices`; see ``ship_estimation.rts_smoother.StatePredictor``."""
+        """Return the states in :attr:`state_indices`; see ``ship_estimation.kalman.rts_smoother.StatePredictor``."""
         moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
         wide = self._cross_covariance(anchor, moments_ns)
         known = _apply_step(GaussianEstimate(self._means(anchor, moments_ns), wide[:, :, self.state_indices]), step)

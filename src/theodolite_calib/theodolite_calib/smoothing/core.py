@@ -11,18 +11,18 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_model import SkyModel
-from ship_estimation.rts_smoother import RtsSmoother
-from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.kalman.rts_smoother import RtsSmoother
+from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
+from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_AXES
 from theodolite_calib.filter.subfilters import AXIS_SOURCES
-from theodolite_calib.measured.samples import EncoderSample, EncoderSeries, PointingEstimate, PointingOutcome
-from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
+from theodolite_calib.samples.samples import EncoderSample, EncoderSeries, PointingEstimate, PointingOutcome
+from theodolite_calib.samples.tracks import ShipAt, ShipSeries
 from theodolite_calib.smoothing.axis_predictor import AxisStatePredictor
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
 

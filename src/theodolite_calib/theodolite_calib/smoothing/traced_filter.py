@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.rts_smoother import StateUpdate
-from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.kalman.rts_smoother import StateUpdate
+from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
+from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison, Jump
 from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.filter.subfilters import AXIS_SOURCES
-from theodolite_calib.measured.encoder_check import EncoderJump
-from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.samples.sighting import Sighting
 
 
 @dataclass(frozen=True)

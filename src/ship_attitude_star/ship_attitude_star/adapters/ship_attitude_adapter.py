@@ -1,0 +1,524 @@
+"""Adapter of the node ``ship_attitude``: input topics, output messages and diagnostics."""
+
+import functools
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from operator import attrgetter
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
+from ship_attitude_star.messages import input_messages, input_rows
+from ship_attitude_star.messages.attitude_messages import (
+    ATTITUDE_TOPIC,
+    ATTITUDE_TYPE,
+    DEGREES_TOPIC,
+    DEGREES_TYPE,
+    IMU_TOPIC,
+    IMU_TYPE,
+    SMOOTHED_TOPIC,
+    AttitudeNumbers,
+    attitude_messages,
+    attitude_rows,
+    smoothed_message,
+)
+from ship_attitude_star.samples.baseline import BASELINE
+from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior
+from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.integrity import QUANTITIES
+from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn
+from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_attitude_star.vertical.config import TOPIC
+from ship_bags.cdr_template import CdrRows
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.plausibility.rate_consistency import RateStatus
+from ship_estimation.recovery.displacements import TOGETHER
+from ship_estimation.rejections import failure_rejection
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.frames import angle_covariance, angles_from_rotation
+from ship_geometry.ros_axes import (
+    mounting_quaternion,
+)
+from ship_geometry.rotations import ARCSEC
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.adapters.recovering_adapter import RecoveringAdapter
+from ship_node.adapters.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.health.duplicate_publishers import ATTITUDE, INNOVATION
+from ship_node.health.innovation_report import clock_status
+from ship_node.messages.batches import BatchFeed, OutputRows, ReadBatch, StampArray
+from ship_node.messages.column_checks import ReadRows
+from ship_node.messages.common_messages import (
+    BUDGET_TYPE,
+    INNOVATION_TYPE,
+    INTEGRITY_TYPE,
+    TF_STATIC_TOPIC,
+    TF_TOPIC,
+    TF_TYPE,
+    ZERO_VECTOR,
+    DiagnosticStatus,
+    Level,
+    error_budget_message,
+)
+from ship_node.messages.field_checks import ReadMessage
+from ship_node.messages.ins_messages import ins_batch, ins_sample, sigma_mismatch_text
+from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.saved_files.saved_document import DISK, Files
+from ship_node.saved_files.saved_start import SavedStart
+from ship_stars.messages import star_messages, surroundings_messages
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries
+from ship_stars.samples.readings import DeflectionReading
+from ship_stars.sky.sky_model import SkyModel, load_sky_model
+
+INTEGRITY_TOPIC = "ship/integrity"
+DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"
+
+_STAR_TYPES = {
+    "horizon_attitude": "ship_msgs/msg/StarHorizonAttitude",
+    "solution": "ship_msgs/msg/StarHorizonAttitude",
+    "observations": "ship_msgs/msg/StarObservationArray",
+    "inertial_attitude": "ship_msgs/msg/StarInertialAttitude",
+}
+_STATUS_TEXTS = {
+    Status.VALID: (Level.OK, "VALID: INS and stars"),
+    Status.COASTING: (Level.WARN, "COASTING: no star measurements, INS alone with growing uncertainty"),
+    Status.DEGRADED: (Level.WARN, "DEGRADED"),
+    Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
+}
+_RATE_TEXTS = {
+    RateStatus.UNPROVEN: (Level.OK, "not checked yet: too little motion, or no rates in the messages"),
+    RateStatus.MEASURED: (Level.OK, "angular_velocity is consistent with the orientation"),
+    RateStatus.NOT_MEASURED: (
+        Level.WARN,
+        "angular_velocity is not consistent with the orientation: not used (zero, noise, other axes, another unit?)",
+    ),
+    RateStatus.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
+}
+_OBSERVABILITY_PERIOD_NS = 60 * SECOND_NS
+"""Period of the observability diagnostics, in the time of the data, ns."""
+
+_PARAMETER_SECTIONS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
+"""Parameter section by the first part of a source name."""
+
+
+class ShipAttitudeAdapter(RecoveringAdapter):
+    """Adapter of the ship attitude estimator.
+
+    Args:
+        config: parameters of the node.
+        factory: creates messages.
+        files: access to the alignment file.
+
+    Raises:
+        BadInput: the path of the alignment file or the computer's state does not allow a start (:class:`SavedStart`).
+            A file with unusable content is only reported.
+        ParameterError: the camera of a sensor that gives single stars is incomplete, or there are more filters than
+            ``integrity.max_hypotheses``.
+    """
+
+    node_name: ClassVar[str] = "ship_attitude"
+    config_type: ClassVar[type] = ShipAttitudeConfig
+    services: ClassVar[tuple[str, ...]] = ("reset", "save_alignment", "load_alignment")
+    main_topic: ClassVar[str] = ATTITUDE_TOPIC
+    innovation_topic: ClassVar[str] = "ship/innovation"
+    integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
+    quantities: ClassVar[tuple[str, ...]] = QUANTITIES
+    required_sources: ClassVar[tuple[str, ...]] = ("ins",)
+    redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
+    directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
+    source_timeouts_s: Mapping[str, float] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
+    outputs: tuple[OutputTopic, ...] = (
+        OutputTopic(ATTITUDE_TOPIC, ATTITUDE_TYPE),
+        OutputTopic(IMU_TOPIC, IMU_TYPE),
+        OutputTopic(DEGREES_TOPIC, DEGREES_TYPE),
+        OutputTopic(TF_TOPIC, TF_TYPE),
+        OutputTopic(TF_STATIC_TOPIC, TF_TYPE, latched=True),
+        OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
+        OutputTopic("ship/error_budget", BUDGET_TYPE),
+        OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
+        OutputTopic(innovation_topic, INNOVATION_TYPE),
+        OutputTopic("ship/error_arcsec", "ship_msgs/msg/AttitudeErrorArcsec"),
+        OutputTopic(DEFLECTION_TOPIC, DEFLECTION_TYPE),
+        OutputTopic(SMOOTHED_TOPIC, ATTITUDE_TYPE),
+        *OWN_OUTPUTS,
+    )
+
+    def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
+        looks_at_sky = any(star.needs_sky for star in config.star_sensors.values())
+        self._sky_model = load_sky_model(config.sky) if looks_at_sky else None
+        self._cameras = {
+            id_: star.camera.camera(f"star_sensors.{id_}.camera")
+            for id_, star in config.star_sensors.items()
+            if star.input == "observations"
+        }
+        core = self.make_core(config, self._sky_model)
+        saved = SavedStart(
+            ALIGNMENT_FILE,
+            config.alignment_file,
+            files,
+            start_from=self.start_from,
+            content_to_save=self._alignment_to_save,
+            nothing_text="no alignment to save: no star attitude was used yet",
+        )
+        self.start_warnings = self._missing_configuration = start_warnings(config)
+        self._last_observability: tuple[int, DiagnosticStatus] | None = None
+        self._stated_covariance: Any = None
+        super().__init__(config, core, factory, self._attitude_messages, saved)
+        self.integrity_frame = config.frames.deck
+        self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
+
+    def _alignment_to_save(self) -> AlignmentPrior | None:
+        """Return the alignment of the current estimator, for the alignment file; None without any alignment."""
+        core: ShipAttitudeCore = self.core
+        return core.alignment_to_save()
+
+    def _attitude_messages(self, estimate: AttitudeEstimate) -> list[OutputMessage]:
+        """Return the messages of one attitude."""
+        messages = attitude_messages(self.factory, estimate, self._rate_sigma, self.config.frames)
+        return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
+
+    @property
+    def _rate_sigma(self) -> float:
+        """Configured noise of the angular rate of the INS, each axis, rad/s."""
+        return float(self.config.ins.rate_sigma_arcsec_per_s * ARCSEC)
+
+    def make_core(self, config: ShipAttitudeConfig, sky_model: SkyModel | None) -> ShipAttitudeCore:
+        """Return the estimator, with smoothing if configured."""
+        if config.smoothing_lag_s:
+            return SmoothingCore(config, sky_model, config.smoothing_lag_s)
+        return ShipAttitudeCore(config, sky_model)
+
+    def accepts_batches(self, topic: str) -> bool:
+        """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
+        return super().accepts_batches(topic) and not isinstance(self.core, SmoothingCore)
+
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+        """See :meth:`ReportingAdapter.report_outcome`; smoothed attitudes follow."""
+        published = super().report_outcome(outcome, now_ns, waiting_ns)
+        if isinstance(self.core, SmoothingCore):
+            try:
+                smoothed = [
+                    smoothed_message(self.factory, estimate, self.config.frames)
+                    for estimate in self.core.take_smoothed()
+                ]
+            except Exception as error:
+                # Real-time attitudes are published in any case; smoothing restarts.
+                self.core.restart_smoothing()
+                smoothed = [self.report_failure(SMOOTHED_TOPIC, now_ns, failure_rejection(error))]
+            published += smoothed
+        return published
+
+    def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
+        """Yield the inputs and the methods of a core that process them; each star sensor has one topic only."""
+        ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
+        block = BatchFeed(functools.partial(self._read_ins_block, config=config.ins), core)
+        read_ins = functools.partial(self._read_ins, config=config.ins)
+        yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, stream_quantity=ATTITUDE)
+        for id_, star in config.star_sensors.items():
+            topic = InputTopic(
+                f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, is_configured=True
+            )
+            read, read_rows = self._star_readers(id_, star)
+            process, source = core.add_measurement, f"star.{id_}"
+            yield Feed(topic, source, read, process, has_decision=True, read_rows=read_rows, stream_quantity=INNOVATION)
+        for name, reference in config.references.items():
+            topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, is_configured=True)
+            read = functools.partial(input_messages.reference_measurement, name=name, config=reference)
+            yield Feed(
+                topic, f"reference.{name}", read, core.add_measurement, has_decision=True, stream_quantity=INNOVATION
+            )
+        if config.ship_baseline.is_aboard:
+            antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, is_configured=True)
+            read_baseline = functools.partial(input_messages.baseline, config=config.ship_baseline)
+            yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, has_decision=True)
+        if self._sky_model is not None:
+            yield from surroundings_messages.surroundings_feeds(config.sky, ignore_time(core.add_sky_input))
+        elif config.needs_vertical:
+            yield surroundings_messages.position_feed(config.sky, ignore_time(core.add_sky_input))
+        if config.gravity.deflection == TOPIC:
+            given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, is_valid_until_next=True)
+            yield Feed(given, "gravity/deflection", input_messages.deflection, ignore_time(core.add_deflection))
+
+    def _read_ins(self, message: Any, receive_ns: int, config: InsConfig) -> ReadMessage[AttitudeSample]:
+        """Return an INS sample; the covariance of its message is stored for the diagnostics."""
+        reading = ins_sample(message, config, receive_ns)
+        self._stated_covariance = message.orientation_covariance if reading.covariance_known else None
+        return reading
+
+    def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBatch:
+        """Return the INS samples of a block; the covariance of the first message is stored for the diagnostics."""
+        reading = ins_batch(messages, receive_ns, config)
+        self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
+        return reading
+
+    def _star_readers(
+        self, id_: str, star: StarSensorConfig
+    ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
+        """Return the readers of a star sensor's messages: of single messages, and of blocks (None for some inputs)."""
+        if star.input == "observations":
+            assert self._sky_model is not None
+            exposure = functools.partial(
+                star_messages.star_exposure,
+                sensor_id=id_,
+                frame_id=star.frame_id,
+                camera=self._cameras[id_],
+                camera_config=star.camera,
+                masks=star.sensor_masks,
+                catalogue=self._sky_model.catalogue,
+            )
+            return exposure, None
+        if star.input == "inertial_attitude":
+            return functools.partial(input_messages.inertial_attitude, sensor_id=id_, config=star), None
+        read = functools.partial(input_messages.star_measurement, sensor_id=id_, config=star)
+        return read, functools.partial(input_rows.star_attitudes, sensor_id=id_, config=star)
+
+    def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[OutputRows]:
+        """See :meth:`BatchAdapter.batch_messages`."""
+        rows = attitude_rows(self.factory, AttitudeNumbers.from_runs(runs), self._rate_sigma, self.config.frames)
+        return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
+
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
+        """Return alignment and sensor frames; for a new attitude also error budget, sigmas and deflection."""
+        factory, estimate, published = self.factory, self.pending_budget, []
+        deck, horizon = self.config.frames.deck, self.config.frames.horizon
+        if estimate is not None:
+            sources = self.core.filter.model.sources
+            published += [
+                ("ship/error_budget", attitude_budget(factory, estimate, sources, deck)),
+                ("ship/error_arcsec", error_arcsec(factory, estimate, deck)),
+            ]
+        frames = star_frames(self.config.star_sensors, {deck, horizon})
+        installed = {frame: self.core.star_installation(id_) for id_, frame in frames.items()}
+        if installed and self.config.publish_tf:
+            published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns, deck)))
+        if estimate is not None and self.config.gravity.is_modelled:
+            known = self.core.deflection(estimate.time_ns)
+            published.append((DEFLECTION_TOPIC, deflection_message(factory, known, horizon)))
+        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns, deck))]
+
+    def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
+        """See :meth:`ReportingAdapter.no_output`."""
+        core: ShipAttitudeCore = self.core
+        return core.no_output(now_ns, text)
+
+    def can_be_valid(self, present_sources: Set[str]) -> bool:
+        """See :class:`RecoveringAdapter`; True with the INS and a star sensor."""
+        return "ins" in present_sources and any(source.startswith("star.") for source in present_sources)
+
+    def remedy(self, displaced: Mapping[str, float]) -> str:
+        """See :class:`RecoveringAdapter`."""
+        if TOGETHER in displaced:
+            return (
+                "if the star sensors or the INS were remounted, call ~/reset; otherwise check the clocks "
+                "(time_offset_s of each sensor and of ins), gnss/fix and the computer's clock"
+            )
+        where = ".time_offset_s, ".join(
+            f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced)
+        )
+        return f"if remounted, call ~/reset; otherwise check clock and cable (parameters {where}.time_offset_s)"
+
+    def before_adoption(self) -> list[OutputMessage]:
+        """See :class:`RecoveringAdapter`; returns the remaining smoothed attitudes."""
+        if not isinstance(self.core, SmoothingCore):
+            return []
+        return [
+            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smooth_remaining()
+        ]
+
+    def _observability_statuses(self) -> list[DiagnosticStatus]:
+        """Return the observability diagnostics with a recommended turn, computed once a minute; empty while INVALID."""
+        state, latest = self.core.state, self.latest
+        if state.time_ns is None or latest is None or latest.status is Status.INVALID:
+            return []
+        if (
+            self._last_observability is None
+            or abs(state.time_ns - self._last_observability[0]) >= _OBSERVABILITY_PERIOD_NS
+        ):
+            # Without stars a turn does not improve the attitude.
+            has_stars = latest.status is Status.VALID
+            observability = self.core.observability()
+            turn = manoeuvre_text(self.core.recommended_manoeuvre(latest.rotation_nd)) if has_stars else ""
+            values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.sigma_ratios.items()}
+            values |= {
+                "unobservable combinations": "; ".join(observability.unobservable_combinations) or "nothing",
+                "turn": turn or "none recommended",
+            }
+            text = turn or "no turn of the ship improves the attitude much"
+            self._last_observability = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
+        return [self._last_observability[1]]
+
+    def _noise_status(self) -> DiagnosticStatus:
+        """Return a diagnostic of INS message sigmas far above the configured sigmas, otherwise of excess INS noise."""
+        if self._stated_covariance is not None:
+            covariance = np.reshape(self._stated_covariance, (3, 3))
+            if contradicted := sigma_mismatch_text(covariance, self.config.ins):
+                text = f"{contradicted}: raise the parameter, or check the INS"
+                return DiagnosticStatus("ins noise", Level.WARN, text)
+        excess = self.core.excess_noise
+        if not excess:
+            text = "not larger than ins.white_sigma_arcsec, as far as the ship's motion shows it"
+            return DiagnosticStatus("ins noise", Level.OK, text)
+        return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; included in the covariances")
+
+    def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
+        """Return all diagnostics of this node, from attitude and alignment to innovations and clocks."""
+        remarks = self.saved_document_remarks()
+        text = "; ".join(remarks) or "as configured or loaded"
+        return [
+            attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
+            DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, self.recovery_counts),
+            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.rate_status]),
+            self._noise_status(),
+            self.recovery_status(waiting_ns),
+            *vertical_statuses(self.core, self.latest),
+            *self._observability_statuses(),
+            *self.integrity_statuses(),
+            *self.conflict_statuses(),
+            *self.innovation_report.statuses(),
+            clock_status(self.core.filter.model, self.core.state.mean, _PARAMETER_SECTIONS),
+        ]
+
+
+def manoeuvre_text(turn: RecommendedTurn | None) -> str:
+    """Return a text about a recommended turn; empty if no turn is recommended."""
+    if turn is None:
+        return ""
+    now, on_course, after = (
+        f'{sigma / ARCSEC:.1f}"' for sigma in (turn.sigma_now, turn.sigma_on_course, turn.sigma_after_turn)
+    )
+    turned = f"a turn by {turn.turn_deg:.0f}° improves the {turn.quantity}: σ {now} → {after} in a quarter of an hour"
+    return f"{turned}, {on_course} on this course"
+
+
+def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
+    """Return ship_msgs/ErrorBudget of a published attitude; ``sources`` are the names of its error sources."""
+    parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
+    return error_budget_message(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
+
+
+def deflection_message(factory: MessageFactory, known: DeflectionReading, horizon: str) -> Any:
+    """Return ship_msgs/Deflection of the estimated deflection."""
+    assert known.covariance is not None
+    return factory.make(
+        DEFLECTION_TYPE,
+        header={"stamp": known.time_ns, "frame_id": horizon},
+        xi=float(known.deflection[0]),
+        eta=float(known.deflection[1]),
+        covariance=known.covariance.ravel(),
+    )
+
+
+def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
+    """Return a diagnostic of the vertical at the last attitude; empty without a vertical or while INVALID."""
+    if core.vertical is None or latest is None or latest.status is Status.INVALID:
+        return []
+    known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
+    if known is None:
+        text = missing or "the latitude for the error model of the INS is known"
+        return [DiagnosticStatus("vertical", Level.WARN if missing else Level.OK, text)]
+    assert known.covariance is not None
+    values_arcsec = [*known.deflection / ARCSEC, *np.sqrt(known.covariance.diagonal()) / ARCSEC]
+    names = ("xi (arcsec)", "eta (arcsec)", "sigma of xi (arcsec)", "sigma of eta (arcsec)")
+    values = {name: f"{value:.1f}" for name, value in zip(names, values_arcsec, strict=True)}
+    text = missing or "the deflection of the vertical is known or estimated"
+    return [DiagnosticStatus("vertical", Level.WARN if missing else Level.OK, text, values)]
+
+
+def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str) -> Any:
+    """Return ship_msgs/AttitudeErrorArcsec with predicted sigmas; errors are NaN, because the truth is not known."""
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
+    unknown = float("nan")
+    return factory.make(
+        "ship_msgs/msg/AttitudeErrorArcsec",
+        header={"stamp": estimate.time_ns, "frame_id": deck},
+        sigma_heading=float(sigma[0]),
+        sigma_pitch=float(sigma[1]),
+        sigma_roll=float(sigma[2]),
+        error_heading=unknown,
+        error_pitch=unknown,
+        error_roll=unknown,
+    )
+
+
+def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:
+    """Return ship_msgs/AlignmentState of an alignment."""
+    return factory.encode(
+        "ship_msgs/msg/AlignmentState",
+        header={"stamp": now_ns, "frame_id": deck},
+        names=list(alignment.names),
+        values=alignment.values,
+        covariance=alignment.covariance.ravel(),
+        units=list(alignment.units),
+    )
+
+
+def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -> dict[str, str]:
+    """Return the frame of each star sensor by id: its frame_id if no other frame has this name, else star_<id>."""
+    count = Counter(star.frame_id for star in star_sensors.values())
+    frames = {}
+    for id_, star in star_sensors.items():
+        others = {*taken, *(f"star_{other}" for other in star_sensors if other != id_)}
+        is_its_own = star.frame_id and count[star.frame_id] == 1 and star.frame_id not in others
+        frames[id_] = star.frame_id if is_its_own else f"star_{id_}"
+    return frames
+
+
+def installed_frames(
+    factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str
+) -> Any:
+    """Return tf2_msgs/TFMessage of devices on the deck, without translation.
+
+    Args:
+        factory: creates messages.
+        rotations_dv: frame of a device → rotation deck from device, shape (3, 3).
+        now_ns: stamp of the message.
+        deck: name of the deck frame.
+    """
+    transforms = []
+    for frame, rotation_dv in rotations_dv.items():
+        rotation = dict(zip("xyzw", mounting_quaternion(rotation_dv).tolist(), strict=True))
+        transforms.append(
+            {
+                "header": {"stamp": now_ns, "frame_id": deck},
+                "child_frame_id": frame,
+                "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
+            }
+        )
+    return factory.encode(TF_TYPE, transforms=transforms)
+
+
+def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
+    """Return texts about missing parts of a configuration, for the log at the start and the diagnostics."""
+    if config.star_sensors or config.references or config.ship_baseline.is_aboard:
+        return ()
+    lacking = "no star_sensors, no references and no ship_baseline are configured"
+    return (f"{lacking}: the attitude is that of the INS alone, DEGRADED, horizon GRAVITY",)
+
+
+def attitude_status(
+    estimate: AttitudeEstimate | None, clock_jumps: int, missing_configuration: Sequence[str] = ()
+) -> DiagnosticStatus:
+    """Return the diagnostic of the published attitude.
+
+    Args:
+        estimate: last attitude.
+        clock_jumps: number of backward jumps of the clock.
+        missing_configuration: missing parts of the configuration (:func:`start_warnings`).
+    """
+    values = {"clock jumps back": str(clock_jumps)}
+    if estimate is None:
+        return DiagnosticStatus(
+            "attitude", Level.WARN, "; ".join(["no INS sample yet", *missing_configuration]), values
+        )
+    level, text = _STATUS_TEXTS[estimate.status]
+    if estimate.status is Status.DEGRADED and missing_configuration and "ins" in estimate.sources:
+        text += f": {'; '.join(missing_configuration)}"
+    elif estimate.status is Status.DEGRADED:
+        text += f": {estimate.text}"
+    elif estimate.status is Status.INVALID and estimate.text:
+        text = f"INVALID: {estimate.text}"
+    values |= {"sources": ", ".join(estimate.sources), "star age (s)": f"{estimate.star_age_s:.1f}"}
+    return DiagnosticStatus("attitude", level, text, values)

@@ -1,0 +1,192 @@
+"""Messages of attitudes: ship_msgs/ShipAttitude, ship_msgs/AttitudeDeg in degrees, sensor_msgs/Imu and /tf.
+
+One function (``_messages``) fills the fields: with numbers for the single attitude of a live node, with columns of
+numbers for the attitudes of a block, which are serialised together.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.integrity.protection_levels import NORMAL_95
+from ship_estimation.parameters.frame_names import FRAME_NAMES, FrameNames
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.frames import SINGULAR_ELEVATION
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_kernels.compiled_rotations import angle_covariances, angles, quaternions
+from ship_node.messages.batches import OutputRows
+from ship_node.messages.common_messages import TF_TOPIC, TF_TYPE, ZERO_VECTOR
+from ship_node.messages.field_checks import NOT_GIVEN
+from ship_node.messages.output_numbers import (
+    Fields,
+    MessageFields,
+    column_numbers,
+    join_fields,
+    rows_by_kind,
+    select_values,
+    single_numbers,
+)
+from ship_node.messages.topics import OutputMessage
+from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries, StampArray
+
+ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
+IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
+SMOOTHED_TOPIC = "ship/attitude_smoothed"
+DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
+
+_NOT_GIVEN = (NOT_GIVEN, *(0.0,) * 8)
+"""Covariance in sensor_msgs/Imu for a quantity that is not measured."""
+
+
+class AttitudeNumbers(NamedTuple):
+    """Published quantities of N attitudes; see :class:`AttitudeSeries`."""
+
+    time_ns: StampArray
+    rotation_nd: FloatArray
+    covariance_n: FloatArray
+    rate_d: FloatArray
+    status: list[Status]
+    horizon: NDArray[np.int64]
+    sources: list[tuple[str, ...]]
+    star_age_s: FloatArray
+
+    @classmethod
+    def from_runs(cls, series: Sequence[AttitudeSeries]) -> "AttitudeNumbers":
+        """Return the quantities of several series, one after another."""
+        return cls(*join_fields(series, cls._fields))
+
+    def subset(self, indices: NDArray[np.int64]) -> "AttitudeNumbers":
+        """Return the attitudes with the given indices."""
+        return (
+            self
+            if len(indices) == len(self.time_ns)
+            else AttitudeNumbers(*(select_values(each, indices) for each in self))
+        )
+
+
+def attitude_messages(
+    factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float, frames: FrameNames = FRAME_NAMES
+) -> list[OutputMessage]:
+    """Return the messages of one attitude.
+
+    For an INVALID attitude the two ship_msgs messages contain NaN, and the messages for standard tools are omitted.
+
+    Args:
+        factory: creates messages.
+        estimate: the attitude.
+        rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
+        frames: frame names.
+    """
+    messages = _messages(
+        AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), single_numbers, rate_sigma, frames
+    )
+    return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
+
+
+def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> OutputMessage:
+    """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
+    attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
+    _, type_name, fields = next(_messages(attitude, single_numbers, 0.0, frames))
+    return SMOOTHED_TOPIC, factory.encode(type_name, **fields)
+
+
+def attitude_rows(
+    factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames = FRAME_NAMES
+) -> Iterator[OutputRows]:
+    """Yield the messages of N attitudes, for each attitude in the order of :func:`attitude_messages`."""
+    known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
+    claimed = [status is not Status.INVALID for status in attitudes.status]
+    kinds = zip(claimed, known, attitudes.sources, strict=True)
+    return rows_by_kind(
+        factory, kinds, lambda _, places: _messages(attitudes.subset(places), column_numbers, rate_sigma, frames)
+    )
+
+
+def _messages(
+    attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float, frames: FrameNames
+) -> MessageFields:
+    """Yield topic, type and fields of each message, for attitudes of equal validity and sources.
+
+    The attitudes either all have a rate or all have none.
+    """
+    of_angles = angles(attitudes.rotation_nd)
+    covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
+    rotations = quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T)
+    time_ns, status, horizon, star_age_s = values_of(
+        attitudes.time_ns, np.array(attitudes.status), attitudes.horizon, attitudes.star_age_s
+    )
+    (heading, pitch, roll), degrees, quaternion, rates, covariance, rotation_covariance, arcsec_95 = values_of(
+        of_angles,
+        np.rad2deg(of_angles),
+        rotations,
+        flu_from_device_vector(attitudes.rate_d),
+        covariances.reshape(-1, 9),
+        enu_covariance(attitudes.covariance_n).reshape(-1, 9),
+        NORMAL_95 / ARCSEC * np.sqrt(covariances.diagonal(axis1=1, axis2=2)),
+    )
+    header = {"stamp": time_ns, "frame_id": frames.deck}
+    orientation, rate = dict(zip("xyzw", quaternion, strict=True)), dict(zip("xyz", rates, strict=True))
+    is_claimed = attitudes.status[0] is not Status.INVALID
+    yield (
+        ATTITUDE_TOPIC,
+        ATTITUDE_TYPE,
+        {
+            "header": header,
+            "heading": heading,
+            "pitch": pitch,
+            "roll": roll,
+            "covariance": covariance,
+            "orientation": orientation,
+            "rotation_covariance": rotation_covariance,
+            "angular_velocity": rate,
+            "status": status,
+            "horizon": horizon,
+            "sources": attitudes.sources[0],
+            "star_age_s": star_age_s,
+        },
+    )
+    if is_claimed:
+        rate_known = bool(np.isfinite(attitudes.rate_d[0]).all())
+        given_rate = rate if rate_known else None
+        yield IMU_TOPIC, IMU_TYPE, _as_imu(header, orientation, rotation_covariance, given_rate, rate_sigma)
+    yield (
+        DEGREES_TOPIC,
+        DEGREES_TYPE,
+        {
+            "header": header,
+            **dict(zip(("heading_deg", "pitch_deg", "roll_deg"), degrees, strict=True)),
+            **dict(zip(("heading_95_arcsec", "pitch_95_arcsec", "roll_95_arcsec"), arcsec_95, strict=True)),
+            "status": status,
+        },
+    )
+    if is_claimed:
+        deck = {
+            "header": {"stamp": time_ns, "frame_id": frames.horizon},
+            "child_frame_id": frames.deck,
+            "transform": {"translation": ZERO_VECTOR, "rotation": orientation},
+        }
+        yield TF_TOPIC, TF_TYPE, {"transforms": [deck]}
+
+
+def _as_imu(
+    header: Fields, orientation: Fields, rotation_covariance: Any, rate: Fields | None, rate_sigma: float
+) -> Fields:
+    """Return sensor_msgs/Imu without acceleration, with the rate if it is known.
+
+    The covariance of the rate is equal for all axes; zeros, for a ``rate_sigma`` of 0, mean unknown.
+    """
+    variance = rate_sigma**2
+    rate_covariance = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
+    return {
+        "header": header,
+        "orientation": orientation,
+        "orientation_covariance": rotation_covariance,
+        "angular_velocity": ZERO_VECTOR if rate is None else rate,
+        "angular_velocity_covariance": _NOT_GIVEN if rate is None else rate_covariance,
+        "linear_acceleration": ZERO_VECTOR,
+        "linear_acceleration_covariance": _NOT_GIVEN,
+    }

@@ -1,0 +1,245 @@
+"""Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
+
+The readers use only attributes of messages, so any message class can be used. For a message that cannot be used the
+readers raise :class:`ship_node.messages.field_checks.MessageRejected`.
+"""
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ship_attitude_star.samples.baseline import BaselineMeasurement
+from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
+from ship_estimation.rejections import Reason
+from ship_estimation.time_order.outcome import Measurement
+from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
+from ship_geometry.ros_axes import (
+    FLU_FROM_DEVICE,
+    celestial_rotation_from_quaternion,
+    horizon_covariance,
+)
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.messages.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
+from ship_node.messages.field_checks import (
+    MessageRejected,
+    ReadMessage,
+    angular_covariance,
+    check_device_id,
+    check_finite,
+    check_frame,
+    imu_rotation,
+    stamp_ns,
+    unit_quaternion,
+)
+from ship_stars.samples.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY, AttitudeMeasurement, SolvedAttitude
+from ship_stars.samples.readings import DeflectionReading, InertialAttitude
+
+Measured = TypeVar("Measured", bound=Measurement)
+
+STAR_INVALID = 3
+MAX_ELEVATION, MAX_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
+"""Maximum elevation of a star sensor, and maximum azimuth and roll, rad; azimuth and roll are used modulo 2π."""
+_COVARIANCE_TOLERANCE = 1e-6
+
+_MAX_DEFLECTION = 300.0 * ARCSEC
+
+
+def star_measurement(
+    message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
+) -> ReadMessage[AttitudeMeasurement]:
+    """Read ``star/<sensor>/horizon_attitude`` or ``.../solution``: attitude of the sensor relative to the horizon.
+
+    Raises:
+        MessageRejected: the message cannot be used; the exception contains the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    check_frame(message.header.frame_id, config.frame_id)
+    if message.status == STAR_INVALID:
+        raise MessageRejected(Reason.TOO_FEW_STARS, "the sensor reports status INVALID")
+    check_finite("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
+    azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
+    # Angles in degrees are detected if they exceed the range in radians.
+    if abs(elevation) > MAX_ELEVATION or max(abs(azimuth), abs(roll)) > MAX_ANGLE:
+        angles = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}, roll {roll:.6g}"
+        raise MessageRejected(Reason.UNITS, f"{angles} cannot be radians: degrees?")
+    total_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
+    total_angles = angular_covariance(message.covariance, "covariance") if total_enu is None else None
+    total_known = total_enu is not None or total_angles is not None
+    noise_enu = angular_covariance(message.noise_covariance, "noise_covariance") if total_known else None
+    rotation_ns = rotation_from_angles(azimuth, elevation, roll)
+    if total_enu is not None:
+        total_n = horizon_covariance(total_enu)
+    elif total_angles is not None:
+        total_n = rotation_vector_covariance(total_angles, azimuth, elevation)
+    else:
+        noise_s = _configured_noise(config)
+        attitude = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
+        return _read_message(_with_shared_error(attitude, config.shared_error, has_noise_covariance=True))
+    noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
+    has_noise_covariance = noise_enu is not None
+    return attitude_from_numbers(
+        f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error, has_noise_covariance
+    )
+
+
+def attitude_from_numbers(
+    source: str,
+    time_ns: int,
+    rotation_ns: FloatArray,
+    total_n: FloatArray,
+    noise_n: FloatArray,
+    sharing: str,
+    has_noise_covariance: bool = True,
+) -> ReadMessage[AttitudeMeasurement]:
+    """Return the attitude of a star sensor from the numbers of its message.
+
+    Args:
+        source: name of the source.
+        time_ns: stamp of the message.
+        rotation_ns: rotation horizon from sensor, shape (3, 3).
+        total_n: covariance of the total error, rotation vector in the horizon frame, rad², shape (3, 3).
+        noise_n: covariance of the error that is independent between epochs, in the same frame.
+        sharing: configured shared error of the sensor.
+        has_noise_covariance: True if the message contains a separate noise covariance.
+
+    Raises:
+        MessageRejected: the noise covariance is larger than the total covariance.
+    """
+    noise_s = rotation_ns.T @ noise_n @ rotation_ns
+    attitude = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
+    return _read_message(_with_shared_error(attitude, sharing, has_noise_covariance))
+
+
+def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
+    """Return the attitude in the form for its kind of shared error."""
+    if sharing == SHARED_BY_SKY:
+        return SolvedAttitude(**vars(attitude) | {"has_noise_covariance": has_noise_covariance})
+    if sharing == SHARED_BY_MESSAGES and attitude.common_n.any():
+        # The filter has one error vector of unit covariance for all messages (``sky.common``). The symmetric root of
+        # each common covariance scales it, so that simultaneous errors are fully correlated.
+        values, vectors = np.linalg.eigh(attitude.common_n)
+        root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        return replace(attitude, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
+    return attitude
+
+
+def inertial_attitude(
+    message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
+) -> ReadMessage[InertialAttitude]:
+    """Read ``star/<sensor>/inertial_attitude``: attitude of the sensor relative to the ICRS.
+
+    Raises:
+        MessageRejected: the message cannot be used; the exception contains the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    check_device_id("sensor_id", message.sensor_id, sensor_id)
+    check_frame(message.header.frame_id, config.frame_id)
+    rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
+    covariance_flu = angular_covariance(message.covariance, "covariance")
+    if covariance_flu is None:
+        noise_s = _configured_noise(config)
+        return _read_message(
+            InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field_of_view)
+        )
+    noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
+    return _read_message(
+        InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field_of_view)
+    )
+
+
+def reference_measurement(
+    message: Any, name: str, config: ReferenceConfig, receive_ns: int
+) -> ReadMessage[AttitudeMeasurement]:
+    """Read ``reference/<name>/imu``: attitude of another system; the covariance in the message describes white noise.
+
+    Raises:
+        MessageRejected: the message cannot be used; the exception contains the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    check_frame(message.header.frame_id, config.frame_id)
+    rotation_nr = imu_rotation(message, config.convention, config.accept_unset_covariance)
+    covariance_enu = angular_covariance(message.orientation_covariance, "orientation_covariance")
+    if covariance_enu is None:
+        sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]
+        noise_r = np.diag((np.array(sigma) * ARCSEC) ** 2)
+    else:
+        noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
+    known = covariance_enu is not None
+    return _read_message(
+        AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
+    )
+
+
+def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
+    """Read ``gravity/deflection``: deflection of the vertical at the ship.
+
+    Raises:
+        MessageRejected: the message cannot be used; the exception contains the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    check_finite("xi, eta", message.xi, message.eta)
+    largest = max(abs(message.xi), abs(message.eta))
+    if not largest <= _MAX_DEFLECTION:
+        text = f"xi {message.xi:.4g}, eta {message.eta:.4g}: expected radians, 0.0015 (300 arcsec) at most"
+        raise MessageRejected(Reason.UNITS, text)
+    covariance = np.asarray(message.covariance, dtype=float).reshape(2, 2)
+    if not covariance.any():
+        return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta])), False)
+    # NaN fails these comparisons.
+    is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
+    if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
+        text = "covariance of (xi, eta): expected a symmetric, positive definite, finite matrix"
+        raise MessageRejected(Reason.BAD_COVARIANCE, text)
+    return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
+
+
+def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadMessage[BaselineMeasurement]:
+    """Read ``ship/baseline``: vector between two antennas aboard.
+
+    Raises:
+        MessageRejected: the message cannot be used; the exception contains the reason.
+    """
+    time_ns = baseline_stamp_ns(message, config, receive_ns)
+    rejection = fix_rejection(message, config.least_fix)
+    if rejection is not None:
+        raise MessageRejected(rejection.reason, rejection.text)
+    vector_n, noise_n = baseline_vector(message)
+    known = noise_n is not None
+    if noise_n is None:
+        noise_n = config.noise_sigma_m**2 * np.eye(3)
+    if not np.linalg.norm(vector_n) > 0.0:
+        raise MessageRejected(Reason.UNITS, "baseline of length 0: expected metres between two antennas")
+    return _read_message(BaselineMeasurement(time_ns, vector_n, noise_n, known))
+
+
+def _read_message(measurement: Measured) -> ReadMessage[Measured]:
+    """Return a measurement as a ReadMessage with the measurement's own ``covariance_known``."""
+    return ReadMessage(measurement, measurement.covariance_known)
+
+
+def _configured_noise(config: StarSensorConfig) -> FloatArray:
+    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), used if a message has none."""
+    sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
+    noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
+    return noise_s
+
+
+def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
+    """Return the covariance of the error common to successive solutions.
+
+    This is total minus noise, with eigenvalues that are negative or within rounding set to 0.
+
+    Raises:
+        MessageRejected: the noise covariance is larger than the total covariance.
+    """
+    difference_n = total_n - noise_n
+    if not difference_n.any():
+        return np.zeros((3, 3))
+    values, vectors = np.linalg.eigh(difference_n)
+    limit = _COVARIANCE_TOLERANCE * float(np.trace(total_n))
+    if values[0] < -limit:
+        raise MessageRejected(Reason.BAD_COVARIANCE, "noise_covariance is larger than the total covariance")
+    kept = np.where(values > limit, values, 0.0)
+    common: FloatArray = (vectors * kept) @ vectors.T
+    return common

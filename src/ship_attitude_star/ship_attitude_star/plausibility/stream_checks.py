@@ -1,0 +1,98 @@
+"""Plausibility checks of all input streams of a run, in the order of their stamps."""
+
+import math
+
+from ship_attitude_star.samples.baseline import BaselineMeasurement
+from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.plausibility.ins_check import InsCheck
+from ship_estimation.plausibility.motion_check import MotionReference
+from ship_estimation.plausibility.value_checks import StuckCheck
+from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.time_order.outcome import Measurement
+from ship_geometry.rotations import FloatArray
+from ship_geometry.tracks.attitude_track import AttitudeTrack
+from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.samples.readings import InertialAttitude
+from ship_stars.solution.exposure import StarExposure
+
+
+class PlausibilityChecks:
+    """Plausibility checks of inputs by comparison with other sources.
+
+    Args:
+        config: parameters of the INS.
+
+    Attributes:
+        ins: check of the INS samples.
+        motion_references: by source, the last attitude that passed the check or was accepted; used to check other
+            sources.
+    """
+
+    def __init__(self, config: CheckedInsConfig) -> None:
+        self.ins = InsCheck(config)
+        self.motion_references: dict[str, MotionReference] = {}
+        self._stuck: dict[str, StuckCheck] = {}
+        self._latest_ns: dict[str, int] = {}
+
+    def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
+        """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
+
+        An :class:`AttitudeMeasurement` that passes becomes a motion reference. A measurement is checked only if it is
+        newer than the last measurement of the same source that passed.
+
+        Args:
+            measurement: measurement of any kind.
+            track: INS samples used so far.
+        """
+        source, time_ns = measurement.source, measurement.time_ns
+        if time_ns <= self._latest_ns.get(source, time_ns - 1):
+            return None
+        checked = _stuck_check_value(measurement)
+        if checked is None:
+            return None
+        value, sigma_rad, description = checked
+        # Exposures without stars may repeat, also on a moving ship.
+        if len(value) > 0:
+            references = {name: reference for name, reference in self.motion_references.items() if name != source}
+            ins, by_rates = track.last_before(time_ns), self.ins.by_rates
+            if ins is not None:
+                references["ins"] = MotionReference(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
+            if by_rates is not None and by_rates.time_ns <= time_ns:
+                references["rate"] = by_rates
+            if source not in self._stuck:
+                self._stuck[source] = StuckCheck()
+            if self._stuck[source].observe(time_ns, value, sigma_rad, references):
+                return Rejection(Reason.STUCK, f"{description} while other sources rotate")
+            if isinstance(measurement, AttitudeMeasurement):
+                self.motion_references[source] = MotionReference(time_ns, value, sigma_rad)
+        self._latest_ns[source] = time_ns
+        return None
+
+    def add_motion_reference(self, attitude: AttitudeMeasurement) -> None:
+        """Add an accepted attitude as motion reference for the other checks."""
+        sigma_rad = _sigma_rad(attitude.noise_v)
+        self.motion_references[attitude.source] = MotionReference(attitude.time_ns, attitude.rotation_nv, sigma_rad)
+
+
+def _stuck_check_value(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
+    """Return the value that must not stay constant, its largest standard deviation, rad, and a text for a rejection.
+
+    The result is None for a kind of measurement that is not checked.
+    """
+    if isinstance(measurement, StarExposure):
+        sigma_rad = float(measurement.sigma.max(initial=0.0))
+        return measurement.directions_s, sigma_rad, "stars do not move on the detector"
+    if isinstance(measurement, InertialAttitude):
+        # A ship at rest rotates relative to the stars.
+        return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude relative to the stars is constant"
+    if isinstance(measurement, BaselineMeasurement):
+        sigma_rad = _sigma_rad(measurement.noise_n) / measurement.length_m
+        return measurement.direction_n, sigma_rad, "baseline is constant"
+    if isinstance(measurement, AttitudeMeasurement):
+        return measurement.rotation_nv, _sigma_rad(measurement.noise_v), "attitude is constant"
+    return None
+
+
+def _sigma_rad(covariance: FloatArray) -> float:
+    """Return the largest standard deviation of the axes."""
+    return math.sqrt(max(covariance.diagonal().tolist()))

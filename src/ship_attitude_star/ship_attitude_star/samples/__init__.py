@@ -1,0 +1,1 @@
+"""Measurements of the ship's attitude alone, as plain data classes."""

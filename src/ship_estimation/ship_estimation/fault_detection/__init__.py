@@ -1,0 +1,1 @@
+"""Fault detection and exclusion: subfilters, windowed innovation means, isolation, unconfirmed steps."""

@@ -1,0 +1,1 @@
+"""Innovations: gates, statistics, diagnosis of a source by its innovations."""

@@ -1,0 +1,1 @@
+"""Integrity: protection levels of outputs, and their coverage of later outputs."""

@@ -1,0 +1,1 @@
+"""Kalman filter: state vector, steps, Rauch-Tung-Striebel smoother, unobservable combinations."""

@@ -1,0 +1,1 @@
+"""Parameters: configurations as frozen dataclasses, and the schemas that several packages share."""

@@ -1,0 +1,190 @@
+"""INS parameters that several estimators share, and the accepted jump of an INS attitude."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ship_estimation.parameters.fields import accept_unset_covariance, arcsec, degrees, parameter
+from ship_estimation.plausibility.value_checks import JUMP_SAMPLES, vector_length
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
+from ship_geometry.tracks.attitude_track import ExtraNoise
+
+_CLOCK_SIGMAS, _CLOCK_SHARE = 3.0, 0.1
+"""Bound of the part of a jump that a clock step does not explain: a number of sigmas plus a share of the jump."""
+_CLEAR_SIGMAS = 15.0
+"""Size in sigmas from which a jump along the ship's rotation is attributed to the clock."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsInputConfig:
+    """Parameters required to use the attitudes of an INS: axes, standard deviations, clock."""
+
+    convention: str = parameter(
+        "enu_flu", doc="axes of ins/imu: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
+    )
+    frame_id: str = parameter("", doc="frame_id that ins/imu must carry; empty accepts any")
+    accept_unset_covariance: bool = accept_unset_covariance()
+    installation_heading_deg: float = degrees(0.0, doc="azimuth of the INS's forward axis in the deck")
+    installation_pitch_deg: float = degrees(0.0, doc="elevation of the INS's forward axis in the deck")
+    installation_roll_deg: float = degrees(0.0, doc="roll of the INS in the deck, right side down")
+    tilt_sigma_arcsec: float = arcsec(10.0, doc="correlated error in tilt, each axis", live=True)
+    heading_sigma_arcsec: float = arcsec(72.0, doc="correlated error in heading", live=True)
+    white_sigma_arcsec: float = arcsec(1.0, doc="noise of each sample, each axis, quantisation included", live=True)
+    time_offset_s: float = parameter(
+        0.0, doc="a sample is valid at its stamp plus this offset", unit="s", minimum=-1.0, maximum=1.0
+    )
+    time_offset_sigma_s: float = parameter(
+        0.005, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=1.0
+    )
+    max_gap_s: float = parameter(
+        0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+
+    @cached_property
+    def rotation_di(self) -> FloatArray:
+        """Rotation "deck from INS" by the installation angles, shape (3, 3)."""
+        angles_deg = self.installation_heading_deg, self.installation_pitch_deg, self.installation_roll_deg
+        return rotation_from_angles(*np.deg2rad(angles_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedInsConfig(InsInputConfig):
+    """Parameters of an INS whose attitudes are checked for jumps."""
+
+    jump_samples: int = parameter(
+        JUMP_SAMPLES,
+        doc="rejected, mutually consistent samples after which a jump of the attitude is accepted",
+        minimum=1,
+        maximum=1000,
+        live=True,
+    )
+    rate_sigma_arcsec_per_s: float = parameter(
+        0.0,
+        doc="noise of the angular rate, each axis, 0 if unknown; a larger noise is estimated from the samples",
+        unit="arcsec/s",
+        minimum=0.0,
+        maximum=36_000.0,
+        live=True,
+    )
+    rate_has_earth_rate: bool = parameter(
+        False, doc="the angular rate is that of the gyroscopes: it contains the Earth rate, 15 arcsec/s"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarInsConfig(CheckedInsConfig):
+    """Parameters of an INS that measures the ship's rotation during star exposures."""
+
+    untold_acceleration_deg_per_s2: float = parameter(
+        2.0,
+        doc="angular acceleration of the deck, each axis, assumed for an exposure without INS data",
+        unit="deg/s2",
+        minimum=0.0,
+        maximum=100.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsErrorConfig(InsInputConfig):
+    """Parameters of an INS whose correlated errors are estimated, with the correlation times of these errors."""
+
+    tilt_time_s: float = parameter(
+        1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
+    )
+    heading_time_s: float = parameter(
+        10800.0, doc="correlation time of the heading error", unit="s", minimum=1.0, maximum=1e7
+    )
+
+
+@dataclass(frozen=True)
+class InsJump:
+    """A permanent jump of the INS attitude.
+
+    Attributes:
+        time_ns: stamp just before the first sample after the jump.
+        jump_n: rotation vector of the jump in the horizon frame, rad, shape (3,).
+        sigma_rad: standard deviation of the jump about each axis.
+        clock_s: step of the INS's clock that would explain the jump, s; NaN if no clock step would.
+        is_drift: True if the attitude drifted by ``jump_n`` instead of jumping, and may drift further.
+
+    >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
+    >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
+    [0.005, 0.1, 0.005]
+    """
+
+    time_ns: int
+    jump_n: FloatArray
+    sigma_rad: float
+    clock_s: float = math.nan
+    is_drift: bool = False
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance by which the INS's correlated error is inflated for the jump, rad², shape (3, 3).
+
+        The variance along the jump is the square of the jump. The variance of the estimated jump is added about every
+        axis. The variance (jump²/2)² is also added about every axis, because large rotations do not commute.
+        """
+        covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + self._across_rad**2 * np.eye(3)
+        return covariance_n
+
+    @property
+    def shared_with_clock(self) -> tuple[FloatArray, FloatArray]:
+        """Jump with one half attributed to the attitude and one half to the clock, and the covariance of both.
+
+        While the ship rotates at a constant rate, a jump of the attitude and a clock step cannot be distinguished. In
+        the covariance, a jump of the attitude alone and a clock step alone are both one sigma from the mean.
+
+        Returns:
+            Change of the correlated error and of the clock offset, rad and s, shape (4,), and covariance of this
+            change, shape (4, 4).
+        """
+        half, jump_rad = 0.5 * np.append(self.jump_n, self.clock_s), vector_length(self.jump_n)
+        covariance = np.outer(half, half)
+        covariance[:3, :3] += self._across_rad**2 * np.eye(3)
+        covariance[3, 3] += (self.clock_s * math.hypot(_CLOCK_SHARE, self.sigma_rad / jump_rad)) ** 2
+        return half * [-1.0, -1.0, -1.0, 1.0], covariance
+
+    @property
+    def is_clock_step(self) -> bool:
+        """True if a clock step explains the jump and the jump is large compared with its sigma."""
+        clear = vector_length(self.jump_n) >= _CLEAR_SIGMAS * self.sigma_rad
+        return clear and not math.isnan(self.clock_s)
+
+    @property
+    def _across_rad(self) -> float:
+        return math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
+
+
+InsChange = InsJump | ExtraNoise
+"""Change of an INS error, either a jump of the attitude or a change of the sample noise."""
+
+
+def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> float:
+    """Return the clock step, s, during which the ship rotates by the jump; NaN if no clock step explains the jump.
+
+    Args:
+        jump_n: rotation vector of the jump, rad, shape (3,).
+        sigma_rad: standard deviation of the jump about each axis.
+        rate_n: angular velocity at the jump in the same frame, rad/s, shape (3,).
+
+    Example:
+        The attitude of a ship that rolls at 0.1 rad/s jumps by 2 mrad, in roll or in heading:
+
+        >>> roll_n, heading_n = np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])
+        >>> [round(clock_step_s(0.02 * turned_n, 1e-5, roll_n), 4) for turned_n in (roll_n, heading_n)]
+        [0.02, nan]
+    """
+    square = float(rate_n @ rate_n)
+    if not square > 0.0:
+        return math.nan
+    step_s = float(jump_n @ rate_n) / square
+    # A share of the jump is tolerated, because the rate of rotation changes during the clock step.
+    explained = vector_length(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * vector_length(
+        jump_n
+    )
+    return step_s if explained else math.nan

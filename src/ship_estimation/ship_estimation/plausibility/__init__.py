@@ -1,0 +1,1 @@
+"""Plausibility checks of samples before they reach a filter: frozen values, jumps, steps, rates, noise."""

@@ -1,0 +1,1 @@
+"""Refraction of light by the air."""

@@ -1,0 +1,1 @@
+"""Earth: time scales, orientation, positions on the ellipsoid, directions of catalogue stars."""

@@ -1,0 +1,1 @@
+"""Tracks of samples, with interpolation between the samples and its error."""

@@ -1,0 +1,249 @@
+"""Reader of star observation messages: checks, directions and identities; shared by all adapters of cameras.
+
+Only attributes of messages are read, so any message class can be used. For a message that cannot be used the reader
+raises :class:`ship_node.messages.field_checks.MessageRejected`. A star that cannot be used is rejected with its reason,
+and the other stars of the message are used.
+"""
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation.rejections import Reason, Rejection
+from ship_geometry.earth.star_directions import StarPositions, fixed_stars
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
+from ship_node.messages.field_checks import ReadMessage, check_device_id, check_frame, exposure_length_s, stamp_ns
+from ship_stars.camera.camera import StarCamera
+from ship_stars.camera.config import CameraConfig
+from ship_stars.sky.catalogue import UNKNOWN, CatalogueEntries, StarCatalogue
+from ship_stars.sky.deck_masks import SensorMasks
+from ship_stars.solution.exposure import ExposureLength, StarExposure
+
+MAX_STARS = 100
+"""Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""
+
+_GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
+"""Standard deviation of a direction given in a message, rad per axis, as for a catalogue star with known motion."""
+
+_MIN_FORWARD = math.cos(math.radians(60.0))
+"""Cosine of the largest angle between a star and the boresight."""
+
+_MAX_PIXEL = 1e6
+_MIN_SIGMA_PX, _MAX_SIGMA_PX = 1e-4, 100.0
+_ANGLE_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class _StarColumns:
+    """Fields of k stars of a message.
+
+    Attributes:
+        pixels: centroids (u, v), px, shape (k, 2).
+        sigma_px: standard deviation of the centroids, each axis, px, shape (k,); as configured if the message has none.
+        sigma_known: True if the message has a sigma for every star.
+        right_ascension: ICRS, rad, shape (k,); NaN if not given.
+        declination: ICRS, rad, shape (k,); NaN if not given.
+        hip: catalogue numbers, shape (k,); 0 if not given.
+        magnitude: magnitudes, shape (k,); NaN if not given.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    sigma_known: bool
+    right_ascension: FloatArray
+    declination: FloatArray
+    hip: NDArray[np.int64]
+    magnitude: FloatArray
+
+
+def star_exposure(
+    message: Any,
+    sensor_id: str,
+    frame_id: str,
+    camera: StarCamera,
+    camera_config: CameraConfig,
+    catalogue: StarCatalogue,
+    receive_ns: int,
+    named_by_number: bool = False,
+    masks: SensorMasks | None = None,
+) -> ReadMessage[StarExposure]:
+    """Read ``star/<sensor>/observations``: directions in the sensor frame, and identities of the stars.
+
+    The position of a star with a catalogue number is taken from the catalogue, otherwise from the message. A star with
+    neither number nor position is identified later.
+
+    Args:
+        message: StarObservationArray.
+        sensor_id: sensor of the topic.
+        frame_id: required frame_id of the message; empty for any.
+        camera: camera of the sensor.
+        camera_config: parameters of the camera, with centroid errors and the width of a star image.
+        catalogue: star catalogue for the numbers.
+        receive_ns: arrival time.
+        named_by_number: True to name a rejected star by its catalogue number if it has one; other rejected stars are
+            named by their index in the message.
+        masks: obstructions of the field of view on deck; None without obstructions.
+
+    Returns:
+        The exposure with the usable stars; the other stars of the message are rejected.
+
+    Raises:
+        MessageRejected: the whole message cannot be used.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    check_device_id("sensor_id", message.sensor_id, sensor_id)
+    check_frame(message.header.frame_id, frame_id)
+    exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
+    columns = _star_columns(message.stars[:MAX_STARS], camera_config.centroid_sigma_px)
+    # Squares of the largest doubles would overflow.
+    directions_s, direction_sigma = camera.measured_directions(
+        np.where(np.abs(columns.pixels) < _MAX_PIXEL, columns.pixels, np.nan),
+        np.where(np.abs(columns.sigma_px) <= _MAX_SIGMA_PX, columns.sigma_px, np.nan),
+    )
+    entries, given = catalogue.entries(columns.hip, time_ns), fixed_stars(columns.right_ascension, columns.declination)
+    rejections = _rejections(columns, directions_s, entries, catalogue)
+    kept = np.flatnonzero([rejection is None for rejection in rejections])
+    listed = columns.hip != 0
+    exposure = StarExposure(
+        source=f"star.{sensor_id}",
+        time_ns=time_ns,
+        hip=columns.hip[kept],
+        directions_s=directions_s[kept],
+        sigma=direction_sigma[kept],
+        positions=_positions(listed, entries.positions, given, kept),
+        position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
+        magnitude=columns.magnitude[kept],
+        length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
+        masks=masks,
+        optics=camera_config.optics_errors(camera),
+        spatial=camera_config.spatial_errors(camera),
+    )
+    unused_stars = _unused_stars(message.stars, rejections, named_by_number)
+    return ReadMessage(exposure, columns.sigma_known, unused_stars, is_empty=not message.stars)
+
+
+def _star_columns(stars: Sequence[Any], centroid_sigma_px: float) -> _StarColumns:
+    """Return the fields of the stars of a message; ``centroid_sigma_px`` is used for stars without sigma."""
+    rows = [[star.u, star.v, star.sigma_px, star.right_ascension, star.declination, star.magnitude] for star in stars]
+    u, v, sigma_px, right_ascension, declination, magnitude = np.array(rows, dtype=float).reshape(-1, 6).T
+    not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
+    return _StarColumns(
+        pixels=np.stack([u, v], axis=-1),
+        sigma_px=np.where(not_given, centroid_sigma_px, sigma_px),
+        sigma_known=not not_given.any(),
+        right_ascension=right_ascension,
+        declination=declination,
+        hip=np.array([star.catalogue_id for star in stars], dtype=np.int64),
+        magnitude=magnitude,
+    )
+
+
+def _rejections(
+    star_columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
+) -> list[Rejection | None]:
+    """Return the rejection of each star; None for a usable star."""
+    first_pixels: dict[Hashable, list[float]] = {}
+    columns = (
+        star_columns.pixels,
+        directions_s[:, 0],
+        star_columns.sigma_px,
+        star_columns.hip,
+        entries.rows,
+        star_columns.right_ascension,
+    )
+    stars = zip(*(column.tolist() for column in (*columns, star_columns.declination)), strict=True)
+    return [
+        _pixel_rejection(pixel, forward)
+        or _sigma_rejection(sigma_px)
+        or _number_rejection(hip, row, catalogue)
+        or _direction_rejection(hip, right_ascension, declination)
+        or _duplicate_rejection(_identity(hip, right_ascension, declination), pixel, first_pixels)
+        for pixel, forward, sigma_px, hip, row, right_ascension, declination in stars
+    ]
+
+
+def _unused_stars(
+    stars: Sequence[Any], rejections: Sequence[Rejection | None], named_by_number: bool
+) -> tuple[tuple[str, Rejection], ...]:
+    """Return the rejected stars by name. All stars beyond ``MAX_STARS`` are reported by one entry."""
+    rows = [(row, rejection) for row, rejection in enumerate(rejections) if rejection is not None]
+    if len(stars) > MAX_STARS:
+        text = f"{len(stars)} stars in one exposure: only the first {MAX_STARS} are used"
+        rows.append((MAX_STARS, Rejection(Reason.OVERFLOW, text)))
+    numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
+    return tuple(
+        (f"HIP {numbers[row]}" if numbers.get(row) else f"star {row + 1} of the message", rejection)
+        for row, rejection in rows
+    )
+
+
+def _pixel_rejection(pixel: list[float], forward: float) -> Rejection | None:
+    finite = math.isfinite(pixel[0]) and math.isfinite(pixel[1])
+    if finite and forward > _MIN_FORWARD:
+        return None
+    where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
+    if not finite:
+        return Rejection(Reason.NON_FINITE, where)
+    text = f"{where} is outside this camera's field of view: expected pixels counted from the corner of the detector"
+    return Rejection(Reason.UNITS, text)
+
+
+def _sigma_rejection(sigma_px: float) -> Rejection | None:
+    if _MIN_SIGMA_PX <= sigma_px <= _MAX_SIGMA_PX:
+        return None
+    text = f"sigma_px {sigma_px:.3g}: expected {_MIN_SIGMA_PX:g} to {_MAX_SIGMA_PX:g} px"
+    return Rejection(Reason.BAD_COVARIANCE, text)
+
+
+def _number_rejection(hip: int, row: int, catalogue: StarCatalogue) -> Rejection | None:
+    if hip == 0 or row != UNKNOWN:
+        return None
+    return Rejection(Reason.UNKNOWN_STAR, catalogue.missing_star_reason(hip) or "")
+
+
+def _direction_rejection(hip: int, right_ascension: float, declination: float) -> Rejection | None:
+    """Return the rejection of an unnumbered star with a bad right ascension or declination; None for other stars."""
+    if hip != 0 or (math.isnan(right_ascension) and math.isnan(declination)):
+        return None
+    where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
+    if not math.isfinite(right_ascension) or not math.isfinite(declination):
+        return Rejection(Reason.NON_FINITE, f"{where}: expected both, or NaN for both")
+    if abs(right_ascension) > 2 * np.pi + _ANGLE_TOLERANCE or abs(declination) > np.pi / 2 + _ANGLE_TOLERANCE:
+        return Rejection(Reason.UNITS, f"{where} cannot be radians: degrees?")
+    return None
+
+
+def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
+    """Return the identity of a star, equal for the same star; None if the star is not identified yet."""
+    if hip != 0:
+        return hip
+    return None if math.isnan(right_ascension) else (right_ascension, declination)
+
+
+def _duplicate_rejection(
+    identity: Hashable, pixel: list[float], first_pixels: dict[Hashable, list[float]]
+) -> Rejection | None:
+    """Return the rejection of a star with the identity of an earlier star of the message; None for other stars."""
+    first = pixel if identity is None else first_pixels.setdefault(identity, pixel)
+    if first is pixel:
+        return None
+    text = f"the same star twice in one exposure, first at pixel ({first[0]:.6g}, {first[1]:.6g})"
+    return Rejection(Reason.DUPLICATE if first == pixel else Reason.CONFLICT, text)
+
+
+def _positions(
+    listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
+) -> StarPositions:
+    """Return the positions of the usable stars, from the catalogue if listed there, else from the message."""
+    if listed.all():
+        return of_catalogue[kept]
+    columns = [
+        np.where(listed, getattr(of_catalogue, name), getattr(given, name))[kept]
+        for name in StarPositions.__dataclass_fields__
+    ]
+    return StarPositions(*columns)

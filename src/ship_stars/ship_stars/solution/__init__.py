@@ -1,0 +1,1 @@
+"""Attitude from an exposure: identification, selection of stars, fit and solution."""

@@ -1,0 +1,1 @@
+"""Studies ashore: layout of star sensors, design of the theodolite, axis fit, installation, INS noise, campaigns."""

@@ -1,0 +1,180 @@
+"""A calibration as tables on a terminal, as JSON, and as sentences."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_studies.installation.result import InstallationCalibration, JointRotation
+
+_JOINT_ROTATION_TEXTS = {
+    "bow": "rotated together in roll (about the deck's bow axis)",
+    "up": "rotated together in azimuth (about the deck's up axis)",
+    "starboard": "rotated together in pitch (about the deck's starboard axis)",
+}
+_SENSOR_AXES = "boresight", "up axis", "right axis"
+_MIN_ROTATION_SHARE = 0.3
+"""Minimum ratio of a component of a rotation to the largest component for the component to be named."""
+
+_TILT_REMEDY = "turn the ship by 180 deg or more, or add a reference of known installation"
+_AZIMUTH_REMEDY = (
+    "add a reference of known heading, or record longer in a swell that rolls the ship by degrees; turning the ship in "
+    "calm water does not help: the INS's heading error turns with it"
+)
+_RELATIVE_REMEDY = "record longer, or observe more stars"
+
+
+def print_calibration(calibration: InstallationCalibration, console: Console) -> None:
+    """Print the result of a session."""
+    session = calibration.session
+    counts = ", ".join(f"{source} {count.used_count} messages" for source, count in session.counts.items())
+    console.print(f"{session.name}: {session.duration_s:.0f} s; used: {counts}", highlight=False)
+    console.print(_angle_table(calibration))
+    console.print(_combination_table(calibration))
+    for line in statements(calibration):
+        console.print(line, highlight=False, markup=False)
+
+
+def json_text(calibration: InstallationCalibration) -> str:
+    """Return the result as JSON; an undefined value is null.
+
+    Angles are in degrees, corrections and sigmas in arcseconds, the covariance in rad².
+    """
+    session = calibration.session
+    document = {
+        "bag": session.name,
+        "duration_s": session.duration_s,
+        "used": {source: count.used_count for source, count in session.counts.items()},
+        "not_used_or_noted": {source: count.reasons for source, count in session.counts.items()},
+        "angles": {
+            f"star.{angle.sensor}.{angle.angle}": {
+                "configured_deg": _wrapped_deg(angle.configured),
+                "installed_deg": _wrapped_deg(angle.installed),
+                "correction_arcsec": angle.correction_arcsec,
+                "sigma_before_arcsec": _number(angle.sigma_before / ARCSEC),
+                "sigma_arcsec": _number(angle.sigma / ARCSEC),
+                "observed": angle.observability or None,
+                "open_in": list(angle.unresolved_in),
+            }
+            for angle in calibration.angles
+        },
+        "combinations": {
+            label: {
+                "what": combination_text(combination, calibration.sensors),
+                "sigma_before_arcsec": combination.sigma_before / ARCSEC,
+                "sigma_arcsec": combination.sigma / ARCSEC,
+                "observed": combination.observability,
+                "turn_forward_up_right_arcsec": dict(
+                    zip(calibration.sensors, (combination.rotation_s / ARCSEC).tolist(), strict=True)
+                ),
+                "variance_shares": dict(zip(calibration.sources, combination.shares.tolist(), strict=True)),
+            }
+            for label, combination in calibration.combinations.items()
+        },
+        "statements": statements(calibration),
+        "warnings": calibration.warnings,
+        "covariance_rad2": [[_number(value) for value in row] for row in calibration.covariance.tolist()],
+    }
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def _angle_table(calibration: InstallationCalibration) -> Table:
+    table = Table(title="Installation angles, 1σ")
+    for column in ("sensor", "angle"):
+        table.add_column(column)
+    for column in ("configured [deg]", "installed [deg]", "correction [″]", "σ before [″]", "σ [″]"):
+        table.add_column(column, justify="right")
+    for column in ("observed", "unobserved in"):
+        table.add_column(column)
+    for number, angle in enumerate(calibration.angles):
+        table.add_row(
+            angle.sensor if number % 3 == 0 else "",
+            angle.angle,
+            f"{_wrapped_deg(angle.configured):.5f}",
+            f"{_wrapped_deg(angle.installed):.5f}",
+            f"{angle.correction_arcsec:+.2f}",
+            _text(angle.sigma_before / ARCSEC),
+            _text(angle.sigma / ARCSEC),
+            angle.observability or "-",
+            " ".join(angle.unresolved_in),
+            end_section=number % 3 == 2,
+        )
+    return table
+
+
+def _combination_table(calibration: InstallationCalibration) -> Table:
+    table = Table(title="Combinations, 1σ; before: from the configuration and one observation at constant heading")
+    table.add_column("")
+    table.add_column("combination")
+    for column in ("before [″]", "after [″]"):
+        table.add_column(column, justify="right")
+    table.add_column("observed")
+    table.add_column("largest remaining error")
+    for label, combination in calibration.combinations.items():
+        table.add_row(
+            label,
+            combination_text(combination, calibration.sensors),
+            _text(combination.sigma_before / ARCSEC),
+            _text(combination.sigma / ARCSEC),
+            combination.observability,
+            largest_error_text(calibration, combination),
+        )
+    return table
+
+
+def _wrapped_deg(angle: float) -> float:
+    """Return an angle in degrees from -180 to 180."""
+    return math.degrees(float(wrap_pi(angle)))
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _text(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"
+
+
+def combination_text(combination: JointRotation, sensors: tuple[str, ...]) -> str:
+    """Return a description of a combination."""
+    if combination.axis is not None:
+        subject = sensors[0] if len(sensors) == 1 else "all sensors"
+        return f"{subject} {_JOINT_ROTATION_TEXTS[combination.axis]}"
+    run_arcsec = combination.rotation_s / ARCSEC
+    parts = []
+    for number in np.argsort(-np.abs(run_arcsec.ravel())).tolist():
+        sensor, axis = divmod(number, 3)
+        value = run_arcsec[sensor, axis]
+        if abs(value) > _MIN_ROTATION_SHARE * np.max(np.abs(run_arcsec)):
+            parts.append(f"{sensors[sensor]} about its {_SENSOR_AXES[axis]} {value:+.2f}″")
+    return f"relative rotation: {', '.join(parts)}"
+
+
+def remedy(combination: JointRotation) -> str:
+    """Return the advice for observing a combination."""
+    if combination.axis is None:
+        return _RELATIVE_REMEDY
+    return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
+
+
+def largest_error_text(calibration: InstallationCalibration, combination: JointRotation) -> str:
+    """Return the source of error with the largest share in the remaining variance."""
+    largest = int(np.argmax(combination.shares))
+    return f"{calibration.sources[largest].replace('_', ' ')} {combination.shares[largest]:.0%}"
+
+
+def statements(calibration: InstallationCalibration) -> list[str]:
+    """Return one line for each combination that was not well observed; a single line if all were well observed."""
+    lines = []
+    for label, combination in calibration.combinations.items():
+        if combination.observability != "yes":
+            how = "not observed" if combination.observability == "no" else "partly observed"
+            lines.append(
+                f"({label}) {how}, {combination.sigma / ARCSEC:.2f}″ of {combination.sigma_before / ARCSEC:.2f}″: "
+                f"{combination_text(combination, calibration.sensors)}; {remedy(combination)}"
+            )
+    return lines or ["all combinations of the installation angles were observed"]

@@ -1,0 +1,260 @@
+"""Figures of a layout study; the command imports this module only when it draws, because matplotlib loads slowly."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, ScalarFormatter
+
+from ship_geometry.rotations import FloatArray
+from ship_node.pages.figure_files import write_figures
+from ship_studies.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, InstallationConvention, Sweep
+from ship_studies.layout.joint_error import ErrorMap, Layout, total_arcsec
+from ship_studies.layout.requirement_figures import (
+    BEST,
+    GIVEN,
+    admissible_figure,
+    draw_masks,
+    elevation_figure,
+    mark_sensors,
+)
+from ship_studies.layout.study import AzimuthScan, LayoutStudy
+
+# Readable in print and for the colour-blind (Okabe and Ito, 2008).
+_PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
+_ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
+_FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
+_MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
+# Ratio of the largest to the smallest value of a panel above which fewer lines are drawn.
+_STEEP_RATIO = 25.0
+
+
+def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
+    """Draw every figure as PNG into an existing folder; return name of the figure → file."""
+    return write_figures(_figures(study), folder)
+
+
+def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
+    yield "layout", plan_figure(study.layout, study.best)
+    yield "azimuth", _scan_figure(study)
+    for number, moved in enumerate(study.maps):
+        yield f"map_{moved.sensor}", _map_figure(moved, study, number)
+    if study.requirement_result is not None:
+        yield "requirement", admissible_figure(study, study.requirement_result)
+        yield "elevation", elevation_figure(study.requirement_result)
+    yield from sweep_figures(study.curves)
+
+
+def sweep_figures(curves: list[Curve]) -> Iterator[tuple[str, Figure]]:
+    """Yield name and figure of the six figures of [Z14], each in both conventions, from the curves of all figures."""
+    for sweep in SWEEPS:
+        yield f"figure_{sweep.number}", _sweep_figure(sweep, [curve for curve in curves if curve.sweep is sweep])
+
+
+_MERGE_DISTANCE = 0.15
+"""Distance of arrow tips below which their numbers share one place, in radii of the plan."""
+_NUMBER_OFFSET = 0.2
+"""Distance from a tip to its number, in lengths of the arrow."""
+
+
+def plan_figure(given: Layout, best: Layout) -> Figure:
+    """Return the plan of the boresights from above; arrows of higher elevations are shorter."""
+    figure, axes = plt.subplots(figsize=(6.2, 6.5 + 0.25 * len(given.names)), layout="constrained")
+    _draw_hull(axes)
+    circle = np.linspace(0.0, 2.0 * np.pi, 181)
+    axes.plot(np.sin(circle), np.cos(circle), color="0.6", lw=1)
+    for azimuth_deg in range(0, 360, 30):
+        azimuth = np.deg2rad(azimuth_deg)
+        axes.plot(*np.outer([np.sin(azimuth), np.cos(azimuth)], [0.97, 1.0]), color="0.6", lw=1)
+        axes.text(1.09 * np.sin(azimuth), 1.09 * np.cos(azimuth), f"{azimuth_deg}°", ha="center", va="center")
+    moved = not np.array_equal(given.angles, best.angles)
+    tips = [_draw_boresight(axes, angles, GIVEN, "-") for angles in given.angles]
+    _number_boresights(axes, tips, GIVEN, 1.0 + _NUMBER_OFFSET)
+    if moved:
+        tips = [_draw_boresight(axes, angles, BEST, "--") for angles in best.angles]
+        _number_boresights(axes, tips, BEST, 1.0 - _NUMBER_OFFSET)
+    axes.plot([], [], color=GIVEN, lw=2.2, label="as given")
+    if moved:
+        axes.plot([], [], color=BEST, ls="--", lw=2.2, label="recommended")
+    axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal", title="Boresights seen from above, bow up")
+    axes.set_axis_off()
+    for number, name in enumerate(given.names, start=1):
+        azimuth_deg, elevation_deg = np.rad2deg(given.angles[number - 1, :2])
+        turned = f", recommended {np.rad2deg(best.angles[number - 1, 0]) % 360.0:.0f}°" if moved else ""
+        axes.plot([], [], ls="", label=f"{number} {name}: {azimuth_deg:.0f}°, {elevation_deg:.0f}° up{turned}")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=1)
+    return figure
+
+
+def _draw_boresight(axes: Axes, angles: FloatArray, colour: str, line: str) -> tuple[float, float]:
+    """Draw an arrow in the plan; return its tip."""
+    tip = (float(np.cos(angles[1]) * np.sin(angles[0])), float(np.cos(angles[1]) * np.cos(angles[0])))
+    look = {"arrowstyle": "-|>,head_width=0.35,head_length=0.7", "color": colour, "lw": 2.2, "ls": line}
+    axes.annotate("", tip, (0.0, 0.0), arrowprops={**look, "shrinkA": 0, "shrinkB": 0})
+    return tip
+
+
+def _number_boresights(axes: Axes, tips: list[tuple[float, float]], colour: str, reach: float) -> None:
+    """Write the sensors' numbers at the tips; tips that are too near to each other share one place."""
+    places: list[tuple[tuple[float, float], list[str]]] = []
+    for number, tip in enumerate(tips, start=1):
+        near = [
+            numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _MERGE_DISTANCE
+        ]
+        if near:
+            near[0].append(str(number))
+        else:
+            places.append((tip, [str(number)]))
+    for place, numbers in places:
+        axes.text(
+            reach * place[0], reach * place[1], ", ".join(numbers),
+            color=colour, weight="bold", ha="center", va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+        )  # fmt: skip
+
+
+def _draw_hull(axes: Axes) -> None:
+    side = np.array([[0.0, 0.62], [0.07, 0.45], [0.12, 0.25], [0.13, -0.1], [0.12, -0.5], [0.09, -0.58]])
+    outline = np.concatenate([side, side[::-1] * [-1.0, 1.0]])
+    axes.fill(outline[:, 0], outline[:, 1], facecolor="0.93", edgecolor="0.5")
+
+
+def _scan_figure(study: LayoutStudy) -> Figure:
+    count = len(study.scans)
+    figure, grid = plt.subplots(count, 1, figsize=(8.5, 3.8 * count + 0.5), squeeze=False, layout="constrained")
+    for turned, axes in zip(study.scans, grid[:, 0], strict=True):
+        _draw_scan(axes, turned, study)
+    if len(study.layout.names) > 1:
+        figure.suptitle(f"Sensor “{study.layout.names[0]}” keeps its azimuth")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _draw_scan(axes: Axes, turned: AzimuthScan, study: LayoutStudy) -> None:
+    number = study.layout.names.index(turned.sensor)
+    own_deg, best_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.layout, study.best))
+    for column, (colour, line) in enumerate(_PART_STYLES):
+        sigmas_arcsec = turned.sigmas_arcsec[:, column]
+        axes.plot(turned.azimuths_deg, sigmas_arcsec, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[column])
+    axes.plot(turned.azimuths_deg, total_arcsec(turned.sigmas_arcsec), color="black", lw=2.6, label="total")
+    axes.axvline(own_deg, color=GIVEN, lw=1.3, label="as given")
+    if len(study.layout.names) > 1:
+        axes.axvline(best_deg, color=BEST, lw=1.3, ls="--", label="recommended")
+    axes.set_yscale("log")
+    _arcsec_ticks(axes)
+    axes.xaxis.set_major_locator(MultipleLocator(30.0))
+    others = "" if len(study.layout.names) == 1 else ", the others at their recommended azimuths"
+    axes.set(
+        xlim=(0.0, 360.0),
+        xlabel=f"azimuth of sensor “{turned.sensor}” from the bow [°]",
+        ylabel="attitude error of the ship, 1σ [″]",
+        title=f"Rotating sensor “{turned.sensor}” in azimuth{others}",
+    )
+
+
+def _arcsec_ticks(axes: Axes) -> None:
+    axes.yaxis.set_major_locator(FixedLocator(_ARCSEC_TICKS))
+    axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
+    layout = study.layout
+    panels = [*np.moveaxis(moved.sigmas_arcsec, -1, 0), moved.total_arcsec()]
+    low, high = np.nanmin(panels), np.nanmax(panels)
+    levels = np.geomspace(low * 0.999, max(high, low * 1.05) * 1.001, 25)
+    figure, grid = plt.subplots(2, 2, figsize=(11, 6.6), sharex=True, sharey=True, layout="constrained")
+    for axes, values, title in zip(grid.flat, panels, (*SHIP_ANGLES, "total"), strict=True):
+        filled = axes.contourf(
+            moved.azimuths_deg, moved.elevations_deg, values, levels, norm=LogNorm(levels[0], levels[-1]), cmap="YlOrBr"
+        )
+        least, most = np.nanmin(values), np.nanmax(values)
+        # A line too near to the least value would be fragmented and is not drawn.
+        lines = [
+            line for line in (_FEW_LINES if most > _STEEP_RATIO * least else _MORE_LINES) if 1.02 * least < line < most
+        ]
+        drawn = axes.contour(moved.azimuths_deg, moved.elevations_deg, values, lines, colors="black", linewidths=0.7)
+        axes.clabel(drawn, fmt="%g″", fontsize=9)
+        draw_masks(axes, study.obstructions.masks)
+        mark_sensors(axes, layout, number)
+        axes.set_title(f"{title} [″]")
+        axes.xaxis.set_major_locator(MultipleLocator(60.0))
+    for axes in grid[-1]:
+        axes.set_xlabel("azimuth from the bow [°]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("elevation above the deck [°]")
+    colours = figure.colorbar(filled, ax=grid, shrink=0.8, label="attitude error of the ship, 1σ [″]")
+    colours.set_ticks([tick for tick in _ARCSEC_TICKS if levels[0] <= tick <= levels[-1]])
+    colours.ax.yaxis.set_major_formatter(ScalarFormatter())
+    colours.ax.minorticks_off()
+    figure.suptitle(
+        f"Mounting sensor “{moved.sensor}” anywhere" + (", the others as given" if len(layout.names) > 1 else "")
+    )
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+# -- the six figures of [Z14] ---------------------------------------------------------------------------------
+
+_SYMBOLS = ("dK", "dψ", "dθ")
+_READING_TITLES = {InstallationConvention.PHYSICAL: "physical convention", InstallationConvention.PAPER: "as in [Z14]"}
+# Wide pale curves lie below narrow dark curves, so that coinciding curves are both visible. Blue: ahead or astern;
+# orange: abeam.
+_CURVE_STYLES = {
+    0.0: ("#8fbfe6", "-", 5.0),
+    90.0: ("#fbb982", "-", 5.0),
+    180.0: ("#08306b", "--", 1.8),
+    270.0: ("#a63603", ":", 2.2),
+}
+_ONLY_COLOUR = "#0b3c6f"
+_MARGIN = 0.08
+
+
+def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:
+    """Return one figure: three errors side by side, the physical convention above that of [Z14]."""
+    figure, grid = plt.subplots(2, 3, figsize=(12, 6.6), sharex=True, layout="constrained")
+    for row, (reading, words) in zip(grid, _READING_TITLES.items(), strict=True):
+        drawn = [curve for curve in curves if curve.convention is reading]
+        for column, axes in enumerate(row):
+            for curve in drawn:
+                _draw_curve(axes, curve, column)
+            _set_limits(axes, [curve.errors_arcsec[:, column] for curve in drawn])
+            axes.set_title(f"{SHIP_ANGLES[column]} {_SYMBOLS[column]}, {words}")
+            axes.set_xlim(*sweep.range_deg)
+            axes.xaxis.set_major_locator(MultipleLocator(90.0 if sweep.range_deg[1] > 90.0 else 30.0))
+        row[0].set_ylabel("error [″]")
+    for axes in grid[-1]:
+        axes.set_xlabel(f"{sweep.symbol}, {sweep.meaning} [°]")
+    errors = "all six errors, added with their signs" if sweep.all_errors else "error of the sensor's roll γs only"
+    figure.suptitle(f"Figure {sweep.number} of [Z14]: {errors}, over {sweep.symbol}")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _draw_curve(axes: Axes, curve: Curve, column: int) -> None:
+    values = curve.errors_arcsec[:, column]
+    if curve.azimuth_deg is None:
+        axes.plot(curve.swept_deg, values, color=_ONLY_COLOUR, lw=2.2, label="error")
+        return
+    colour, line, width = _CURVE_STYLES[curve.azimuth_deg]
+    axes.plot(curve.swept_deg, values, color=colour, ls=line, lw=width, label=f"A0 = {curve.azimuth_deg:g}°")
+
+
+def _set_limits(axes: Axes, series: list[FloatArray]) -> None:
+    """Set limits that contain zero and omit errors that grow without bound near a pitch of ±90°."""
+    values = np.concatenate(series)
+    values = values[np.isfinite(values)]
+    size = np.abs(values)
+    most = max(4.0 * float(np.median(size)), float(np.percentile(size, 80.0)), 1.0)
+    low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
+    low, high = max(low, -most), min(high, most)
+    margin = _MARGIN * max(high - low, 1.0)
+    axes.set_ylim(low - margin, high + margin)

@@ -1,0 +1,1 @@
+"""Command ``triangulate``: positions of a target from recorded directions of several theodolites."""

@@ -1,0 +1,173 @@
+"""Sighting: one exposure of beacons, with the samples of all other sources at the middle of the exposure."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_estimation.rejections import Reason, Rejection
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
+from ship_geometry.tracks.exposure_mean import Nodes
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.beacon_camera.image import BeaconStreaks, Camera, Image
+from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.samples.baseline_track import BaselineJump
+from theodolite_calib.samples.samples import DetectedBeacon, Exposure
+from theodolite_calib.samples.tracks import BeaconAt, EncoderAt, MeasuredTracks, ShipAt
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Exposure of beacons with the samples at its middle.
+
+    Attributes:
+        time_ns: middle of the exposure.
+        names: names of the N beacons.
+        image: points of the beacons on the detector.
+        beacons: baselines and drone attitudes; the covariance of the drones' attitudes is not used.
+        ship: ship's attitude.
+        encoder: encoder angles.
+        streaks: beacons as detected and their motion, from which ``image`` was computed. None if the duration of the
+            exposure is not known; ``image`` then has the detected points.
+    """
+
+    time_ns: int
+    names: tuple[str, ...]
+    image: Image
+    beacons: BeaconPoses
+    ship: ShipAt
+    encoder: EncoderAt
+    streaks: BeaconStreaks | None = None
+
+    def deck_from_telescope(self, rotation_nt: FloatArray) -> FloatArray:
+        """Return deck from telescope, shape (3, 3), computed from ``rotation_nt`` and the ship's attitude."""
+        rotation_dt: FloatArray = self.ship.rotation_nd.T @ rotation_nt
+        return rotation_dt
+
+    def select(self, rows: list[int], image_rows: list[int] | None = None) -> "Sighting":
+        """Return the sighting with some beacons; beacon ``rows[i]`` gets the point ``image_rows[i]``, if given."""
+        beacons = BeaconPoses(
+            self.beacons.baseline_n[rows],
+            self.beacons.baseline_covariance_n[rows],
+            self.beacons.rotation_nb[rows],
+            self.beacons.attitude_covariance_n[rows],
+        )
+        seen = rows if image_rows is None else image_rows
+        streaks = None if self.streaks is None else self.streaks.select(rows, seen)
+        return replace(
+            self,
+            names=tuple(self.names[row] for row in rows),
+            image=self.image.select(seen) if streaks is None else streaks.image_at_middle(),
+            beacons=beacons,
+            streaks=streaks,
+        )
+
+
+@dataclass(frozen=True)
+class AssembledSighting:
+    """Result of assembling a sighting.
+
+    Attributes:
+        sighting: sighting of the beacons with complete data; None if no beacon has complete data.
+        rejection: reason if there is no sighting.
+        rejected_beacons: rejections of beacons without complete data, by name.
+        jumps: baseline jumps of the sighting's beacons, by name.
+    """
+
+    sighting: Sighting | None
+    rejection: Rejection | None
+    rejected_beacons: tuple[tuple[str, Rejection], ...]
+    jumps: tuple[tuple[str, BaselineJump], ...] = ()
+
+
+class SightingAssembler:
+    """Assembles sightings from the tracks of one run.
+
+    Args:
+        config: parameters of the node.
+        tracks: tracks of the measured samples.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, tracks: MeasuredTracks) -> None:
+        self._tracks, self._telescope, self._lever_m = tracks, config.telescope, config.lever.vector_m
+        self._axes = AxisErrors.from_vector(config.axes.values)
+
+    def assemble(self, exposure: Exposure) -> AssembledSighting:
+        """Return the sighting of an exposure, or its rejection."""
+        ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
+        if encoder is None:
+            gap = Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
+            return AssembledSighting(None, gap, ())
+        if ship is None:
+            gap = Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
+            return AssembledSighting(None, gap, ())
+        found: list[tuple[DetectedBeacon, BeaconAt]] = []
+        rejected: list[tuple[str, Rejection]] = []
+        for light in exposure.beacons:
+            placed = self._tracks.beacon_at(light.beacon_id, exposure.time_ns)
+            if isinstance(placed, Rejection):
+                rejected.append((light.beacon_id, placed))
+            else:
+                found.append((light, placed))
+        if not found:
+            return AssembledSighting(None, rejected[0][1], tuple(rejected))
+        sighting = Sighting(
+            exposure.time_ns,
+            tuple(light.beacon_id for light, _ in found),
+            Image(np.array([light.point_m for light, _ in found]), np.array([light.sigma_m for light, _ in found])),
+            BeaconPoses(
+                np.array([placed.baseline_n for _, placed in found]),
+                np.array([placed.covariance_n for _, placed in found]),
+                np.array([placed.rotation_nb for _, placed in found]),
+                np.zeros((len(found), 3, 3)),
+            ),
+            ship,
+            encoder,
+        )
+        jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
+        if exposure.nodes is None:
+            return AssembledSighting(sighting, None, tuple(rejected), jumps)
+        at_middle = self._at_middle(sighting, exposure.nodes)
+        if at_middle is None:
+            text = f"no encoder readings or attitudes of the ship over the whole exposure of {exposure.exposure_s:g} s"
+            return AssembledSighting(None, Rejection(Reason.GAP, text), tuple(rejected))
+        return AssembledSighting(at_middle, None, tuple(rejected), jumps)
+
+    def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
+        """Return a sighting with its points at the middle of the exposure; None if samples are missing.
+
+        The detected points are means over the exposure. Ship and encoders of the sighting have their values at the
+        middle, and the noise of their means over the exposure.
+        """
+        tracks, lever_m, telescope = self._tracks, self._lever_m, self._telescope
+        times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
+        ships, encoders = [tracks.ship_at(t) for t in times_ns], [tracks.encoder_at(t) for t in times_ns]
+        attitudes = np.array([ship.rotation_nd for ship in ships if ship is not None])
+        angles = np.array([[encoder.azimuth, encoder.elevation] for encoder in encoders if encoder is not None])
+        if min(len(attitudes), len(angles)) < len(times_ns):
+            return None
+        ship, encoder = tracks.ship_at(sighting.time_ns, nodes), tracks.encoder_at(sighting.time_ns, nodes)
+        assert ship is not None  # the nodes include the middle
+        assert encoder is not None
+        velocity_n = np.array([tracks.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
+        since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS
+        lever_change_n = (attitudes - ship.rotation_nd) @ lever_m
+        streaks = BeaconStreaks(
+            image=sighting.image,
+            camera=Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m),
+            psf_sigma_m=telescope.psf_sigma_m,
+            nodes=nodes,
+            rotation_nt=attitudes @ self._rotation_dt(angles[:, 0], angles[:, 1]),
+            middle_nt=ship.rotation_nd @ self._rotation_dt(encoder.azimuth, encoder.elevation),
+            path_n=sighting.beacons.baseline_n - ship.rotation_nd @ lever_m,
+            displacement_n=since_s * velocity_n - lever_change_n[:, None, :],
+        )
+        return replace(sighting, image=streaks.image_at_middle(), streaks=streaks, ship=ship, encoder=encoder)
+
+    def _rotation_dt(self, azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
+        """Return deck from telescope from the configuration, shape (..., 3, 3); an accuracy of one degree suffices."""
+        rotation_dm = main_axis_rotation(self._axes, azimuth, elevation)
+        rotation_dt: FloatArray = rotation_dm @ rotation_from_angles(*self._telescope.parallelism).T
+        return rotation_dt

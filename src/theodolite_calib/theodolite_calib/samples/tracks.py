@@ -1,0 +1,285 @@
+"""Tracks of the measured samples, one per source, and interpolated values at one time.
+
+The encoders, the ship, the baseline to each drone and the attitude of each drone have their own stamps and rates. Each
+source is interpolated at the requested time, with the noise at that time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from ship_geometry.tracks.attitude_track import AttitudeTrack
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
+from ship_geometry.tracks.sample_track import SampleTrack
+from ship_geometry.tracks.vector_track import VectorTrack
+from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.samples.baseline_track import BaselineJump, BaselineTrack
+from theodolite_calib.samples.samples import AnyExposure, EncoderSample, Exposure, ShipSample
+from theodolite_calib.samples.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
+
+_LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
+_FULL_TURN = 2.0 * np.pi
+_STREAM_WINDOW_NS = 3 * SECOND_NS
+"""Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
+_LEAD_IN_NS = SECOND_NS
+"""Time before the checked range from which samples are used too, ns."""
+
+_DRIFT_WINDOW_NS = 60 * SECOND_NS
+"""Time range in which the ship's attitude is compared with its rates, ns."""
+
+_DROP_EVERY_NS = SECOND_NS // 10
+"""Interval at which old samples are dropped, ns."""
+
+
+@dataclass(frozen=True)
+class ShipAt:
+    """Ship's attitude at one time.
+
+    Attributes:
+        rotation_nd: horizon from deck, shape (3, 3).
+        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
+        correlated_covariance_n: as in :class:`theodolite_calib.samples.samples.ShipSample`.
+        noise: variance of each component due to white error and interpolation, rad².
+        status: status of the last attitude up to this time; DEGRADED if the next attitude is DEGRADED.
+        chord_nd: horizon from deck, interpolated as in tf2 with a constant rate between two messages of ship/attitude;
+            None if the source is ins/imu.
+    """
+
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    correlated_covariance_n: FloatArray | None
+    noise: float
+    status: Status = Status.VALID
+    chord_nd: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class ShipSeries:
+    """Ship's attitude at N times; the fields have the meaning of :class:`ShipAt`.
+
+    Attributes:
+        rotation_nd: shape (N, 3, 3).
+        rate_d: shape (N, 3).
+        correlated_covariance_n: shape (N, 3, 3); None if the configuration states it.
+        noise: shape (N,).
+        status: N statuses.
+        chord_nd: shape (N, 3, 3); None if the source is ins/imu.
+    """
+
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    correlated_covariance_n: FloatArray | None
+    noise: FloatArray
+    status: list[Status]
+    chord_nd: FloatArray | None
+
+    @classmethod
+    def from_ships(cls, ships: Sequence[ShipAt]) -> "ShipSeries":
+        """Return the series of attitudes from one source, which all have a stated covariance, or all have none."""
+        slow_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
+        chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
+        return cls(
+            rotation_nd=np.array([ship.rotation_nd for ship in ships]),
+            rate_d=np.array([ship.rate_d for ship in ships]),
+            correlated_covariance_n=np.array(slow_n) if slow_n else None,
+            noise=np.array([ship.noise for ship in ships]),
+            status=[ship.status for ship in ships],
+            chord_nd=np.array(chords_nd) if chords_nd else None,
+        )
+
+
+@dataclass(frozen=True)
+class EncoderAt:
+    """Encoders at one time.
+
+    Attributes:
+        azimuth: azimuth reading, rad.
+        elevation: elevation reading, rad.
+        noise: variance of each angle, interpolation included, rad².
+    """
+
+    azimuth: float
+    elevation: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class BeaconAt:
+    """Pose of a beacon at one time.
+
+    Attributes:
+        baseline_n: vector from the ship's antenna to the drone's antenna, m, shape (3,).
+        covariance_n: covariance of the light's position due to baseline noise and interpolation, m², shape (3, 3).
+        rotation_nb: horizon from drone, shape (3, 3); the identity if the light is at the drone's antenna.
+        jump: jump among the last baselines; None without a jump.
+    """
+
+    baseline_n: FloatArray
+    covariance_n: FloatArray
+    rotation_nb: FloatArray
+    jump: BaselineJump | None = None
+
+
+class MeasuredTracks:
+    """Tracks of one run.
+
+    Args:
+        config: parameters of the node.
+
+    Attributes:
+        encoder: encoder readings.
+        ship: attitudes of the ship, with the stamps of their source.
+        baselines: baselines from the ship's antenna to each drone's antenna, by beacon_id.
+        drones: attitudes of the drones whose light is not at the antenna, by beacon_id.
+        ship_shift_ns: time of validity minus stamp of the ship's attitudes, ns.
+        reach_ns: maximum time between an exposure and the data with which it is compared, ns.
+    """
+
+    def __init__(self, config: OpticalAxisConfig) -> None:
+        self.reconfigure(config)
+        self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if self._by_ins else 0
+        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_to_ns(config.encoder.max_gap_s), _FULL_TURN)
+        self.ship = AttitudeTrack(_to_ns(config.ins.max_gap_s if self._by_ins else config.ship.max_gap_s))
+        self.baselines = {id_: BaselineTrack(_to_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
+        self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
+        # The position of a light at the antenna does not depend on the drone's attitude.
+        self.drones = {
+            id_: AttitudeTrack(_to_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
+        }
+        self.encoder.history_ns, self.ship.history_ns = _STREAM_WINDOW_NS + _LEAD_IN_NS, _DRIFT_WINDOW_NS
+        self._dropped_until_ns = -_DROP_EVERY_NS
+        self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
+        widest_gap_ns = max(track.max_gap_ns for track in self._all)
+        self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
+
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
+        """Apply the noise parameters of a changed configuration."""
+        self._by_ins = config.ship.source == "ins/imu"
+        white_arcsec = config.ins.white_sigma_arcsec if self._by_ins else config.ship.white_sigma_arcsec
+        self._ship_noise = (white_arcsec * ARCSEC) ** 2
+
+    def drop_before(self, time_ns: int) -> None:
+        """Drop the samples that no exposure at or after ``time_ns`` needs; skipped if the last call is recent."""
+        if time_ns < self._dropped_until_ns + _DROP_EVERY_NS:
+            return
+        self._dropped_until_ns, keep_from_ns = time_ns, time_ns - abs(self.ship_shift_ns)
+        for track in self._all:
+            track.drop_before(keep_from_ns)
+
+    def is_waiting_for_data(self, exposure: AnyExposure) -> bool:
+        """True if data at the time of an exposure may still come."""
+        # The slowest sources are tested first, because data of these sources are missing most often.
+        for light in exposure.beacons if isinstance(exposure, Exposure) else ():
+            if not self.baselines[light.beacon_id].is_final_at(exposure.time_ns):
+                return True
+            drone = self.drones.get(light.beacon_id)
+            if drone is not None and not drone.is_final_at(exposure.time_ns):
+                return True
+        return not self.are_axes_final_at(exposure.time_ns + exposure.reach_ns)
+
+    def are_axes_final_at(self, time_ns: int) -> bool:
+        """True if later data, received in order, can no longer change encoders and ship at a time."""
+        return self.encoder.is_final_at(time_ns) and self.ship.is_final_at(time_ns - self.ship_shift_ns)
+
+    @property
+    def ship_final_until_ns(self) -> int | None:
+        """Latest time at which later samples can no longer change the ship's attitude; None without such a time."""
+        until_ns = self.ship.final_until_ns
+        return None if until_ns is None else until_ns + self.ship_shift_ns
+
+    def ship_at(self, time_ns: int, nodes: Nodes | None = None) -> ShipAt | None:
+        """Return the ship's attitude at a time; None in a gap.
+
+        Args:
+            time_ns: time of the attitude.
+            nodes: times within an exposure around ``time_ns``, all within the track. If given, the noise of the mean
+                attitude over the exposure is returned.
+        """
+        attitude = self.ship.at(time_ns - self.ship_shift_ns)
+        if attitude is None:
+            return None
+        sample = attitude.sample
+        assert isinstance(sample, ShipSample)
+        gain = attitude.noise_gain
+        if nodes is not None:
+            gain = self.ship.noise_gain_of_mean(nodes.times_and_weights(time_ns - self.ship_shift_ns))
+        noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
+        # Before a DEGRADED attitude the status is DEGRADED, because the source may have jumped in between.
+        after = attitude.next_sample
+        degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
+        status = Status.DEGRADED if degraded else sample.status
+        chord_nd = None if self._by_ins else attitude.chord_nd(time_ns)
+        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.correlated_covariance_n, noise, status, chord_nd)
+
+    def encoder_at(self, time_ns: int, nodes: Nodes | None = None) -> EncoderAt | None:
+        """Return the encoders at a time; None in a gap. For ``nodes`` see :meth:`ship_at`."""
+        angles = self.encoder.at(time_ns)
+        sample = self.encoder.last_before(time_ns)
+        if angles is None or sample is None:
+            return None
+        azimuth, elevation = angles.vector.tolist()
+        gain = angles.noise_gain if nodes is None else self.encoder.noise_gain_of_mean(nodes.times_and_weights(time_ns))
+        noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
+        return EncoderAt(azimuth, elevation, noise)
+
+    def main_axis_at(self, times_ns: list[int], axes: AxisErrors) -> FloatArray | None:
+        """Return horizon from main frame at m times, with given axis errors, shape (m, 3, 3); None in a gap."""
+        ships, encoders = map(self.ship_at, times_ns), map(self.encoder_at, times_ns)
+        rotations_nm = [
+            ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
+            for ship, encoder in zip(ships, encoders, strict=True)
+            if ship is not None and encoder is not None
+        ]
+        return np.array(rotations_nm) if len(rotations_nm) == len(times_ns) else None
+
+    def stream_consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
+        """Return the consistency of the encoder and ship streams between two times; None if the range is too long."""
+        if until_ns - since_ns > _STREAM_WINDOW_NS:
+            return None
+        first_ns, shift_ns = since_ns - _LEAD_IN_NS, self.ship_shift_ns
+        ship = self.ship.samples_between(first_ns - shift_ns, until_ns - shift_ns)
+        return stream_consistency(
+            since_ns,
+            self.encoder.samples_between(first_ns, until_ns),
+            [replace(sample, time_ns=sample.time_ns + shift_ns) for sample in ship if isinstance(sample, ShipSample)],
+            (self.encoder.max_gap_ns, self.ship.max_gap_ns),
+            float(np.sqrt(self._ship_noise)),
+        )
+
+    def has_ship_drifted(self, time_ns: int) -> bool | None:
+        """True if the ship's attitude departed from the integral of its rates; None if unknown.
+
+        The last minute is compared, or the time since the last jump of the attitude if this time is shorter.
+        """
+        until_ns = time_ns - self.ship_shift_ns
+        first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)
+        ship = self.ship.samples_between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
+        samples = [sample for sample in ship if isinstance(sample, ShipSample)]
+        return has_ship_drifted(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
+
+    def beacon_at(self, beacon_id: str, time_ns: int) -> BeaconAt | Rejection:
+        """Return the pose of a beacon at a time, or a rejection."""
+        baseline = self.baselines[beacon_id].baseline_at(time_ns)
+        if isinstance(baseline, Rejection):
+            return baseline
+        jump = self.baselines[beacon_id].latest_jump(time_ns)
+        if beacon_id not in self.drones:
+            return BeaconAt(*baseline, np.eye(3), jump)
+        attitude = self.drones[beacon_id].at(time_ns)
+        if attitude is None:
+            return Rejection(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
+        lever_n = attitude.rotation_nd @ self._levers_b[beacon_id]
+        by_turn = skew(lever_n)
+        interpolated = by_turn @ attitude.error_covariance_n @ by_turn.T
+        return BeaconAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd, jump)
+
+
+def _to_ns(time_s: float) -> int:
+    return round(time_s * SECOND_NS)
