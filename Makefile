@@ -69,10 +69,10 @@ campaign: setup-all ## 2000 seeds of each case (ten hours on two cores), long vo
 	@$(RUN) FAULT_SEEDS=20 pytest -q -s test/test_pointing_faults.py
 	@$(RUN) FAULT_SEEDS=40 pytest -q -s src/ship_attitude_star/test/test_fault_detection.py -k any_size
 	@$(RUN) SEEDS=32 pytest -q -s src/ship_attitude_star/test/test_interpolated_ins.py \
-	    src/ship_attitude_star/test/test_wide_clocks.py src/ship_replay/test/test_calibration_consistency.py
+	    src/ship_attitude_star/test/test_wide_clocks.py src/ship_studies/test/test_calibration_consistency.py
 	@$(RUN) TEN_MINUTES=6 pytest -q -s src/ship_estimation/test/test_integrated_rates.py -k noise_alone
 	@$(RUN) SKY_SEEDS=12 pytest -q -s test/test_star_level_filter.py
-	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_attitude_star/test/test_star_solution.py
+	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_stars/test/test_star_solution.py
 	@$(RUN) python tools/long_bags.py --hours $(BAG_HOURS)
 	@$(RUN) python tools/live_memory.py --hours $(LIVE_HOURS)
 
@@ -93,7 +93,7 @@ availability: setup ## star vectors and other methods under clouds, and stars mi
 	@$(RUN) python tools/mooring.py
 
 reproduction: setup ## values printed in the papers and those computed here: docs/reproduction.md and its figures
-	@$(RUN) PYTHONPATH=test:$$PYTHONPATH python -m tools.reproduction
+	@$(RUN) python -m tools.reproduction
 
 kills: setup ## kill -9 of recorder and node at random times: lost messages
 	@$(RUN) python tools/kill_campaign.py

@@ -25,7 +25,7 @@ NODES = {kind.node_name: kind for kind in ADAPTERS}
 SUITE = {"nmea_in", "nmea_out", "suite", "check_config", "preflight"}
 SETUPS = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py"))
 # An executable that was moved to another package only prints its new package.
-EXECUTABLES = re.findall(r'"(\w+) = (?!ship_replay\.commands\.moved)([\w.]+):\w+"', SETUPS)
+EXECUTABLES = re.findall(r'"(\w+) = (?!ship_bags\.commands\.moved)([\w.]+):\w+"', SETUPS)
 
 
 def help_of(name, module, capsys):

@@ -24,6 +24,7 @@ for _ship_package in "$_ship_root"/src/*/ "$_ship_root"/tools/wheels_only/*/; do
         "$_ship_root/install/$_ship_name"/local/lib/python3*/dist-packages)
     _ship_libraries+=("$_ship_root/install/$_ship_name/lib")
 done
+_ship_python+=("$_ship_root/test") # ship_testing: trials and helpers that tools and tests share
 
 if [ -f "$_ship_venv/.ros_prefix" ]; then
     # Over a Jazzy installation, whose paths are kept.

@@ -74,11 +74,12 @@ EXECUTABLES = {
     "ship_replay": Group(
         "ship_replay: replay",
         "recordings replayed, evaluated and compared",
-        " ".join(f"ship_replay/{name}" for name in ("replay", "evaluate", "report", "compare", "campaign", "stanford")),
+        " ".join(f"ship_replay/{name}" for name in ("replay", "evaluate", "report", "compare", "stanford")),
     ),
-    "ship_replay_calibration": Group("ship_replay: calibration", "smooth, calibrate, check files", "ship_replay/*"),
+    "ship_replay_files": Group("ship_replay: smooth and check_config", "smoothing, check of files", "ship_replay/*"),
     "ship_simulation": Group("ship_simulation", "simulated voyages and faults", "ship_simulation/*"),
-    "theodolite_calib": Group("theodolite_calib", "pointing of the theodolite, its calibration", "theodolite_calib/*"),
+    "ship_studies": Group("ship_studies", "layout, design, axes, installation, noise, campaigns", "ship_studies/*"),
+    "theodolite_calib": Group("theodolite_calib", "pointing of the theodolite", "theodolite_calib/*"),
 }  # fmt: skip
 
 

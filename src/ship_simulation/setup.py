@@ -19,6 +19,7 @@ setup(
         "ship_estimation",
         "ship_geometry",
         "ship_msgs",
+        "ship_stars",
         "theodolite_calib",
         "numpy",
         "scipy",

@@ -12,7 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "ship_bags", "ship_estimation", "ship_geometry", "numpy"],
+    install_requires=["setuptools", "ship_bags", "ship_estimation", "ship_geometry", "ship_kernels", "numpy"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",

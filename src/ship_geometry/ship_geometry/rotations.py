@@ -6,11 +6,9 @@ micro Lie theory" (2018), section on SO(3).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ship_kernels import FloatArray as FloatArray
 from ship_kernels import compiled_rotations
-
-FloatArray = NDArray[np.float64]
 
 ARCSEC = np.pi / (180.0 * 3600.0)
 """One arcsecond in radians."""

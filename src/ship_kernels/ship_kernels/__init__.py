@@ -4,3 +4,8 @@ Each module is Python with C types, compiled by Cython when the package is built
 The functions are documented where they are called; the tests compare them with plain numpy. The result for a row does
 not depend on the number of rows in a call.
 """
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]

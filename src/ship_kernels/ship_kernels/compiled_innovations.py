@@ -581,7 +581,7 @@ def solution_separation(
     share: cython.double,
     tiny: cython.double,
 ):
-    """Return the fields of :class:`ship_estimation.integrity.protection_levels.ProtectionLevels` for the tested hypotheses.
+    """Return the fields of a ``ProtectionLevels`` for the tested hypotheses.
 
     Args:
         states: indices of the states that determine the components, shape (n,).
@@ -673,7 +673,7 @@ def separation_sigmas(
     share: cython.double,
     tiny: cython.double,
 ):
-    """Return the sigmas of solution separations; see :func:`ship_estimation.integrity.protection_levels.separation_sigma`.
+    """Return the sigmas of solution separations; see ``protection_levels.separation_sigma``.
 
     Args:
         variance: variance in each subfilter, shape (h, n).

@@ -65,7 +65,7 @@ def polynomial_errors(
     found: cython.const[cython.double][:],
     next_term_share: cython.double,
 ) -> FloatArray:
-    """Return :func:`ship_geometry.tracks.interpolation_error.polynomial_errors` for three samples or more, shape (2, k).
+    """Return ``interpolation_error.polynomial_errors`` for three samples or more, shape (2, k).
 
     Args:
         nodes: times of the samples, shape (n,), n at most 8.

@@ -30,7 +30,7 @@ def drawn_states(count: int = COUNT) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return the main frame in the horizon by the formula in the docstring of ``compiled_mounts``."""
+    """Return the main frame in the horizon by the formula in the docstring of ``compiled_pointing``."""
     g, h, c, tilt, beta_x, beta_y, flexure, time_s = errors[6:]
     azimuth, elevation = angles
     axes = exp_rotation(np.array([beta_y, 0.0, -beta_x])) @ exp_rotation(-(azimuth - g) * Y) @ exp_rotation(-tilt * X)

@@ -63,7 +63,9 @@ class InsErrorPredictor:
     def estimates_at(
         self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
-        """Return the four quantities that correct the INS; see :class:`ship_estimation.kalman.rts_smoother.StatePredictor`.
+        """Return the four quantities that correct the INS.
+
+        See :class:`ship_estimation.kalman.rts_smoother.StatePredictor`.
 
         For a jump, the covariance is inflated earlier than the jump by the bound of the clock offsets. Times between
         inflation and jump are treated as the time of the inflation.

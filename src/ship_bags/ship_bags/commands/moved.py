@@ -5,13 +5,12 @@ from pathlib import Path
 
 from ship_bags.command_line import launcher
 
-PLACES = {"record": "ship_bags", "play": "ship_bags", "import_nmea": "ship_bags", "simulate": "ship_simulation"}
-"""Executable → its present package."""
+NEW_PACKAGE = "ship_studies"
 
 
 def main() -> int:
-    """Print the package of the executable that was called."""
-    name = Path(sys.argv[0]).name
-    package = PLACES[name]
-    print(f"{name} has moved from ship_replay to {package}: {launcher()} {package} {name}", file=sys.stderr)
+    """Print the package of the executable that was called; its file is in a folder with the name of the old package."""
+    called = Path(sys.argv[0])
+    place = f"{launcher()} {NEW_PACKAGE} {called.name}"
+    print(f"{called.name} has moved from {called.parent.name} to {NEW_PACKAGE}: {place}", file=sys.stderr)
     return 2

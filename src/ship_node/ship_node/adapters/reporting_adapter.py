@@ -137,7 +137,7 @@ class ReportingAdapter(ABC):
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"]
     """Attributes of an output that determine, together with its state, the redundancy of its sources."""
     directions: ClassVar["attrgetter[np.ndarray]"]
-    """Attribute of an output: the ``directions`` of :class:`ship_estimation.integrity.published_levels.PublishedLevels`."""
+    """Attribute of an output: the ``directions`` of a ``PublishedLevels``."""
     integrity_frame: str = ""
     required_sources: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be switched off."""
@@ -333,7 +333,7 @@ class ReportingAdapter(ABC):
         return published
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """See :meth:`ship_node.adapters.adapter.Adapter.overload`; dropped messages count as rejected and are reported."""
+        """See :meth:`ship_node.adapters.adapter.Adapter.overload`; dropped messages are counted as rejected."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         why = (change if change.behind_s else self.behind or change).text(self.node_name)
         published = []
@@ -594,7 +594,8 @@ class ReportingAdapter(ABC):
         """Return one status with the last step of the time base; an empty list if there was no step."""
         if not self.time_base.steps:
             return []
-        level = common_messages.Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else common_messages.Level.OK
+        is_recent = waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS
+        level = common_messages.Level.WARN if is_recent else common_messages.Level.OK
         text = f"stepped by {_step_text(self.time_base.last_step_ns)}: reset, mountings and calibration kept"
         return [DiagnosticStatus("time base", level, text, {"steps": str(self.time_base.steps)})]
 

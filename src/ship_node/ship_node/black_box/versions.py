@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from importlib import metadata
 from typing import Any
 
-SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
+SUITE_PACKAGES = "ship_msgs", "ship_kernels", "ship_geometry", "ship_estimation", "ship_node"
 """Packages of the suite that determine the results of every node; ``ship_bags`` only transports numbers."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"

@@ -9,8 +9,8 @@ from pathlib import Path
 from ship_node.black_box.versions import package_versions
 
 _PACKAGES = (
-    "ship_geometry", "ship_estimation", "ship_bags", "ship_node", "ship_attitude_star", "theodolite_calib",
-    "ship_simulation", "ship_watch", "ship_replay",
+    "ship_kernels", "ship_geometry", "ship_estimation", "ship_bags", "ship_node", "ship_stars", "ship_attitude_star",
+    "theodolite_calib", "ship_simulation", "ship_watch", "ship_replay",
 )  # fmt: skip
 """Packages of the suite whose code contributes to a simulated or replayed number."""
 

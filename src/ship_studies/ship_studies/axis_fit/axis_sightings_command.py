@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        package="ship_replay",
+        package="ship_studies",
         prog="axis_sightings",
         example="bags/theodolite.mcap --out sightings.csv",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",

@@ -42,7 +42,7 @@ def _parser() -> CommandParser:
     columns = "\n".join(f"  {name:26}{doc}" for name, doc in COLUMNS.items())
     terms = "\n".join(f"  {name:10}{meaning}" for name, meaning in MEANINGS.items())
     parser = CommandParser(
-        package="theodolite_calib",
+        package="ship_studies",
         prog="fit_axes",
         example="sightings.csv --out fit --flexure",
         description="Axis errors [arcsec, 1 sigma] of a theodolite from sightings of known directions.",

@@ -69,7 +69,7 @@ def read_sightings(path: Path) -> Sightings:
     """
     readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
     if path.suffix.lower() not in readers:
-        hint = "; `ship_replay axis_sightings` makes a table of a bag" if path.suffix.lower() == ".mcap" else ""
+        hint = "; `ship_studies axis_sightings` makes a table of a bag" if path.suffix.lower() == ".mcap" else ""
         raise BadInput(f"sightings are read from .csv, .yaml or .yml{hint}", file=path)
     try:
         text = path.read_text(encoding="utf-8-sig")

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        package="ship_replay",
+        package="ship_studies",
         prog="campaign",
         example="bags/demo.mcap --config examples/two_sensors.yaml --out out/campaign",
         epilog="exit code: 0 all items completed; 1 an item failed, its line in the table contains the error; 2 bad "

@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        package="theodolite_calib",
+        package="ship_studies",
         prog="design_study",
         example="design.yaml --out study",
         description="Accuracy of the theodolite's pointing from the lights of drones, before the voyage: "

@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        package="ship_replay",
+        package="ship_studies",
         prog="identify_noise",
         example="night.mcap --out noise.yaml",
         epilog="exit code: 0 identified, with or without warnings; 2 bad input or usage, with a one-line reason; 130 "

@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        package="ship_replay",
+        package="ship_studies",
         prog="calibrate_installation",
         example="harbour.mcap --out alignment.yaml --report report",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",

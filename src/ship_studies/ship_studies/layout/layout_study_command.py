@@ -55,7 +55,7 @@ def _keys() -> str:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        package="ship_attitude_star",
+        package="ship_studies",
         prog="layout_study",
         example="layout.yaml --out study",
         description="Study the mounting of star sensors. Results: errors [arcsec, 1 sigma] of heading, pitch and roll "

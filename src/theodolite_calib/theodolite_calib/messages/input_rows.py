@@ -49,7 +49,7 @@ def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfi
 
 
 def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
-    """Read ``ship/attitude`` with rates and covariances; see :func:`theodolite_calib.messages.input_messages.ship_attitude`."""
+    """Read ``ship/attitude`` with rates and covariances; see ``input_messages.ship_attitude``."""
     numbers = messages.numbers
     times_ns, timely = stamps(numbers, receive_ns)
     quaternions, of_norm_1 = unit_quaternions(numbers)

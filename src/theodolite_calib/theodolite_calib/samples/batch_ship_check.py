@@ -70,7 +70,7 @@ class BatchShipCheck:
         self._block, self._reported_steps_rad = _arrays(self._batch)
 
     def check(self, sample: ShipSample, accepted_track: AttitudeTrack, reported_step_rad: float) -> CheckedInsSample:
-        """Check an attitude as :meth:`ship_estimation.plausibility.ins_check.InsCheck.check` does, without motion references.
+        """Check an attitude as ``InsCheck.check`` does, without motion references.
 
         Args:
             sample: the attitude.
