@@ -1,8 +1,12 @@
-"""Ship attitude from an INS and star sensors: installation error model, fusion, nodes.
+"""Ship attitude from an INS and star sensors: the cores and the nodes.
 
-``stars`` computes an attitude from the stars of one or several exposures; ``star_attitude`` is the core of the node
-that publishes these attitudes. ``ship_attitude`` is the core of the node that fuses an INS with attitudes by stars or
-with single stars. ``sky`` computes apparent directions of stars, ``guards`` checks the plausibility of inputs, and
-``measurements`` holds the measurement structs. Messages and nodes are in ``ros``, the study of sensor mountings in
-``layout``.
+- ``nodes`` starts the nodes; ``adapters`` define which topic feeds which method of a core.
+- ``messages`` converts messages to samples and results to messages.
+- ``smoothing`` improves attitudes by later measurements.
+- ``star_attitude`` is the core of the node that publishes attitudes by stars; ``ship_attitude`` is the core of the node
+  that fuses an INS with attitudes by stars or with single stars.
+- ``plausibility`` checks the inputs; ``ins_errors`` are the error processes of an INS.
+- ``vertical`` has the deflection of the vertical along the track, ``samples`` the measurements of this package alone.
+
+Each folder imports only folders named below it. Sky, camera and star solution are in :mod:`ship_stars`.
 """

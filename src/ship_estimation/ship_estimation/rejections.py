@@ -3,17 +3,17 @@
 A measurement is checked in this order:
 
 1. the inbox of a live node that cannot keep up (``ship_node/live/backlog``): BEHIND;
-2. the reader of the message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): all
-   reasons for a wrong field; and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off:
-   OFF;
+2. the reader of the message (``messages/`` of each estimator, with the checks of ``ship_node/messages/field_checks``):
+   all reasons for a wrong field; and the adapter (``ship_node/adapters``), if the source is switched off: OFF;
 3. :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`: LATE;
-4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS, ``guards/`` for star sensors
-   and references, ``theodolite_calib/measured/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample
-   that jumps. The checks of position and weather (``sky/stamped_values``): DUPLICATE, CONFLICT, LATE and JUMP;
+4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS, ``plausibility/`` of
+   ``ship_attitude_star`` for star sensors and references, ``theodolite_calib/samples/encoder_check`` for encoders):
+   STUCK, UNITS, and GATE for a single sample that jumps. The checks of position and weather (``sky/stamped_values``):
+   DUPLICATE, CONFLICT, LATE and JUMP;
 5. :class:`ship_estimation.time_order.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and
    FAILED for defects of the software;
 6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
-   its measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
+   its measurement model (``ship_attitude/comparison``, ``theodolite_calib/samples/sighting``): all others.
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 """

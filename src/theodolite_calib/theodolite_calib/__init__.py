@@ -2,14 +2,15 @@
 
 Each folder imports only folders named below it:
 
-- ``axis_fit`` fits axis errors to a table of sightings, ``design`` predicts the accuracy before a voyage,
-  ``triangulation`` computes positions of targets from recorded directions.
-- ``ros`` converts messages to samples and results to messages.
+- ``nodes`` starts the nodes; ``commands`` has the command ``triangulate``.
+- ``adapters`` define which topic feeds which method of a core.
+- ``messages`` converts messages to samples and results to messages.
 - ``smoothing`` improves pointings by later sightings.
 - ``optical_axis`` is the core of the node.
-- ``target`` gives directions and positions of targets; ``escort`` gives advised positions of the drones.
+- ``triangulation`` computes positions of targets from the directions of several theodolites.
+- ``targets`` gives directions of targets; ``escort`` gives advised positions of the drones.
 - ``filter`` estimates axis errors, deformation and the ship's error.
-- ``measured`` holds the samples, ``config`` the parameters.
-- ``lights`` is the camera model for beacons, and computes the telescope's attitude from their images.
+- ``samples`` holds the samples, ``config`` the parameters.
+- ``beacon_camera`` is the camera model for beacons, and computes the telescope's attitude from their images.
 - ``axis_geometry`` is the mount model: zero points, collimation, non-perpendicularity, tilt and flexure.
 """
