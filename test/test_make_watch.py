@@ -39,9 +39,7 @@ def test_the_page_of_the_voyage_is_served_and_all_ends_with_ctrl_c(tmp_path):
         with urllib.request.urlopen(address, timeout=20.0) as page:
             assert page.status == 200
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        # Children are three nodes, the alert node, the page and the player. Each node has a second process in reserve
-        # with the same command line.
-        assert len({Path(f"/proc/{child}/cmdline").read_bytes() for child in children}) == 6
+        assert len(children) == 6  # three nodes, the alert node, the page and the player
         assert process.end() == 0, process.log_text()
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
 

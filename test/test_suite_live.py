@@ -21,7 +21,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bringup.suite.dds_ports import UDP_ONLY, udp_ports_of
+from ship_bringup.suite.dds_ports import UDP_ONLY
 from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -259,9 +259,9 @@ def gap_after_kill_s(folder, environment):
             for name in ("record", "optical_axis")
         ]
         process = running.enter_context(LiveProcess(commands["suite"], folder / "suite.log", environment))
-        wait_for(lambda: saved.exists() and has_reserve(process.pid, "ship_attitude"), process)
+        wait_for(saved.exists, process)
         assert re.search(r"no alignment at", process.log_text())
-        os.kill(node_of(process.pid, "ship_attitude"), signal.SIGKILL)
+        os.kill(process_of(process.pid, "ship_attitude"), signal.SIGKILL)
         killed_ns = time.time_ns()
         # The successor started from the saved alignment, used stars, and saved its estimate.
         wait_for(lambda: ", 0 min old" in process.log_text() and saved.stat().st_mtime_ns > killed_ns, process)
@@ -277,17 +277,14 @@ def gap_after_kill_s(folder, environment):
 
 @pytest.mark.slow
 def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
-    """The node's reserve process is stopped too, as if a user stops all processes of that name."""
     command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"
-        wait_for(lambda: valid in process.log_text() and has_reserve(process.pid, "ship_attitude"), process)
-        time.sleep(2.0)  # until the reserve process has sent a heartbeat
-        pids = processes_of(process.pid, "ship_attitude")
-        for pid in pids:
-            os.kill(pid, signal.SIGSTOP)
+        wait_for(lambda: valid in process.log_text(), process)
+        stopped = process_of(process.pid, "ship_attitude")
+        os.kill(stopped, signal.SIGSTOP)
         wait_for(lambda: process.log_text().count(valid) > 1, process)
-        assert not set(pids) & set(processes_of(process.pid, "ship_attitude"))
+        assert process_of(process.pid, "ship_attitude") != stopped
         assert process.end(signal.SIGTERM) == 0
         log = process.log_text()
     assert re.search(r"\[suite\] ship_attitude is frozen: no heartbeat for \d+ s", log)
@@ -310,23 +307,12 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def processes_of(suite_pid, name):
-    """Return process ids of a node of a suite: the running one, and the reserve process if there is one."""
+def process_of(suite_pid, name):
+    """Return the process id of a node of a suite."""
     children = Path(f"/proc/{suite_pid}/task/{suite_pid}/children").read_text().split()
     programs = {int(child): Path(f"/proc/{child}/cmdline").read_text().split("\0") for child in children}
-    return [child for child, words in programs.items() if len(words) > 1 and words[1].endswith(f"/{name}")]
-
-
-def node_of(suite_pid, name):
-    """Return the process id of the process with a DDS participant."""
-    (pid,) = filter(udp_ports_of, processes_of(suite_pid, name))
+    (pid,) = [child for child, words in programs.items() if len(words) > 1 and words[1].endswith(f"/{name}")]
     return pid
-
-
-def has_reserve(suite_pid, name):
-    """True if a reserve process has imported its libraries, and waits for its start."""
-    others = [pid for pid in processes_of(suite_pid, name) if not udp_ports_of(pid)]
-    return any("poll" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
 
 
 def test_every_status_of_the_nodes_has_one_place_in_the_aggregator_file(tmp_path, domain):

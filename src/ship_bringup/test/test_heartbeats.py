@@ -2,12 +2,10 @@
 
 import errno
 import os
-import sys
 
 import pytest
 
-from ship_bringup.suite.heartbeats import HeartbeatAge, HeartbeatSocket
-from ship_bringup.suite.process import Process
+from ship_bringup.suite.heartbeats import HeartbeatAge
 
 MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
@@ -43,15 +41,3 @@ def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
     age.add(0.5)
     age.add(1.0)
     assert age.time_s == pytest.approx(time_s)
-
-
-def test_begin_resets_the_heartbeat_age():
-    """Heartbeats that a process sent in reserve are no evidence of its work after ``begin``."""
-    heartbeats = HeartbeatSocket()
-    process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
-    process.heartbeat_age.reset(has_heartbeat=True)
-    process.heartbeat_age.time_s = 4.0
-    process.begin()
-    assert (process.heartbeat_age.has_heartbeat, process.heartbeat_age.time_s) == (False, 0.0)
-    assert process.close() == 0
-    heartbeats.close()

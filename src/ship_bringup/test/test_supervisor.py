@@ -79,61 +79,6 @@ def test_ended_program_is_started_again(code):
     assert ends[3].endswith("; started again in 4 s (restart 4 in a row)")
 
 
-SUCCESSOR = """
-import os, signal, sys, time
-from ship_node.live.start import WAIT_VARIABLE
-waited = bool(os.environ.pop(WAIT_VARIABLE, ""))
-if waited:
-    open({mark!r}, "w").close()
-def wait_for_reserve():
-    end_s = time.monotonic() + 60.0
-    while not os.path.exists({mark!r}) and time.monotonic() < end_s:
-        time.sleep(0.02)
-if waited and not sys.stdin.readline():
-    raise SystemExit(7)
-print("in reserve" if waited else "from the start", flush=True)
-{then}
-"""
-
-
-def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
-    then = "waited or wait_for_reserve()\nos.kill(os.getpid(), signal.SIGKILL)"
-    text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then=then)
-    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    code, lines = run_suite(node, until="node ended", count=2)
-    assert code == 137
-    printed = [line for line in lines if line.startswith("[node]")]
-    assert printed == ["[node] from the start", "[node] in reserve"]
-    # The run time of the reserve process counts from begin(); the wait in reserve is not a run.
-    assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
-        "signal 9, SIGKILL; started again at once (restart 1 in a row)",
-        "signal 9, SIGKILL; started again in 1 s (restart 2 in a row)",
-    ]
-
-
-@pytest.mark.slow
-def test_program_without_live_reserve_is_started(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
-    dies = SUCCESSOR.replace("waited = bool", "if WAIT_VARIABLE in os.environ: raise SystemExit(3)\nwaited = bool")
-    text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
-    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    code, lines = run_suite(node, until="node ended", count=2)
-    assert code == 1
-    assert [line for line in lines if line.startswith("[node]")] == ["[node] from the start"] * 2
-    assert lines.count("[suite] node in reserve ended: exit code 3") == 2
-
-
-def test_reserve_process_ends_with_its_program(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
-    text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then="wait_for_reserve()")
-    text = text.replace("waited = bool", "print(os.getpid())\nwaited = bool")
-    _, lines = run_suite(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True), until="node ended")
-    pids = [int(line.split()[1]) for line in lines if line.split()[1].isdecimal()]
-    assert len(pids) == 2
-    assert all(map(is_gone, pids))
-
-
 WAITS = (
     "import signal, time\n"
     "def end(*_):\n    print('ends', flush=True)\n    raise SystemExit(0)\n"
@@ -224,7 +169,7 @@ def test_bad_input_of_a_node_that_has_run_is_retried():
 
 def kill_time_s(line: str) -> int:
     """Return the time without a heartbeat, s, from the line that reports the kill; a busy machine checks later."""
-    killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no heartbeat for (\d) s: killed", line)
+    killed = re.fullmatch(r"\[suite\] node sent no heartbeat for (\d) s: killed", line)
     assert killed, line
     return int(killed[1])
 
@@ -265,40 +210,6 @@ def test_program_without_first_heartbeat_is_restarted(monkeypatch):
     code, lines = run_suite(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
     assert code == 137
     assert kill_time_s(lines[0]) in (2, 3)
-
-
-@pytest.mark.slow
-def test_stopped_reserve_process_is_not_used(monkeypatch):
-    """A user who stops a node by its name also stops its reserve process."""
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
-    text = BEATS + (
-        "from ship_node.live.start import WAIT_VARIABLE\n"
-        "waited = bool(os.environ.pop(WAIT_VARIABLE, ''))\n"
-        "print('reserve' if waited else 'starts', flush=True)\n"
-        "if waited:\n    beat_for(0.3)\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
-        "beat_for(4.0)\nos.kill(os.getpid(), signal.SIGSTOP)"
-    )
-    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    _, lines = run_suite(node, until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0)
-    assert [kill_time_s(line) in (4, 5) for line in lines if "node in reserve sent" in line] == [True]
-
-
-def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
-    mark = str(tmp_path / "reserve")
-    text = BEATS + (
-        "from ship_node.live.start import WAIT_VARIABLE\n"
-        f"waited, mark = bool(os.environ.pop(WAIT_VARIABLE, '')), {mark!r}\n"
-        "if waited:\n    open(mark, 'w').close()\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
-        "print('starts', flush=True)\n"
-        "while not os.path.exists(mark):\n    beat_for(0.1)\n"
-        "beat_for(0.5)\nraise SystemExit(1)"
-    )
-    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    started_s = time.monotonic()
-    _, lines = run_suite(node, until="[node] starts", count=2)
-    assert time.monotonic() - started_s < FAR_S
-    assert sum("node ended" in line for line in lines) == 1
 
 
 @pytest.mark.slow

@@ -23,7 +23,6 @@ _UNITS = {
     "rad": Unit("rad", "rad"),
     "rad^2": Unit("rad2", "rad2"),
     "rad/s": Unit("rad s-1", "rad_per_s"),
-    "rad/s^2": Unit("rad s-2", "rad_per_s2"),
     "rad^2/s^2": Unit("rad2 s-2", "rad2_per_s2"),
     "deg": Unit("degree", "deg"),
     "arcsec": Unit("arcsec", "arcsec"),
@@ -43,16 +42,6 @@ _UNITS = {
     "Pa^2": Unit("Pa2", "pa2"),
     "degC": Unit("degC", "celsius"),
     "K^2": Unit("K2", "kelvin2"),
-    "T": Unit("T", "tesla"),
-    "T^2": Unit("T2", "tesla2"),
-    "lux": Unit("lx", "lux"),
-    "V": Unit("V", "volt"),
-    "A": Unit("A", "ampere"),
-    "Ah": Unit("A h", "ampere_h"),
-    "N": Unit("N", "newton"),
-    "N m": Unit("N m", "newton_m"),
-    "kg": Unit("kg", "kg"),
-    "kg m^2": Unit("kg m2", "kg_m2"),
 }
 
 NANOSECONDS = _UNITS["ns"]
@@ -74,30 +63,9 @@ _TABLE = {
     "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa", "variance": "Pa^2"},
     "sensor_msgs/msg/Temperature": {"temperature": "degC", "variance": "K^2"},
     "sensor_msgs/msg/RelativeHumidity": {"relative_humidity": "1", "variance": "1"},
-    "sensor_msgs/msg/MagneticField": {"magnetic_field": "T", "magnetic_field_covariance": "T^2"},
-    "sensor_msgs/msg/Illuminance": {"illuminance": "lux"},
-    "sensor_msgs/msg/Range": {
-        "field_of_view": "rad", "min_range": "m", "max_range": "m", "range": "m", "variance": "m^2",
-    },
-    "sensor_msgs/msg/LaserScan": {
-        "angle_min": "rad", "angle_max": "rad", "angle_increment": "rad", "time_increment": "s", "scan_time": "s",
-        "range_min": "m", "range_max": "m", "ranges": "m",
-    },
-    "sensor_msgs/msg/BatteryState": {
-        "voltage": "V", "temperature": "degC", "current": "A", "charge": "Ah", "capacity": "Ah",
-        "design_capacity": "Ah", "percentage": "1", "cell_voltage": "V", "cell_temperature": "degC",
-    },
     "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
-    "geometry_msgs/msg/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
-    "geometry_msgs/msg/Wrench": {"force": "N", "torque": "N m"},
     "geometry_msgs/msg/Pose": {"position": "m"},
-    "geometry_msgs/msg/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
     "geometry_msgs/msg/Transform": {"translation": "m"},
-    "geometry_msgs/msg/PointStamped": {"point": "m"},
-    "geometry_msgs/msg/Polygon": {"points": "m"},
-    "geometry_msgs/msg/Inertia": {
-        "m": "kg", "com": "m", **dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "kg m^2"),
-    },
 }
 """Type → field → unit, by REP-103 and the comments of the definitions; mixed covariances (m, rad) have no unit."""
 
@@ -124,10 +92,6 @@ _CONSTANTS = {
     "diagnostic_msgs/msg/DiagnosticStatus": {"level": ""},
     "sensor_msgs/msg/NavSatStatus": {"status": "STATUS_"},
     "sensor_msgs/msg/NavSatFix": {"position_covariance_type": "COVARIANCE_TYPE_"},
-    "sensor_msgs/msg/Range": {"radiation_type": ""},
-    "sensor_msgs/msg/BatteryState": {
-        name: f"{name.upper()}_" for name in ("power_supply_status", "power_supply_health", "power_supply_technology")
-    },
 }
 """Type → field whose value is one of the type's constants → prefix of the names of these constants."""
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from ship_bringup.suite.heartbeats import HeartbeatSocket
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Role
-from ship_bringup.suite.restarts import LONGEST_DELAY_S
 from ship_bringup.suite.supervised_program import SupervisedProgram
 
 FROZEN_REPORT_S = 5.0
@@ -48,16 +47,13 @@ class FrozenCheck:
         """Record the heartbeats that have arrived."""
         pids = self.heartbeats.receive()
         for entry in programs:
-            for process in entry.processes:
-                if process.pid not in pids:
-                    continue
-                heartbeat_age = process.heartbeat_age
-                if heartbeat_age.is_reported and not heartbeat_age.is_killed:
-                    name = _name(entry, process)
-                    self._log(f"{name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
-                heartbeat_age.reset(has_heartbeat=True)
-                if process is entry.process:
-                    entry.has_run = True
+            if entry.process is None or entry.process.pid not in pids:
+                continue
+            heartbeat_age = entry.process.heartbeat_age
+            if heartbeat_age.is_reported and not heartbeat_age.is_killed:
+                self._log(f"{entry.program.name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
+            heartbeat_age.reset()
+            entry.has_run = True
 
     def check(self, programs: Sequence[SupervisedProgram]) -> None:
         """Report programs without a heartbeat, and kill those without one for long; the player is not checked."""
@@ -66,25 +62,19 @@ class FrozenCheck:
             return
         step_s, self._checked_s = now_s - self._checked_s, now_s
         for entry in programs:
-            for process in entry.processes if entry.program.role is not Role.PLAYER else ():
-                process.heartbeat_age.add(step_s)
-                self._check_process(entry, process)
+            if entry.process is not None and entry.program.role is not Role.PLAYER:
+                entry.process.heartbeat_age.add(step_s)
+                self._check_process(entry.program.name, entry.process)
 
-    def _check_process(self, entry: SupervisedProgram, process: Process) -> None:
-        heartbeat_age, name = process.heartbeat_age, _name(entry, process)
+    def _check_process(self, name: str, process: Process) -> None:
+        heartbeat_age = process.heartbeat_age
         limit_s = self._restart_s if heartbeat_age.has_heartbeat else max(_MAX_START_S, self._restart_s)
         if heartbeat_age.time_s >= limit_s and not heartbeat_age.is_killed:
             heartbeat_age.is_killed = True
             self._log(f"{name} sent no heartbeat for {heartbeat_age.time_s:.0f} s: killed")
             process.kill()
-            if process is entry.reserve:
-                entry.reserve, entry.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
         elif heartbeat_age.has_heartbeat and heartbeat_age.time_s >= self._report_s and not heartbeat_age.is_reported:
             heartbeat_age.is_reported = True
             symptom = f"no heartbeat for {heartbeat_age.time_s:.0f} s, stopped or in a callback that does not return"
             left_s = max(0.0, self._restart_s - heartbeat_age.time_s)
             self._log(f"{name} is frozen: {symptom}; it is killed and started again in {left_s:.0f} s")
-
-
-def _name(entry: SupervisedProgram, process: Process) -> str:
-    return entry.program.name if process is entry.process else f"{entry.program.name} in reserve"

@@ -46,7 +46,7 @@ class HeartbeatAge:
 
     Attributes:
         time_s: time since the last heartbeat, s.
-        has_heartbeat: True if the process has sent a heartbeat since its start or, later, since it began its work.
+        has_heartbeat: True if the process has sent a heartbeat since its start.
         is_reported: True if the time was reported as too long.
         is_killed: True if the process was killed because the time was too long.
 
@@ -60,9 +60,9 @@ class HeartbeatAge:
         self.has_heartbeat = self.is_reported = self.is_killed = False
         self.time_s = 0.0
 
-    def reset(self, has_heartbeat: bool) -> None:
-        """Reset the time to 0, at a heartbeat or when the process begins its work."""
-        self.time_s, self.has_heartbeat, self.is_reported = 0.0, has_heartbeat, False
+    def reset(self) -> None:
+        """Reset the time to 0, at a heartbeat."""
+        self.time_s, self.has_heartbeat, self.is_reported = 0.0, True, False
 
     def add(self, step_s: float) -> None:
         """Add the time since the last check, at most 1 s, without the process's wait for a processor."""

@@ -100,7 +100,7 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
         box = () if options.box is None else ("-p", f"black_box:={options.box.resolve()}/")
         inputs = ("-p", "reliable_inputs:=true") if options.reliable_inputs else ()
         arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
-        programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
+        programs.append(Program(name, (*executable(packages[name], name), *arguments)))
     companions = [one for one in configured_companions(path, options.namespace) if options.bag is None or not one.feeds]
     programs += [_companion_program(one, path, ros, is_alone=not nodes) for one in companions]
     if options.monitor:

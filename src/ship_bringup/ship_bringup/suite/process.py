@@ -1,8 +1,4 @@
-"""One process of a suite: start in a separate session, reading of its lines, begin of its work, end.
-
-A process can be started before it is needed, as a reserve. A reserve process loads its libraries, which takes one
-second or, on a busy machine, several seconds, and then waits for a line on stdin (:mod:`ship_node.live.start`).
-"""
+"""One process of a suite: start in a separate session, reading of its lines, end."""
 
 import contextlib
 import ctypes
@@ -11,13 +7,11 @@ import signal
 import subprocess
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import IO
 
 from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
 from ship_bringup.suite.dds_ports import UDP_ONLY
 from ship_bringup.suite.heartbeats import HeartbeatAge
-from ship_node.live.start import WAIT_VARIABLE
 
 _LONGEST_LINE = 65536
 _PR_SET_PDEATHSIG = 1
@@ -30,20 +24,19 @@ class Process:
     Attributes:
         pid: id of the process.
         pidfd: file descriptor that becomes readable when the process has ended.
-        start_s: steady time of the start, or of :meth:`begin` for a waiting process.
+        start_s: steady time of the start.
         is_output_complete: True if the end of the output has been read.
         heartbeat_age: time since the last heartbeat.
 
     Args:
         command: program and arguments.
         heartbeats: file descriptor of the socket for its heartbeats.
-        waits: True if the process loads its libraries and then waits for :meth:`begin`.
 
     Raises:
         OSError: the process cannot be started; nothing remains of the attempt.
     """
 
-    def __init__(self, command: Sequence[str], heartbeats: int, waits: bool = False) -> None:
+    def __init__(self, command: Sequence[str], heartbeats: int) -> None:
         parent = os.getpid()
 
         def end_with_parent() -> None:
@@ -51,11 +44,11 @@ class Process:
             if os.getppid() != parent:
                 os._exit(1)
 
-        own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAIT_VARIABLE: "1"} if waits else {})
+        own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)}
         # A separate session: Ctrl-C on the terminal reaches only the supervisor, which ends all processes in order.
         self._process = subprocess.Popen(
             command,
-            stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=UDP_ONLY | os.environ | own,
@@ -69,7 +62,7 @@ class Process:
         except OSError:
             self.kill()
             self._process.wait()
-            self._close_pipes()
+            self.output.close()
             raise
         self.start_s = time.monotonic()
         self.is_output_complete = False
@@ -82,24 +75,6 @@ class Process:
         """Return the pipe with stdout and stderr of the process."""
         assert self._process.stdout is not None
         return self._process.stdout
-
-    @property
-    def is_stopped(self) -> bool:
-        """True if the process is stopped by a signal."""
-        with contextlib.suppress(OSError, IndexError):
-            # The name, in brackets before the state, may contain any character.
-            state = Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
-            return state in ("T", "t")
-        return False
-
-    def begin(self) -> None:
-        """Start the work of a waiting process; no effect if the process has ended."""
-        self.start_s = time.monotonic()
-        self.heartbeat_age.reset(has_heartbeat=False)
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.write(b"\n")
-                self._process.stdin.flush()
 
     def read_lines(self) -> tuple[list[str], bool]:
         """Return the lines completed by the next 64 KiB of output at most, and True if there may be more to read.
@@ -129,11 +104,5 @@ class Process:
         """Return the exit code of an ended or killed process, and release its resources."""
         code = self._process.wait()
         os.close(self.pidfd)
-        self._close_pipes()
-        return code
-
-    def _close_pipes(self) -> None:
         self.output.close()
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.close()
+        return code

@@ -28,10 +28,8 @@ class Program:
         name: name of the program, prefix of its lines.
         command: command line.
         role: role of the program.
-        has_reserve: True if a second process waits, with its libraries loaded, to replace the first.
     """
 
     name: str
     command: tuple[str, ...]
     role: Role = Role.NODE
-    has_reserve: bool = False

@@ -8,7 +8,7 @@ from ship_bags.command_line import EXIT_DONE, EXIT_INTERRUPTED
 STEADY_S = 60.0
 """Run time after which earlier ends are no longer counted, s."""
 
-LONGEST_DELAY_S = 30.0
+_LONGEST_DELAY_S = 30.0
 """Longest pause before a restart, s."""
 
 _FIRST_DELAY_S = 1.0
@@ -36,7 +36,7 @@ class Restarts:
         if self.consecutive_count == 1:
             return 0.0
         # The exponent is limited, because a program may end ten thousand times.
-        return min(_FIRST_DELAY_S * 2.0 ** min(self.consecutive_count - 2, 10), LONGEST_DELAY_S)
+        return min(_FIRST_DELAY_S * 2.0 ** min(self.consecutive_count - 2, 10), _LONGEST_DELAY_S)
 
 
 def exit_code_of(code: int) -> int:

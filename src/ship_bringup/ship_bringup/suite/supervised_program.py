@@ -10,16 +10,14 @@ from ship_bringup.suite.restarts import Restarts
 
 @dataclass
 class SupervisedProgram:
-    """A program, its working process and reserve process if they exist, and the times of their next starts.
+    """A program, its process if it runs, and the time of its next start.
 
     Attributes:
         program: the program.
         due_s: steady time of the next start, s; None if the program runs or is not started any more.
         restarts: delays between starts of the program.
-        process: the working process.
-        reserve: the process that waits to replace the working process.
-        reserve_due_s: steady time of the start of the reserve process, s.
-        ports: UDP ports of the working process.
+        process: the process.
+        ports: UDP ports of the process.
         failure: exit code of the suite that follows from the last end of the program.
         has_run: True if the program has ever sent a heartbeat.
     """
@@ -28,8 +26,6 @@ class SupervisedProgram:
     due_s: float | None
     restarts: Restarts = field(default_factory=Restarts)
     process: Process | None = None
-    reserve: Process | None = None
-    reserve_due_s: float | None = None
     ports: frozenset[int] = frozenset()
     failure: int = EXIT_DONE
     has_run: bool = False
@@ -38,8 +34,3 @@ class SupervisedProgram:
     def is_alive(self) -> bool:
         """True if the program runs or will run again."""
         return self.process is not None or self.due_s is not None
-
-    @property
-    def processes(self) -> list[Process]:
-        """Return the existing processes of the program."""
-        return [process for process in (self.process, self.reserve) if process is not None]

@@ -19,15 +19,13 @@ from ship_bringup.suite.dds_ports import ReservedPorts, udp_ports_of
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S, FrozenCheck
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Program, Role
-from ship_bringup.suite.restarts import LONGEST_DELAY_S, end_text, exit_code_of
+from ship_bringup.suite.restarts import end_text, exit_code_of
 from ship_bringup.suite.supervised_program import SupervisedProgram
 from ship_estimation.rejections import failure_rejection
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_TIMEOUT_S = 10.0
 """Timeout after a request to end, s; the program is then killed."""
-_RESERVE_DELAY_S = 5.0
-"""Delay of the reserve process after the start of its program, s; other programs have started by then."""
 _SUITE = "suite"
 
 _END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
@@ -103,33 +101,23 @@ class Supervisor:
         self._wait()
 
     def _start(self, entry: SupervisedProgram) -> None:
-        """Start a program, or let its reserve process begin."""
-        if entry.reserve is not None and entry.reserve.is_stopped:
-            entry.reserve.kill()
-            entry.reserve = None
+        """Start a program; if that fails, schedule another attempt."""
         entry.due_s, entry.ports = None, frozenset()
-        entry.process, entry.reserve = entry.reserve, None
-        if entry.process is not None:
-            entry.process.begin()
-        else:
-            try:
-                entry.process = self._start_process(entry, waits=False)
-            except Exception as problem:
-                delay_s = max(1.0, entry.restarts.delay_s(ran_s=0.0))
-                entry.due_s = time.monotonic() + delay_s
-                text = f"{entry.program.name} cannot be started: {_reason(problem)}"
-                self._log(_SUITE, f"{text}; tried again in {delay_s:.0f} s")
-                return
-        if entry.program.has_reserve:
-            entry.reserve_due_s = entry.process.start_s + _RESERVE_DELAY_S
+        try:
+            entry.process = self._start_process(entry)
+        except Exception as problem:
+            delay_s = max(1.0, entry.restarts.delay_s(ran_s=0.0))
+            entry.due_s = time.monotonic() + delay_s
+            reason = (isinstance(problem, OSError) and problem.strerror) or failure_rejection(problem).text
+            self._log(_SUITE, f"{entry.program.name} cannot be started: {reason}; tried again in {delay_s:.0f} s")
 
-    def _start_process(self, entry: SupervisedProgram, waits: bool) -> Process:
+    def _start_process(self, entry: SupervisedProgram) -> Process:
         """Return a new process whose events are registered.
 
         Raises:
             OSError: the process cannot be started, usually for lack of memory or file descriptors.
         """
-        process = Process(entry.program.command, self._frozen_check.heartbeats.sender_descriptor, waits)
+        process = Process(entry.program.command, self._frozen_check.heartbeats.sender_descriptor)
         try:
             self._selector.register(process.output, selectors.EVENT_READ, lambda: self._read(entry, process))
             self._selector.register(process.pidfd, selectors.EVENT_READ, lambda: self._handle_end(entry, process))
@@ -142,7 +130,7 @@ class Supervisor:
 
     def _wait(self) -> None:
         """Wait for the next event or time, and handle it."""
-        due = [s for kept in self._programs for s in (kept.due_s, kept.reserve_due_s) if s is not None]
+        due = [kept.due_s for kept in self._programs if kept.due_s is not None]
         due += [] if self._kill_due_s is None else [self._kill_due_s]
         due += [] if self._is_ending else [self._frozen_check.due_s]
         timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
@@ -156,7 +144,7 @@ class Supervisor:
         lines, may_be_more = process.read_lines()
         for line in lines:
             self._log(entry.program.name, line)
-        if lines and not entry.ports and process is entry.process:
+        if lines and not entry.ports:
             # A program that prints has created its node, which keeps its UDP ports until it ends.
             entry.ports = udp_ports_of(process.pid)
         if process.is_output_complete:
@@ -164,20 +152,16 @@ class Supervisor:
         return may_be_more
 
     def _handle_end(self, entry: SupervisedProgram, process: Process) -> None:
-        """Handle the end of a process: schedule another reserve process, or see :meth:`_handle_unrequested_end`."""
+        """Handle the end of a process, requested or not."""
         while not process.is_output_complete and self._read(entry, process):
             pass
         self._unregister(process)
         code, ran_s = process.close(), time.monotonic() - process.start_s
-        if process is entry.reserve:
-            entry.reserve, entry.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
-            self._log(_SUITE, f"{entry.program.name} in reserve ended: {end_text(code)}")
-        elif process is entry.process:
-            entry.process = None
-            if self._is_ending:
-                self._kill_due_s = None
-            else:
-                self._handle_unrequested_end(entry, code, ran_s)
+        entry.process = None
+        if self._is_ending:
+            self._kill_due_s = None
+        else:
+            self._handle_unrequested_end(entry, code, ran_s)
 
     def _handle_unrequested_end(self, entry: SupervisedProgram, code: int, ran_s: float) -> None:
         """Handle an end that the suite did not request."""
@@ -205,28 +189,12 @@ class Supervisor:
         for entry in self._programs:
             if entry.due_s is not None and entry.due_s <= now_s:
                 self._start(entry)
-            if entry.reserve_due_s is not None and entry.reserve_due_s <= now_s:
-                try:
-                    entry.reserve_due_s = None
-                    entry.reserve = self._start_process(entry, waits=True)
-                except Exception as problem:
-                    entry.reserve_due_s = now_s + LONGEST_DELAY_S
-                    self._log(_SUITE, f"{entry.program.name} in reserve cannot be started: {_reason(problem)}")
 
     def _unregister(self, process: Process) -> None:
         """Stop waiting for a process; a program that the process has started may keep the output open."""
         for descriptor in (process.pidfd, process.output.fileno()):
             if descriptor in self._selector.get_map():
                 self._selector.unregister(descriptor)
-
-    def _drop_reserve(self, entry: SupervisedProgram) -> None:
-        """End the reserve process, without starting another reserve process."""
-        entry.reserve_due_s = None
-        if entry.reserve is not None:
-            self._unregister(entry.reserve)
-            entry.reserve.kill()
-            entry.reserve.close()
-            entry.reserve = None
 
     def _end(self) -> None:
         """Begin to end all programs; pending starts are cancelled."""
@@ -235,7 +203,6 @@ class Supervisor:
             if entry.process is None or not entry.has_run:
                 self._exit_code = self._exit_code or entry.failure
             entry.due_s = None
-            self._drop_reserve(entry)
 
     def _end_next(self) -> None:
         """While the suite ends: request the next running program to end; kill it after a timeout."""
@@ -254,9 +221,10 @@ class Supervisor:
             process.kill()
 
     def _kill_all(self) -> None:
-        for process in [process for kept in self._programs for process in kept.processes]:
-            process.kill()
-            process.close()
+        for kept in self._programs:
+            if kept.process is not None:
+                kept.process.kill()
+                kept.process.close()
 
     def _log(self, name: str, line: str) -> None:
         self._write(f"[{name}] {line}")
@@ -287,10 +255,6 @@ class Supervisor:
             wake_reader.close()
 
     def _kill_all_now(self) -> None:
-        for process in [process for kept in self._programs for process in kept.processes]:
-            process.kill()
-
-
-def _reason(problem: Exception) -> str:
-    """Return the reason of a failure as text."""
-    return (isinstance(problem, OSError) and problem.strerror) or failure_rejection(problem).text
+        for kept in self._programs:
+            if kept.process is not None:
+                kept.process.kill()
