@@ -12,14 +12,14 @@ import pytest
 
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.parameters.schema import build
+from ship_geometry.mount.image import Camera, Image
+from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import SCENARIOS, with_theodolite
 from ship_testing.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors, theodolite_of
-from theodolite_calib.beacon_camera.image import Camera, Image
-from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from theodolite_calib.beacon_camera.telescope_attitude import solve_attitude
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore

@@ -18,7 +18,6 @@ from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.scenario.scenario import FusedAttitude, StarSensor, WeatherStation
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
-from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of
 from ship_testing.paper_stars import PAPER_STARS, paper_stars, with_position, with_sensor
 from ship_testing.theodolite_scenes import bag_scenario, with_beacons, with_theodolite
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
@@ -176,10 +175,11 @@ def test_the_suite_configuration_agrees_with_the_scenario():
         ship_antenna__sigma_m=0.012,
     )
     config = configuration_of(scenario)
-    np.testing.assert_allclose(config.axes.values, axis_errors_of(scenario.theodolite.axes)[0])
-    np.testing.assert_allclose(config.axes.sigma, axis_errors_of(scenario.theodolite.axes)[1])
+    np.testing.assert_array_equal(config.axes.values, scenario.theodolite.axes.values)
+    np.testing.assert_array_equal(config.axes.sigma, scenario.theodolite.axes.sigma)
     telescope = config.telescope
-    np.testing.assert_allclose([telescope.parallelism, telescope.parallelism_sigma], parallelism_of(telescope))
+    np.testing.assert_array_equal(telescope.parallelism, scenario.theodolite.telescope.parallelism)
+    np.testing.assert_array_equal(telescope.parallelism_sigma, scenario.theodolite.telescope.parallelism_sigma)
     assert (telescope.lens.right_m, telescope.focal_length_m, telescope.telescope_id) == (0.11, 0.1, "calibration")
     assert (config.lever.vector_m.tolist(), config.lever.sigma_m) == ([12.0, 3.0, -2.0], 0.005)
     assert (config.encoder.sigma_arcsec, config.deformation.time_s, config.air.light_sigma) == (1.5, 700.0, 0.015)

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ins_errors.config import SchulerConfig
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters.ins_errors import SchulerConfig
 from ship_estimation.parameters.schema import build
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status

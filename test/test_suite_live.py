@@ -260,6 +260,7 @@ def gap_after_kill_s(folder, environment):
         ]
         process = running.enter_context(LiveProcess(commands["suite"], folder / "suite.log", environment))
         wait_for(saved.exists, process)
+        time.sleep(5.0)  # the recorder has outputs of some seconds before the gap
         assert re.search(r"no alignment at", process.log_text())
         os.kill(process_of(process.pid, "ship_attitude"), signal.SIGKILL)
         killed_ns = time.time_ns()

@@ -19,7 +19,7 @@ from ship_node.adapters.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import topic_rows, usage_text
 from ship_simulation.messages.message_stream import TRUTH_TYPES
-from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario import scenario_keys
 from ship_watch.limits import Limits
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
@@ -128,7 +128,7 @@ def parameters_pages() -> dict[str, str]:
 
 def scenario_pages() -> dict[str, str]:
     """Return the pages with all keys of a scenario."""
-    sections = _tables(describe(Scenario), _KEY_COLUMNS, "scenario")
+    sections = _tables(scenario_keys(), _KEY_COLUMNS, "scenario")
     return groups.split("scenario", SCENARIO_HEAD, sections, groups.SCENARIO)
 
 

@@ -14,13 +14,11 @@ setup(
     ],
     install_requires=[
         "setuptools",
-        "ship_attitude_star",
         "ship_bags",
         "ship_estimation",
         "ship_geometry",
         "ship_msgs",
         "ship_stars",
-        "theodolite_calib",
         "numpy",
         "scipy",
         "PyYAML",

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_studies.axis_fit.sightings import Sightings
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 
 ERRORS = AxisErrors(*(ARCSEC * np.array([20.0, -30.0, 15.0, -25.0, 10.0, -35.0, 0.0])).tolist())
 STRAIGHT = {"flexure": 0.0}

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.true_optics import TrueOptics
@@ -22,7 +23,6 @@ from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.solution.exposure import StarExposure
 from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.samples import EncoderSample
 from theodolite_calib.samples.star_sighting import StarSighting

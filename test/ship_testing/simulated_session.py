@@ -13,10 +13,10 @@ import numpy as np
 
 from ship_estimation.parameters.schema import build, nest
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
+from ship_geometry.mount.image import Image
+from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M, BeaconPoses
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.beacon_camera.image import Image
-from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M, BeaconPoses
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.sighting import Sighting
 from theodolite_calib.samples.tracks import EncoderAt, ShipAt

@@ -12,16 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.image import Camera, Image
+from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, LinesOfSight, Ship, Survey, lines_of_sight
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.beacon_camera.image import Camera, Image
-from theodolite_calib.beacon_camera.line_of_sight import (
-    BeaconPoses,
-    LeverArm,
-    LinesOfSight,
-    Ship,
-    Survey,
-    lines_of_sight,
-)
 
 DISTANCE_M = 2000.0
 FOCAL_LENGTH_M = 0.1

@@ -15,6 +15,9 @@ import numpy as np
 from ship_bags.stamps import make_header
 from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, encoder_angles, main_axis_rotation
+from ship_geometry.mount.image import Camera
+from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.adapter_runs import (
@@ -29,9 +32,6 @@ from ship_testing.adapter_runs import (
 )
 from ship_testing.simulated_sightings import project, raise_elevation
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.axis_geometry.axes import AxisErrors, encoder_angles, main_axis_rotation
-from theodolite_calib.beacon_camera.image import Camera
-from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 from theodolite_calib.config import OpticalAxisConfig
 
 ENCODER, SHIP, INS, BEACONS = "theodolite/encoder", "ship/attitude", "ins/imu", "theodolite/beacons"

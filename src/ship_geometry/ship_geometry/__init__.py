@@ -98,7 +98,7 @@ Terms of the ship
         Unit: azimuth, elevation, roll, rad; quaternion; module: ship_stars.sky.tracker_attitude.
     Sight line
         Straight line from a sensor to a star or a light; also called line of sight.
-        Unit: unit vector; module: theodolite_calib.beacon_camera.line_of_sight.
+        Unit: unit vector; module: ship_geometry.mount.line_of_sight.
     Wahba's problem
         Find the rotation between two frames from directions that are known in both.
         Source: Wahba 1965; module: ship_geometry.wahba.
@@ -133,23 +133,23 @@ Terms of the theodolite
         Unit: rad, n; module: theodolite_calib.optical_axis.
     Axis geometry
         Rotations from the ship's attitude through foot and mount to the main optical axis.
-        Module: theodolite_calib.axis_geometry.axes.
+        Module: ship_geometry.mount.axes.
     Encoder
         Scale on an axis of the mount; two encoders measure azimuth and elevation.
         Unit: rad, d; module: theodolite_calib.samples.encoder_check.
     Axis errors
         Terms of a pointing model: zero points g and h of the encoders, collimation c, non-perpendicularity I, tilt
         beta_x, beta_y of the vertical axis, flexure of the tube. TPOINT has IA, IE, CA, NPAE, AN, AW and TF for them.
-        Unit: rad; source: Wallace 2002; module: theodolite_calib.axis_geometry.axes.
+        Unit: rad; source: Wallace 2002; module: ship_geometry.mount.axes.
     Collimation c
         Angle of the optical axis against the normal to the horizontal axis.
-        Unit: rad; module: theodolite_calib.axis_geometry.axes.
+        Unit: rad; module: ship_geometry.mount.axes.
     Non-perpendicularity I
         Tilt of the horizontal axis against the normal to the vertical axis.
-        Unit: rad; module: theodolite_calib.axis_geometry.axes.
+        Unit: rad; module: ship_geometry.mount.axes.
     Parallelism
         Three angles from the axis of the calibration telescope to the main optical axis.
-        Unit: rad, t; module: theodolite_calib.axis_geometry.parallelism.
+        Unit: rad, t; module: ship_geometry.mount.parallelism.
     Deformation
         Bending of the hull between the INS and the theodolite's foot: f relative to d.
         Unit: rad, d; module: theodolite_calib.filter.model.
@@ -164,11 +164,11 @@ Terms of the theodolite
         Unit: m, n; module: theodolite_calib.samples.baseline_track.
     Lever
         Vector between two points of one rigid body: from an antenna to a lens or to a light.
-        Unit: m, d or b; module: theodolite_calib.beacon_camera.line_of_sight.
+        Unit: m, d or b; module: ship_geometry.mount.line_of_sight.
     Principal point
         Of the lens (N'): point of the telescope at which sight lines meet. Of the detector: intersection with the axis
         of the lens.
-        Unit: m; module: theodolite_calib.beacon_camera.image.
+        Unit: m; module: ship_geometry.mount.image.
     Sighting
         Measurement of the axis by one exposure of the telescope, or by one row of a table.
         Module: theodolite_calib.samples.sighting.

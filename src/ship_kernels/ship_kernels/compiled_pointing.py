@@ -9,7 +9,7 @@ mount (optical axis, up, right) is
 
 A and E are the encoder readings of azimuth and elevation. The order of the errors is always: a (rotation vector in n),
 e (rotation vector in d), g, h, c, I, βx, βy, f, and τ in seconds. The errors g to f of the axes are documented in
-:mod:`theodolite_calib.axis_geometry.axes`.
+:mod:`ship_geometry.mount.axes`.
 """
 
 import cython

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ship_geometry.mount.image import block_diagonal
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_pointing
-from theodolite_calib.beacon_camera.image import block_diagonal
 
 RNG_SEED = 5
 LIGHTS, STATES, ERRORS, FOCAL_LENGTH = 3, 11, 7, 4

@@ -9,12 +9,12 @@ from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force_option, check_file
 from ship_bags.progress import with_progress
-from ship_estimation.parameters.rows import key_rows
+from ship_estimation.parameters.rows import parameter_row, wrapped_lines
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate_stretches
 from ship_simulation.scenario.fault import kind_rows
-from ship_simulation.scenario.scenario import Scenario, start_time_ns
+from ship_simulation.scenario.scenario import Scenario, scenario_keys, start_time_ns
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
 
@@ -58,7 +58,7 @@ def _parser() -> CommandParser:
 
 
 def _keys() -> str:
-    return "\n".join(key_rows(Scenario))
+    return "\n".join(wrapped_lines([parameter_row(key) for key in scenario_keys()]))
 
 
 def parse_seed(text: str) -> int:

@@ -13,7 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.rtk import FIXED, FLOAT, NONE
 from ship_simulation.theodolite.devices import points_on_detector
-from ship_simulation.theodolite.scene import axis_errors_of, draw_theodolite, parallelism_of, surveyed_vector
+from ship_simulation.theodolite.scene import draw_theodolite
 from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_beacons, with_theodolite
 
 SEEDS = 400
@@ -40,14 +40,15 @@ def test_constants_are_drawn_with_their_sigmas():
     scenario = with_theodolite(bag_scenario(), axes__spread="normal")
     config = scenario.theodolite
     drawn = [draw_theodolite(config, seed) for seed in range(SEEDS)]
-    axes, axes_sigma = axis_errors_of(config.axes)
+    axes, axes_sigma = config.axes.values, config.axes.sigma
     for column, sigma in enumerate(axes_sigma):
         assert_sigma([true.axis_errors.vector()[column] - axes[column] for true in drawn], sigma)
-    parallelism, parallelism_sigma = parallelism_of(config.telescope)
-    assert_sigma([(true.parallelism - parallelism) / parallelism_sigma for true in drawn], 1.0)
+    telescope = config.telescope
+    angles = [(true.parallelism - telescope.parallelism) / telescope.parallelism_sigma for true in drawn]
+    assert_sigma(angles, 1.0)
     assert_sigma([true.focal_length_m - 0.1 for true in drawn], 1e-4)
-    assert_sigma([true.lever_d - surveyed_vector(config.lever) for true in drawn], 0.005)
-    assert_sigma([true.lens_m - surveyed_vector(config.telescope.lens) for true in drawn], 0.002)
+    assert_sigma([true.lever_d - config.lever.vector_m for true in drawn], 0.005)
+    assert_sigma([true.lens_m - telescope.lens.vector_m for true in drawn], 0.002)
 
 
 def test_uniform_axis_errors_fill_their_range_and_no_more():

@@ -11,6 +11,7 @@ from ship_bags.message_store import RosbagsFactory, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import angles_from_rotation
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
@@ -18,7 +19,6 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault
 from ship_simulation.simulate_command import main
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, with_beacons, with_theodolite
-from theodolite_calib.axis_geometry.axes import NAMES
 
 ENCODER, IMAGE, BASELINE, DRONE = "theodolite/encoder", "theodolite/beacons", "beacon/a/baseline", "beacon/a/imu"
 

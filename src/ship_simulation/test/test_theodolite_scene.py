@@ -1,4 +1,4 @@
-"""Sightings against the equations of theodolite_calib, and the paths of drones and mount."""
+"""Sightings against the equations of ship_geometry.mount, and the paths of drones and mount."""
 
 import dataclasses
 
@@ -8,12 +8,14 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
+from ship_geometry.mount.image import Camera
+from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
 from ship_simulation.run import simulate
 from ship_simulation.scenario.theodolite_scenario import Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_simulation.theodolite.flight import flight_path
-from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of, surveyed_vector
 from ship_testing.theodolite_scenes import (
     bag_scenario,
     replace_nested,
@@ -22,19 +24,16 @@ from ship_testing.theodolite_scenes import (
     with_theodolite,
     without_errors,
 )
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.beacon_camera.image import Camera
-from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 
 NONE = np.zeros(3)
 
 
 def survey_of(scenario):
     config = scenario.theodolite
-    lights = [surveyed_vector(beacon.light) for _, beacon in sorted(scenario.beacons.items())]
+    lights = [beacon.light.vector_m for _, beacon in sorted(scenario.beacons.items())]
     return Survey(
-        theodolite_lever=LeverArm(surveyed_vector(config.lever), NONE),
-        principal_point=LeverArm(surveyed_vector(config.telescope.lens), NONE),
+        theodolite_lever=LeverArm(config.lever.vector_m, NONE),
+        principal_point=LeverArm(config.telescope.lens.vector_m, NONE),
         beacon_lever=LeverArm(np.array(lights), NONE),
         rtk_base_sigma_m=NONE,
         rtk_bias_sigma_m=NONE,
@@ -57,7 +56,7 @@ def test_a_sighting_without_errors_obeys_the_equations():
     assert set(np.diff(theodolite.images.first)) == {2}
     encoder, fused = theodolite.encoder, run.fused
     at = rows_at(encoder, time_ns)
-    errors = AxisErrors.from_vector(axis_errors_of(scenario.theodolite.axes)[0])
+    errors = AxisErrors.from_vector(scenario.theodolite.axes.values)
     rotation_dm = main_axis_rotation(errors, encoder.azimuth[at], encoder.elevation[at])
     rotation_nd = fused.rotation_nd[rows_at(fused, time_ns)]
     beacons = sorted(scenario.beacons)
@@ -72,7 +71,7 @@ def test_a_sighting_without_errors_obeys_the_equations():
     lines = lines_of_sight(lights, Ship(rotation_nd, np.zeros((3, 3)), rotation_dm), survey_of(scenario))
     telescope = scenario.theodolite.telescope
     camera = Camera(telescope.focal_length_m, 0.0, np.array([telescope.principal_x_m, telescope.principal_z_m]))
-    rotation_tm = rotation_from_angles(*parallelism_of(telescope)[0])
+    rotation_tm = rotation_from_angles(*telescope.parallelism)
     direction_t = lines.direction_n @ (rotation_nd @ rotation_dm @ rotation_tm.T)
     # The simulated detection noise is 1 nm, 1e-8 rad; the scene's directions below are without noise.
     points = theodolite.images.point_m.reshape(-1, 2, 2)

@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from ship_bags.mcap.bag_reader import read_bag
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.offline.adapter_chain import suite_text
@@ -16,7 +17,6 @@ from ship_studies.axis_fit.axis_sightings_command import main
 from ship_studies.axis_fit.recorded_sightings import AxisSighting, AxisSightings, axis_sightings
 from ship_studies.axis_fit.sighting_file import read_sightings
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
-from theodolite_calib.axis_geometry.axes import NAMES
 
 BAGS = Path(__file__).parents[3] / "bags"
 

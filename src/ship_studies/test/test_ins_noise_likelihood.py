@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from ship_attitude_star.ins_errors.config import SchulerConfig
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.vertical.vertical_track import LocalVertical
+from ship_estimation.parameters.ins_errors import SchulerConfig
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_studies.ins_noise.likelihood import log_likelihoods

@@ -65,7 +65,7 @@ def test_the_calibration_telescope_has_one_parallelism_by_lights_and_by_stars() 
 
 
 def test_telescope_and_focal_length_must_be_given() -> None:
-    with pytest.raises(ParameterError, match=r"'telescope.telescope_id' \(telescope_id of its images\) must be given"):
+    with pytest.raises(ParameterError, match=r"'telescope\.focal_length_m' \(focal length, in metres\) must be given"):
         build(OpticalAxisConfig, {})
-    with pytest.raises(ParameterError, match=r"'telescope\.focal_length_m'"):
-        build(OpticalAxisConfig, {"telescope": {"telescope_id": "main"}})
+    with pytest.raises(ParameterError, match=r"'telescope\.telescope_id'"):
+        build(OpticalAxisConfig, {"telescope": {"focal_length_m": 0.1}})

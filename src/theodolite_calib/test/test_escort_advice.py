@@ -8,9 +8,9 @@ import pytest
 
 from ship_estimation.parameters.schema import ParameterError, build
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.image import Camera, Image
+from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.beacon_camera.image import Camera, Image
-from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from theodolite_calib.beacon_camera.telescope_attitude import solve_attitude
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy

@@ -9,9 +9,9 @@ import pytest
 
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import axis_geometry
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.axis_geometry.axes import axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import UnresolvedFault
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState

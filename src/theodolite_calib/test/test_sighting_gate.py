@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ship_estimation.rejections import Reason
+from ship_geometry.mount.image import Image
 from ship_geometry.rotations import ARCSEC, angle_between
 from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
-from theodolite_calib.beacon_camera.image import Image
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.samples.samples import Exposure

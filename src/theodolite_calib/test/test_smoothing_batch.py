@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_estimation.parameters.schema import build
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC
 from ship_testing.sparse_least_squares import covariance_of, solve
-from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.samples import (
     BaselineSample,

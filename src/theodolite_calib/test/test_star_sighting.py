@@ -9,10 +9,10 @@ import pytest
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.solution.exposure import ExposureLength, StarExposure
 from ship_testing.mount_stars import CAMERA_ID, mount_config
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.samples.samples import EncoderSample, ShipSample
 from theodolite_calib.samples.star_sighting import StarSighting, star_sighting
 from theodolite_calib.samples.tracks import MeasuredTracks

@@ -12,9 +12,9 @@ from ship_estimation.innovations.gates import mean_nees_band, normalized_error_s
 from ship_estimation.parameters.schema import build, nest
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
+from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.samples.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample

@@ -7,6 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_geometry.mount.image import Camera
+from ship_geometry.mount.line_of_sight import LeverArm
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_testing.simulated_sightings import (
     BEACONS_DEG,
@@ -19,8 +21,6 @@ from ship_testing.simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.beacon_camera.image import Camera
-from theodolite_calib.beacon_camera.line_of_sight import LeverArm
 from theodolite_calib.beacon_camera.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude
 
 RTK_ONLY = replace(SURVEY, rtk_bias_sigma_m=np.full(3, 0.027))

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from ship_geometry.mount.line_of_sight import LeverArm, covariance_by_source
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 from ship_testing.simulated_sightings import (
     BEACONS_DEG,
@@ -18,7 +19,6 @@ from ship_testing.simulated_sightings import (
     raise_elevation,
     truth_of,
 )
-from theodolite_calib.beacon_camera.line_of_sight import LeverArm, covariance_by_source
 from theodolite_calib.beacon_camera.telescope_attitude import (
     AttitudePrior,
     TelescopeAttitude,

@@ -11,6 +11,7 @@ Each folder imports only folders named below it:
 - ``targets`` gives directions of targets; ``escort`` gives advised positions of the drones.
 - ``filter`` estimates axis errors, deformation and the ship's error.
 - ``samples`` holds the samples, ``config`` the parameters.
-- ``beacon_camera`` is the camera model for beacons, and computes the telescope's attitude from their images.
-- ``axis_geometry`` is the mount model: zero points, collimation, non-perpendicularity, tilt and flexure.
+- ``beacon_camera`` computes the telescope's attitude from images of beacons, and checks the beacons' names.
+
+The geometry of mount, telescope and lines of sight is in :mod:`ship_geometry.mount`.
 """

@@ -1,7 +1,6 @@
 """Parameters of the ``optical_axis`` node, each with unit, range and meaning; names are dotted."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from ship_estimation.parameters.fields import (
     accept_unset_covariance,
     arcsec,
     autosave_period,
-    degrees,
     mapping_of,
     parameter,
     section,
@@ -19,59 +17,29 @@ from ship_estimation.parameters.fields import (
     stamp_age,
 )
 from ship_estimation.parameters.frame_names import FrameNames, publish_tf
-from ship_estimation.parameters.ins import InsErrorConfig, StarInsConfig
+from ship_estimation.parameters.ins import StarInsConfig
+from ship_estimation.parameters.ins_errors import InsCorrelationTimes
 from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.parameters.theodolite_devices import (
+    AirConfig,
+    AxesConfig,
+    BaselineErrors,
+    DeformationConfig,
+    DroneAttitudeErrors,
+    LeverConfig,
+    MainAxisInCamera,
+    MainDetectorOptics,
+    ShipAntennaConfig,
+    TelescopeOptics,
+)
 from ship_estimation.recovery.config import RecoveryConfig
-from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.camera.config import RequiredCameraConfig
 from ship_stars.sky.config import SkyConfig
-from theodolite_calib.axis_geometry.axes import NAMES
-
-_MAX_LEVER_M = 200.0
-"""Largest lever of any ship, m; a larger number is in millimetres, or wrong."""
 
 _SHORTEST_FOCAL_LENGTH_M = 0.001
 
 _SAME_TOLERANCE = 1e-9
 """Relative difference up to which two parameters count as equal, because the conversion of their units rounds."""
-
-
-def _axis_error(doc: str) -> Any:
-    """Return the field of the prior value of an axis error, within ±1°; larger zero points need ``fit_axes``."""
-    return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
-
-
-def _axis_sigma(default: float = 30.0) -> Any:
-    return parameter(default, doc="uncertainty of this error; 0 fixes it", unit="arcsec", minimum=0.0, maximum=3600.0)
-
-
-def _telescope_angle(doc: str) -> Any:
-    return parameter(0.0, doc=doc, unit="arcsec", minimum=-36_000.0, maximum=36_000.0)
-
-
-def _sigma_deg(default: float, doc: str) -> Any:
-    return parameter(default, doc=doc, unit="deg", minimum=0.0, maximum=90.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LeverConfig:
-    """Surveyed vector in the axes (forward, up, right) of the ship, drone or theodolite."""
-
-    forward_m: float = parameter(
-        0.0, doc="component along forward (bow)", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M
-    )
-    up_m: float = parameter(0.0, doc="component along up", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M)
-    right_m: float = parameter(
-        0.0, doc="component along right (starboard)", unit="m", minimum=-_MAX_LEVER_M, maximum=_MAX_LEVER_M
-    )
-    sigma_m: float = parameter(
-        0.0, doc="standard deviation of the survey, each axis", unit="m", minimum=0.0, maximum=10.0
-    )
-
-    @property
-    def vector_m(self) -> FloatArray:
-        """Vector in metres, shape (3,)."""
-        return np.array([self.forward_m, self.up_m, self.right_m])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +64,7 @@ class ShipConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsSourceConfig(StarInsConfig, InsErrorConfig):
+class InsSourceConfig(InsCorrelationTimes, StarInsConfig):
     """INS as the only source of the ship's attitude."""
 
 
@@ -120,164 +88,29 @@ class EncoderConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxesConfig:
-    """Prior of the axis errors."""
-
-    g_arcsec: float = _axis_error("zero point of the azimuth encoder; the axis points at A - g")
-    g_sigma_arcsec: float = _axis_sigma()
-    h_arcsec: float = _axis_error("zero point of the elevation encoder; the axis points at E - h")
-    h_sigma_arcsec: float = _axis_sigma()
-    c_arcsec: float = _axis_error("collimation of the optical axis, to the left")
-    c_sigma_arcsec: float = _axis_sigma()
-    I_arcsec: float = _axis_error("non-perpendicularity: tilt of the horizontal axis, right end up")
-    I_sigma_arcsec: float = _axis_sigma()
-    beta_x_arcsec: float = _axis_error("tilt of the vertical axis towards the bow")
-    beta_x_sigma_arcsec: float = _axis_sigma()
-    beta_y_arcsec: float = _axis_error("tilt of the vertical axis towards starboard")
-    beta_y_sigma_arcsec: float = _axis_sigma()
-    flexure_arcsec: float = _axis_error("bending of the tube; it raises the axis by this times cos E")
-    flexure_sigma_arcsec: float = _axis_sigma(0.0)
-
-    @property
-    def values(self) -> FloatArray:
-        """Prior values, in the order of :data:`theodolite_calib.axis_geometry.axes.NAMES`, rad, shape (7,)."""
-        return ARCSEC * np.array([getattr(self, f"{name}_arcsec") for name in NAMES])
-
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations of the prior values, rad, shape (7,)."""
-        return ARCSEC * np.array([getattr(self, f"{name}_sigma_arcsec") for name in NAMES])
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeformationConfig:
-    """Deformation of the hull between INS and theodolite, about bow, up and starboard."""
-
-    sigma_arcsec: float = arcsec(20.0, doc="standard deviation, each axis")
-    time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TelescopeConfig:
+class TelescopeConfig(TelescopeOptics):
     """Calibration telescope, its detector, and its parallelism to the main axis."""
 
     telescope_id: str = parameter(doc="telescope_id of its images")
     frame_id: str = parameter("", doc="frame_id that theodolite/beacons must carry; empty accepts any")
-    focal_length_m: float = parameter(doc="focal length, in metres", unit="m", minimum=0.001, maximum=10.0)
-    focal_length_sigma_m: float = parameter(
-        0.0001, doc="uncertainty of the focal length; 0 fixes it", unit="m", minimum=0.0, maximum=0.1
-    )
-    principal_x_m: float = parameter(
-        0.0, doc="detector point of the telescope's axis, along right", unit="m", minimum=-0.1, maximum=0.1
-    )
-    principal_z_m: float = parameter(
-        0.0, doc="detector point of the telescope's axis, along up", unit="m", minimum=-0.1, maximum=0.1
-    )
-    sigma_m: float = parameter(
-        1e-6,
-        doc="error of x and of z of a light's image if the message states none",
-        unit="m",
-        minimum=1e-9,
-        maximum=0.001,
-        live=True,
-    )
-    psf_sigma_m: float = parameter(
-        5.2e-6,
-        doc="spread of the image of a light at rest, each axis; the error along a longer streak is larger",
-        unit="m",
-        minimum=1e-7,
-        maximum=0.001,
-    )
-    azimuth_arcsec: float = _telescope_angle("azimuth of the main axis in the telescope")
-    azimuth_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of the azimuth")
-    elevation_arcsec: float = _telescope_angle("elevation of the main axis in the telescope")
-    elevation_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of the elevation")
-    rotation_arcsec: float = _telescope_angle("rotation of the main image in the telescope")
-    rotation_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of the rotation")
-    lens: LeverConfig = section(LeverConfig)
-
-    @property
-    def principal_point_m(self) -> FloatArray:
-        """Detector point of the telescope's axis, shape (2,)."""
-        return np.array([self.principal_x_m, self.principal_z_m])
-
-    @property
-    def parallelism(self) -> FloatArray:
-        """Azimuth, elevation and rotation of the main axis in the telescope, rad, shape (3,)."""
-        return ARCSEC * np.array([self.azimuth_arcsec, self.elevation_arcsec, self.rotation_arcsec])
-
-    @property
-    def parallelism_sigma(self) -> FloatArray:
-        """Standard deviations of the parallelism, rad, shape (3,)."""
-        return ARCSEC * np.array(
-            [self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.rotation_sigma_arcsec]
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
-class StarCameraConfig:
-    """Star camera fixed to the theodolite, and the orientation of the main axis in the camera.
+class StarCameraConfig(MainAxisInCamera):
+    """Star camera fixed to the theodolite.
 
-    The main frame is the camera's frame rotated by R(azimuth, elevation, roll), with the signs of
-    ``telescope.azimuth_arcsec``, ``elevation_arcsec`` and ``rotation_arcsec``. If the calibration telescope is a star
-    camera, its id is ``telescope.telescope_id``.
+    If the calibration telescope is a star camera, its id is ``telescope.telescope_id``.
     """
 
     frame_id: str = parameter("", doc="frame_id that theodolite/<id>/stars must carry; empty accepts any")
-    azimuth_deg: float = degrees(doc="azimuth of the main axis in the camera")
-    azimuth_sigma_arcsec: float = arcsec(1.0, doc="uncertainty of the azimuth")
-    elevation_deg: float = parameter(
-        doc="elevation of the main axis in the camera", unit="deg", minimum=-89.0, maximum=89.0
-    )
-    elevation_sigma_arcsec: float = arcsec(1.0, doc="uncertainty of the elevation")
-    roll_deg: float = degrees(doc="rotation of the main image in the camera")
-    roll_sigma_arcsec: float = arcsec(20.0, doc="uncertainty of the rotation")
     camera: RequiredCameraConfig = section(RequiredCameraConfig)
-
-    @property
-    def parallelism(self) -> FloatArray:
-        """Azimuth, elevation and roll of the main axis in the camera, rad, shape (3,)."""
-        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
-
-    @property
-    def parallelism_sigma(self) -> FloatArray:
-        """Standard deviations of the parallelism, rad, shape (3,)."""
-        return ARCSEC * np.array([self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.roll_sigma_arcsec])
 
 
 @dataclass(frozen=True, kw_only=True)
-class MainDetectorConfig:
+class MainDetectorConfig(MainDetectorOptics):
     """Detector in the main tube, for images of targets; a focal length of 0 means no detector."""
 
     frame_id: str = parameter("", doc="frame_id that theodolite/target must carry; empty accepts any")
-    focal_length_m: float = parameter(
-        0.0,
-        doc="focal length of the main tube, in metres; 0: no main detector, its images are rejected",
-        unit="m",
-        minimum=0.0,
-        maximum=100.0,
-    )
-    focal_length_sigma_m: float = parameter(
-        0.0, doc="uncertainty of the focal length", unit="m", minimum=0.0, maximum=1.0
-    )
-    principal_x_m: float = parameter(
-        0.0, doc="detector point of the main axis, along right", unit="m", minimum=-0.5, maximum=0.5
-    )
-    principal_z_m: float = parameter(
-        0.0, doc="detector point of the main axis, along up", unit="m", minimum=-0.5, maximum=0.5
-    )
-    principal_sigma_m: float = parameter(
-        0.0, doc="uncertainty of the detector point, each axis", unit="m", minimum=0.0, maximum=0.1
-    )
-    sigma_m: float = parameter(
-        1e-6,
-        doc="error of x and of z of a target's image if the message states none",
-        unit="m",
-        minimum=1e-9,
-        maximum=0.001,
-        live=True,
-    )
-    rotation_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of detector_rotation as the message gives it")
 
     def __post_init__(self) -> None:
         if 0.0 < self.focal_length_m < _SHORTEST_FOCAL_LENGTH_M:
@@ -288,56 +121,21 @@ class MainDetectorConfig:
                 value=self.focal_length_m,
             )
 
-    @property
-    def principal_point_m(self) -> FloatArray:
-        """Detector point of the main axis, shape (2,)."""
-        return np.array([self.principal_x_m, self.principal_z_m])
-
 
 @dataclass(frozen=True, kw_only=True)
-class AirConfig:
-    """Coefficient k of terrestrial refraction on the paths to beacons and to a target with a range."""
-
-    coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
-    sigma: float = parameter(0.06, doc="error of k, common to all lights", minimum=0.0, maximum=5.0)
-    light_sigma: float = parameter(0.02, doc="further error of k on the path to each light", minimum=0.0, maximum=5.0)
-    time_s: float = parameter(3600.0, doc="correlation time of both errors", unit="s", minimum=0.0, maximum=1e7)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShipAntennaConfig:
-    """Antenna aboard from which all baselines start, so that its error is common to all baselines."""
-
-    sigma_m: float = parameter(0.01, doc="correlated error, each axis", unit="m", minimum=0.0, maximum=10.0)
-    time_s: float = parameter(300.0, doc="correlation time of the error", unit="s", minimum=0.0, maximum=1e7)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RtkConfig:
+class RtkConfig(BaselineErrors):
     """Baseline from the ship's antenna to the drone's antenna."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/baseline must carry; empty accepts any")
     base_id: str = parameter("", doc="base_id required in the messages; empty accepts any")
     rover_id: str = parameter("", doc="rover_id required in the messages; empty accepts any")
-    sigma_m: float = parameter(
-        0.02,
-        doc="noise of each solution, each axis, if the message states none",
-        unit="m",
-        minimum=1e-4,
-        maximum=100.0,
-        live=True,
-    )
-    bias_sigma_m: float = parameter(
-        0.01, doc="correlated error, each axis, in addition to the stated one", unit="m", minimum=0.0, maximum=100.0
-    )
-    bias_time_s: float = parameter(300.0, doc="correlation time of bias_sigma_m", unit="s", minimum=0.0, maximum=1e7)
     max_gap_s: float = parameter(
         0.5, doc="solutions further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class DroneImuConfig:
+class DroneImuConfig(DroneAttitudeErrors):
     """Attitude of the drone, used only if the light has a lever from the drone's antenna."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/imu must carry; empty accepts any")
@@ -345,9 +143,6 @@ class DroneImuConfig:
     convention: str = parameter(
         "enu_flu", doc="axes of the messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
-    tilt_sigma_deg: float = _sigma_deg(0.3, "correlated error in tilt, each axis")
-    heading_sigma_deg: float = _sigma_deg(1.0, "correlated error in heading")
-    time_s: float = parameter(300.0, doc="correlation time of both errors", unit="s", minimum=0.0, maximum=1e7)
     max_gap_s: float = parameter(
         0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )

@@ -17,6 +17,7 @@ from ship_estimation.innovations.gates import normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_estimation.time_order.outcome import Measurement, Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
 from ship_simulation.run import BASELINE_SOURCE, DEFLECTION_SOURCE, SKY_SOURCES, SimulatedRun, simulate
@@ -25,12 +26,10 @@ from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
 from ship_simulation.theodolite.run import TheodoliteRun
-from ship_simulation.theodolite.scene import axis_errors_of
 from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
 from ship_stars.samples.readings import AirReading, DeflectionReading, InertialAttitude, PositionFix, SkyInput
 from ship_stars.sky.sky_model import load_sky_model
 from ship_stars.solution.exposure import ExposureLength, StarExposure
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.samples.samples import (
@@ -330,7 +329,7 @@ def _ins_encoder_errors(run: SimulatedRun) -> FloatArray:
     time_ns = theodolite.encoder.time_ns[index]
     since_s, times_s = (run.ins.time_ns - run.start_ns) * 1e-9, (time_ns - run.start_ns) * 1e-9
     slow_n = np.stack([np.interp(times_s, since_s, column) for column in ins.attitude_error_n.T], axis=-1)
-    known = AxisErrors.from_vector(axis_errors_of(run.scenario.theodolite.axes)[0])
+    known = AxisErrors.from_vector(run.scenario.theodolite.axes.values)
     rotation_dm = main_axis_rotation(known, theodolite.encoder.azimuth[index], theodolite.encoder.elevation[index])
     axis_n = (exp_rotation(-slow_n) @ mount.rotation_nd @ rotation_dm)[:, :, 0]
     return angle_between(axis_n, mount.rotation_nm[:, :, 0])

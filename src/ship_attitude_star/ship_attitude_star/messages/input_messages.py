@@ -161,8 +161,7 @@ def reference_measurement(
     rotation_nr = imu_rotation(message, config.convention, config.accept_unset_covariance)
     covariance_enu = angular_covariance(message.orientation_covariance, "orientation_covariance")
     if covariance_enu is None:
-        sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]
-        noise_r = np.diag((np.array(sigma) * ARCSEC) ** 2)
+        noise_r = np.diag(config.noise_sigma_r**2)
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
     known = covariance_enu is not None
@@ -220,8 +219,7 @@ def _read_message(measurement: Measured) -> ReadMessage[Measured]:
 
 def _configured_noise(config: StarSensorConfig) -> FloatArray:
     """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), used if a message has none."""
-    sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
-    noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
+    noise_s: FloatArray = np.diag(config.noise_sigma_s**2)
     return noise_s
 
 

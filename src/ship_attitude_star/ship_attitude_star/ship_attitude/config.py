@@ -4,9 +4,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_attitude_star.vertical.config import GravityConfig
 from ship_estimation.innovations.gates import GateConfig
 from ship_estimation.integrity.protection_levels import IntegrityConfig
@@ -14,7 +11,6 @@ from ship_estimation.parameters.fields import (
     accept_unset_covariance,
     arcsec,
     autosave_period,
-    degrees,
     mapping_of,
     parameter,
     section,
@@ -22,8 +18,10 @@ from ship_estimation.parameters.fields import (
     stamp_age,
 )
 from ship_estimation.parameters.frame_names import FrameNames, publish_tf
-from ship_estimation.parameters.ins import InsErrorConfig, StarInsConfig
+from ship_estimation.parameters.ins import StarInsConfig
+from ship_estimation.parameters.ins_errors import SCHULER, InsCorrelationTimes, InsErrorModel
 from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.parameters.ship_devices import BaselineSurvey, ReferenceErrors, StarSensorErrors
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -47,16 +45,9 @@ _SOLVED_INPUTS = ("solution", "horizon_attitude")
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsConfig(StarInsConfig, InsErrorConfig):
+class InsConfig(InsErrorModel, InsCorrelationTimes, StarInsConfig):
     """Parameters of the inertial navigation system."""
 
-    model: str = parameter(
-        GAUSS_MARKOV,
-        doc="model of the INS error: exponentially correlated (tilt_time_s, heading_time_s), or the Schuler oscillation"
-        ", which needs gnss/fix for the latitude (schuler)",
-        choices=(GAUSS_MARKOV, SCHULER),
-    )
-    schuler: SchulerConfig = section(SchulerConfig)
     silence_s: float = parameter(
         1.0,
         doc="timeout: without usable samples for this long there is no INS attitude",
@@ -67,7 +58,7 @@ class InsConfig(StarInsConfig, InsErrorConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StarSensorConfig(MountingConfig):
+class StarSensorConfig(StarSensorErrors, MountingConfig):
     """Parameters of a star sensor: mounting, uncertainty of the mounting, noise and clock."""
 
     input: str = parameter(
@@ -93,34 +84,6 @@ class StarSensorConfig(MountingConfig):
     installation_walk_right_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the installation about the right axis", unit="arcsec/sqrt(h)", minimum=0.0
     )
-    sigma_forward_arcsec: float = arcsec(
-        100.0, doc="noise about the boresight if the message contains none", live=True
-    )
-    sigma_up_arcsec: float = arcsec(
-        3.0, doc="noise about the up axis if the message contains none", live=True
-    )
-    sigma_right_arcsec: float = arcsec(
-        3.0, doc="noise about the right axis if the message contains none", live=True
-    )
-    common_time_s: float = parameter(
-        3600.0,
-        doc="correlation time of the error common to the stars of a message (covariance minus noise_covariance)",
-        unit="s",
-        minimum=1.0,
-        maximum=1e7,
-    )
-    time_offset_s: float = parameter(
-        0.0, doc="a message is valid at its stamp plus this offset", unit="s", minimum=-1.0, maximum=1.0
-    )
-    time_offset_sigma_s: float = parameter(
-        0.0, doc="uncertainty of time_offset_s; 0: known exactly", unit="s", minimum=0.0, maximum=1.0
-    )
-    flexure_sigma_arcsec: float = arcsec(
-        0.0, doc="hull flexure between INS and sensor, each axis; 0: not modelled"
-    )
-    flexure_time_s: float = parameter(
-        10.0, doc="correlation time of the flexure", unit="s", minimum=0.1, maximum=1e7
-    )
 
     @cached_property
     def shared_error(self) -> str:
@@ -136,7 +99,7 @@ class StarSensorConfig(MountingConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferenceConfig:
+class ReferenceConfig(ReferenceErrors):
     """Parameters of another attitude system: mounting, noise and clock offset relative to the INS."""
 
     convention: str = parameter(
@@ -144,21 +107,8 @@ class ReferenceConfig:
     )
     frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
     accept_unset_covariance: bool = accept_unset_covariance()
-    heading_deg: float = degrees(0.0, doc="heading of the reference minus heading of the INS")
-    pitch_deg: float = degrees(0.0, doc="pitch of the reference minus pitch of the INS")
-    roll_deg: float = degrees(0.0, doc="roll of the reference minus roll of the INS")
-    installation_sigma_arcsec: float = arcsec(7200.0, doc="uncertainty of the three angles")
     installation_walk_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the three angles", unit="arcsec/sqrt(h)", minimum=0.0
-    )
-    sigma_roll_arcsec: float = arcsec(
-        60.0, doc="noise in roll if the message contains none", live=True
-    )
-    sigma_pitch_arcsec: float = arcsec(
-        60.0, doc="noise in pitch if the message contains none", live=True
-    )
-    sigma_heading_arcsec: float = arcsec(
-        60.0, doc="noise in heading if the message contains none", live=True
     )
     slow_sigma_roll_arcsec: float = arcsec(0.0, doc="correlated error in roll")
     slow_sigma_pitch_arcsec: float = arcsec(0.0, doc="correlated error in pitch")
@@ -168,31 +118,12 @@ class ReferenceConfig:
     slow_time_s: float = parameter(
         300.0, doc="correlation time of the correlated error", unit="s", minimum=0.1, maximum=1e7
     )
-    time_offset_s: float = parameter(
-        0.0,
-        doc="stamp of the reference minus stamp of the INS for the same attitude",
-        unit="s",
-        minimum=-10.0,
-        maximum=10.0,
-    )
-    time_offset_sigma_s: float = parameter(
-        0.2, doc="uncertainty of time_offset_s; 0: known exactly", unit="s", minimum=0.0, maximum=10.0
-    )
-
-
-def _metres(default: float, doc: str, least: float = -1000.0) -> float:
-    found: float = parameter(default, doc=doc, unit="m", minimum=least, maximum=1000.0)
-    return found
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShipBaselineConfig:
+class ShipBaselineConfig(BaselineSurvey):
     """Parameters of the baseline between two antennas aboard; the three components are 0 without a baseline."""
 
-    forward_m: float = _metres(0.0, "vector from the base antenna to the rover antenna, component toward the bow")
-    up_m: float = _metres(0.0, "vector between the antennas, upward component")
-    right_m: float = _metres(0.0, "vector between the antennas, component to starboard")
-    sigma_m: float = _metres(0.005, "uncertainty of each of the three components", 0.0)
     frame_id: str = parameter("", doc="frame_id that ship/baseline must carry; empty accepts any")
     base_id: str = parameter("", doc="base_id required in the messages; empty accepts any")
     rover_id: str = parameter("", doc="rover_id required in the messages; empty accepts any")
@@ -203,23 +134,10 @@ class ShipBaselineConfig:
         0.01, doc="noise of each solution, each axis, if the message contains none", unit="m",
         minimum=1e-4, maximum=100.0, live=True,
     )  # fmt: skip
-    bias_sigma_m: float = _metres(0.005, "correlated error, each axis, for example by multipath", 0.0)
+    bias_sigma_m: float = parameter(
+        0.005, doc="correlated error, each axis, for example by multipath", unit="m", minimum=0.0, maximum=1000.0
+    )
     bias_time_s: float = parameter(300.0, doc="correlation time of bias_sigma_m", unit="s", minimum=0.1, maximum=1e7)
-
-    @property
-    def vector_d(self) -> FloatArray:
-        """Vector from the base antenna to the rover antenna, deck frame (bow, up, starboard), m, shape (3,)."""
-        return np.array([self.forward_m, self.up_m, self.right_m])
-
-    @property
-    def length_m(self) -> float:
-        """Length of the baseline, m; 0 without a baseline."""
-        return float(np.linalg.norm(self.vector_d))
-
-    @property
-    def is_aboard(self) -> bool:
-        """True if the ship has a baseline."""
-        return self.length_m > 0.0
 
     @property
     def rotation_dv(self) -> FloatArray:

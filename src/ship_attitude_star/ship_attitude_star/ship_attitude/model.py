@@ -53,7 +53,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ins_errors.config import SCHULER, SchulerConfig
 from ship_attitude_star.ins_errors.gauss_markov import GaussMarkovIns
 from ship_attitude_star.ins_errors.process import InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
@@ -66,7 +65,7 @@ from ship_attitude_star.ship_attitude.config import (
     StarSensorConfig,
 )
 from ship_estimation.kalman.kalman_filter import StateBlock, StateModel, block
-from ship_geometry.frames import rotation_from_angles
+from ship_estimation.parameters.ins_errors import SCHULER, SchulerConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.camera.camera_states import camera_blocks
 from ship_stars.camera.spatial_errors import SOURCE_PIXEL
@@ -249,10 +248,9 @@ def _star_device(id_: str, star: StarSensorConfig, ins: InsConfig) -> Device:
 
 
 def _reference_device(name: str, reference: ReferenceConfig) -> Device:
-    angles = np.deg2rad([reference.heading_deg, reference.pitch_deg, reference.roll_deg])
     return Device(
         name=f"reference.{name}",
-        rotation_dv0=rotation_from_angles(*angles),
+        rotation_dv0=reference.rotation_dr,
         ins_time_s=-reference.time_offset_s,
         ins_time_states=((f"reference.{name}.time_offset", -1.0),),
         noise_source=SOURCE_REFERENCE_NOISE,
@@ -337,10 +335,9 @@ def _baseline_blocks(baseline: ShipBaselineConfig) -> list[StateBlock]:
 
 
 def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:
-    sigma = [reference.installation_sigma_arcsec * ARCSEC] * 3
     walk = reference.installation_walk_arcsec_per_sqrt_h * ARCSEC / _SQRT_HOUR
     blocks = [
-        block(f"{name}.installation", sigma, SOURCE_REFERENCE, walk=walk),
+        block(f"{name}.installation", reference.installation_sigma_r, SOURCE_REFERENCE, walk=walk),
         block(f"{name}.time_offset", [reference.time_offset_sigma_s], SOURCE_REFERENCE_TIME),
     ]
     slow = [reference.slow_sigma_roll_arcsec, reference.slow_sigma_heading_arcsec, reference.slow_sigma_pitch_arcsec]

@@ -47,6 +47,28 @@ def parameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def changed_parameter(kind: type, name: str, **changes: Any) -> Any:
+    """Return the field of a parameter of another configuration with changes, to override it in a derived one.
+
+    Args:
+        kind: dataclass with the parameter.
+        name: name of the parameter.
+        changes: arguments of :func:`parameter` that differ.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Antenna:
+        ...     sigma_m: float = parameter(0.01, doc="correlated error", unit="m", minimum=0.0)
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class PerfectAntenna(Antenna):
+        ...     sigma_m: float = changed_parameter(Antenna, "sigma_m", default=0.0)
+        >>> PerfectAntenna().sigma_m, dataclasses.fields(PerfectAntenna)[0].metadata["unit"]
+        (0.0, 'm')
+    """
+    (field,) = (field for field in dataclasses.fields(kind) if field.name == name)
+    return parameter(**{"default": field.default, **field.metadata, **changes})
+
+
 def degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
     """Return the field of a geometric angle, degrees; without a default the parameter must be given.
 

@@ -6,7 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ship_estimation.parameters.fields import accept_unset_covariance, arcsec, degrees, parameter
+from ship_estimation.parameters.fields import accept_unset_covariance, degrees, parameter
+from ship_estimation.parameters.ins_errors import InsErrors, InsRateErrors
 from ship_estimation.plausibility.value_checks import JUMP_SAMPLES, vector_length
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -19,7 +20,7 @@ _CLEAR_SIGMAS = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsInputConfig:
+class InsInputConfig(InsErrors):
     """Parameters required to use the attitudes of an INS: axes, standard deviations, clock."""
 
     convention: str = parameter(
@@ -30,15 +31,6 @@ class InsInputConfig:
     installation_heading_deg: float = degrees(0.0, doc="azimuth of the INS's forward axis in the deck")
     installation_pitch_deg: float = degrees(0.0, doc="elevation of the INS's forward axis in the deck")
     installation_roll_deg: float = degrees(0.0, doc="roll of the INS in the deck, right side down")
-    tilt_sigma_arcsec: float = arcsec(10.0, doc="correlated error in tilt, each axis", live=True)
-    heading_sigma_arcsec: float = arcsec(72.0, doc="correlated error in heading", live=True)
-    white_sigma_arcsec: float = arcsec(1.0, doc="noise of each sample, each axis, quantisation included", live=True)
-    time_offset_s: float = parameter(
-        0.0, doc="a sample is valid at its stamp plus this offset", unit="s", minimum=-1.0, maximum=1.0
-    )
-    time_offset_sigma_s: float = parameter(
-        0.005, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=1.0
-    )
     max_gap_s: float = parameter(
         0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
@@ -51,7 +43,7 @@ class InsInputConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckedInsConfig(InsInputConfig):
+class CheckedInsConfig(InsRateErrors, InsInputConfig):
     """Parameters of an INS whose attitudes are checked for jumps."""
 
     jump_samples: int = parameter(
@@ -60,17 +52,6 @@ class CheckedInsConfig(InsInputConfig):
         minimum=1,
         maximum=1000,
         live=True,
-    )
-    rate_sigma_arcsec_per_s: float = parameter(
-        0.0,
-        doc="noise of the angular rate, each axis, 0 if unknown; a larger noise is estimated from the samples",
-        unit="arcsec/s",
-        minimum=0.0,
-        maximum=36_000.0,
-        live=True,
-    )
-    rate_has_earth_rate: bool = parameter(
-        False, doc="the angular rate is that of the gyroscopes: it contains the Earth rate, 15 arcsec/s"
     )
 
 
@@ -85,18 +66,6 @@ class StarInsConfig(CheckedInsConfig):
         minimum=0.0,
         maximum=100.0,
         live=True,
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class InsErrorConfig(InsInputConfig):
-    """Parameters of an INS whose correlated errors are estimated, with the correlation times of these errors."""
-
-    tilt_time_s: float = parameter(
-        1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
-    )
-    heading_time_s: float = parameter(
-        10800.0, doc="correlation time of the heading error", unit="s", minimum=1.0, maximum=1e7
     )
 
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeTrack
 from ship_geometry.tracks.vector_track import VectorTrack
 from ship_stars.solution.selection import StarPrior
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.samples.samples import EncoderSample
 

@@ -14,7 +14,7 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_replay.preflight.camera_exposures import EXPECTED_AXES
 from ship_replay.preflight.check_camera import camera_contradictions
@@ -128,8 +128,7 @@ def _mean(rotations: FloatArray) -> FloatArray:
 def _configured_installation(device: Any) -> tuple[FloatArray, FloatArray]:
     """Return the configured rotation deck from device, and its sigma about the device's axes, rad."""
     if isinstance(device, ReferenceConfig):
-        angles_deg = device.heading_deg, device.pitch_deg, device.roll_deg
-        return rotation_from_angles(*np.deg2rad(angles_deg)), np.full(3, device.installation_sigma_arcsec * ARCSEC)
+        return device.rotation_dr, device.installation_sigma_r
     return device.rotation_ds, device.installation_sigma_s
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import merge_sections, read_sections
 from ship_estimation.parameters.schema import ParameterError, build
+from ship_geometry.mount.image import Camera
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import IMAGE, IMAGE_TOPIC, OBSERVATIONS, mount_stars_topic
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import CameraConfig
-from theodolite_calib.beacon_camera.image import Camera
 
 _TURNS = ("knock", "drift")
 _SPOTS = ("false_stars", "false_lights")

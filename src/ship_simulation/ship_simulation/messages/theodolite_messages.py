@@ -7,6 +7,7 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
 from ship_simulation.draws.noise import first_in_each_second
 from ship_simulation.messages.lazy_rows import LazyRows
@@ -38,7 +39,6 @@ from ship_simulation.ship.rtk import BaselineSamples
 from ship_simulation.theodolite.devices import DroneSamples, EncoderSamples, ImageSamples
 from ship_simulation.theodolite.run import TheodoliteRun
 from ship_simulation.theodolite.targets import TargetSamples
-from theodolite_calib.axis_geometry.axes import NAMES
 
 _UNKNOWN = float("nan")
 _EXACT_RATE = np.zeros(9)

@@ -7,7 +7,8 @@ from ship_estimation.parameters.fields import mapping_of, parameter, section
 
 ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
 SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}
-CORRELATION: dict[str, Any] = {"unit": "s", "minimum": 0.1, "maximum": 1e7}
+MIN_CORRELATION_S = 0.1
+CORRELATION: dict[str, Any] = {"unit": "s", "minimum": MIN_CORRELATION_S, "maximum": 1e7}
 DEFLECTION: dict[str, Any] = {"unit": "arcsec", "minimum": -300.0, "maximum": 300.0}
 RATE: dict[str, Any] = {"unit": "Hz", "minimum": 0.01, "maximum": 1000.0}
 TIME: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1e6}

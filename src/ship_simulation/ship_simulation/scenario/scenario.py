@@ -5,14 +5,17 @@ the bag gives the same sigmas to the estimators (:mod:`ship_simulation.suite.sui
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
-from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_estimation.parameters.fields import mapping_of, parameter, section
+from ship_estimation.parameters.ins_errors import SCHULER, InsCorrelationTimes, InsErrorModel, InsErrors, InsRateErrors
+from ship_estimation.parameters.schema import ParameterDescription, describe
+from ship_estimation.parameters.ship_devices import ReferenceErrors, StarSensorErrors, StarSensorMounting
+from ship_estimation.parameters.theodolite_devices import MainAxisInCamera
 from ship_geometry.air.refraction import MODELS
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
@@ -37,39 +40,19 @@ from ship_stars.sky.masks import MaskConfig, sensor_masks
 _START_PATTERN = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
 _FIELD_POINTS = 21
-_OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
 
 
-@dataclass(frozen=True)
-class Ins:
+@dataclass(frozen=True, kw_only=True)
+class Ins(InsErrorModel, InsCorrelationTimes, InsRateErrors, InsErrors):
     """The inertial navigation system."""
 
-    model: str = parameter(
-        GAUSS_MARKOV,
-        doc="error model: Gauss-Markov (tilt_time_s, heading_time_s), or the oscillations of a free-running INS",
-        choices=(GAUSS_MARKOV, SCHULER),
-    )
-    schuler: SchulerConfig = section(SchulerConfig)
     rate_hz: float = parameter(100.0, doc="samples per second", **RATE)
     latency_s: float = parameter(0.002, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
-    tilt_sigma_arcsec: float = parameter(10.0, doc="correlated error in tilt, each axis", **SIGMA)
-    tilt_time_s: float = parameter(1800.0, doc="correlation time of the tilt error", **CORRELATION)
-    heading_sigma_arcsec: float = parameter(72.0, doc="correlated error in heading", **SIGMA)
-    heading_time_s: float = parameter(10800.0, doc="correlation time of the heading error", **CORRELATION)
-    white_sigma_arcsec: float = parameter(1.0, doc="noise of each sample, each axis", **SIGMA)
-    rate_sigma_arcsec_per_s: float = parameter(
-        0.0, doc="noise of the angular rate, each axis", unit="arcsec/s", minimum=0.0, maximum=3600.0
-    )
     rate_bias_sigma_arcsec_per_s: float = parameter(
         0.0, doc="correlated error of the angular rate, each axis", unit="arcsec/s", minimum=0.0, maximum=3600.0
     )
     rate_bias_time_s: float = parameter(3600.0, doc="correlation time of that error", **CORRELATION)
-    rate_has_earth_rate: bool = parameter(False, doc="the angular rate contains the Earth rate, as gyroscopes measure")
-    time_offset_s: float = parameter(
-        0.0, doc="mean time offset: a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
-    )
-    time_offset_sigma_s: float = parameter(0.005, doc="standard deviation of the time offset", **_OFFSET_SIGMA)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,51 +125,24 @@ class StarImaging:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StarTelescope(StarImaging):
+class StarTelescope(MainAxisInCamera, StarImaging):
     """A star camera fixed to the theodolite: known orientation of the main axis in the camera, and imaging."""
-
-    azimuth_deg: float = parameter(doc="known azimuth of the main axis in the camera", **ANGLE)
-    azimuth_sigma_arcsec: float = parameter(1.0, doc="error of the azimuth", **SIGMA)
-    elevation_deg: float = parameter(
-        doc="known elevation of the main axis in the camera", unit="deg", minimum=-89.0, maximum=89.0
-    )
-    elevation_sigma_arcsec: float = parameter(1.0, doc="error of the elevation", **SIGMA)
-    roll_deg: float = parameter(doc="known rotation of the main image in the camera", **ANGLE)
-    roll_sigma_arcsec: float = parameter(20.0, doc="error of the roll", **SIGMA)
 
 
 STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
 """Outputs of a star sensor, which are also the names of its topic under ``star/<id>/``."""
 
 
-@dataclass(frozen=True)
-class StarSensor(StarImaging):
+@dataclass(frozen=True, kw_only=True)
+class StarSensor(StarSensorErrors, StarSensorMounting, StarImaging):
     """A star sensor: mounting, output and errors.
 
     A horizon attitude is the true attitude with errors. Observations and inertial attitudes come from the real sky over
     the ship. :data:`ship_simulation.scenario.scenario_file.FIELDS_OF_OUTPUTS` lists the fields of each output.
     """
 
-    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **ANGLE)
-    elevation_deg: float = parameter(
-        doc="installation elevation of the boresight above the deck", unit="deg", minimum=-90.0, maximum=90.0
-    )
-    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **ANGLE)
     output: str = parameter("horizon_attitude", doc="published output", choices=STAR_OUTPUTS)
-    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **SIGMA)
-    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **SIGMA)
-    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **SIGMA)
-    sigma_forward_arcsec: float = parameter(100.0, doc="noise about the boresight", **SIGMA)
-    sigma_up_arcsec: float = parameter(3.0, doc="noise about the up axis", **SIGMA)
-    sigma_right_arcsec: float = parameter(3.0, doc="noise about the right axis", **SIGMA)
     common_sigma_arcsec: float = parameter(0.0, doc="correlated error that all stars share, each axis", **SIGMA)
-    common_time_s: float = parameter(3600.0, doc="correlation time of that error", **CORRELATION)
-    flexure_sigma_arcsec: float = parameter(0.0, doc="hull flexure between INS and sensor, each axis", **SIGMA)
-    flexure_time_s: float = parameter(10.0, doc="correlation time of the flexure", **CORRELATION)
-    time_offset_s: float = parameter(
-        0.0, doc="mean time offset: a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
-    )
-    time_offset_sigma_s: float = parameter(0.0, doc="standard deviation of the time offset", **_OFFSET_SIGMA)
     star_count: int = parameter(8, doc="number of stars in each solution", minimum=1, maximum=1000)
     masks: dict[str, MaskConfig] = mapping_of("obstructions in its view, by name; they hide stars")
 
@@ -196,27 +152,14 @@ class StarSensor(StarImaging):
         return sensor_masks(self, "star_sensors")
 
 
-@dataclass(frozen=True)
-class Reference:
+@dataclass(frozen=True, kw_only=True)
+class Reference(ReferenceErrors):
     """Another attitude system."""
 
     rate_hz: float = parameter(1.0, doc="samples per second", **RATE)
     phase_s: float = parameter(0.0, doc="first sample after the start", **TIME)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
-    heading_deg: float = parameter(0.0, doc="mean of its heading minus that of the INS", **ANGLE)
-    pitch_deg: float = parameter(0.0, doc="mean of its pitch minus that of the INS", **ANGLE)
-    roll_deg: float = parameter(0.0, doc="mean of its roll minus that of the INS", **ANGLE)
-    installation_sigma_arcsec: float = parameter(7200.0, doc="standard deviation of the three angles", **SIGMA)
-    sigma_roll_arcsec: float = parameter(60.0, doc="noise about its forward axis", **SIGMA)
-    sigma_pitch_arcsec: float = parameter(60.0, doc="noise about its right axis", **SIGMA)
-    sigma_heading_arcsec: float = parameter(60.0, doc="noise about its up axis", **SIGMA)
-    time_offset_s: float = parameter(
-        0.0, doc="mean of its stamp minus the INS's for the same attitude", unit="s", minimum=-10.0, maximum=10.0
-    )
-    time_offset_sigma_s: float = parameter(
-        0.2, doc="standard deviation of the time offset", unit="s", minimum=0.0, maximum=10.0
-    )
 
 
 @dataclass(frozen=True)
@@ -344,6 +287,11 @@ class Scenario:
     def needs_position(self) -> bool:
         """True if the suite needs the ship's position."""
         return self.needs_sky or self.gravity.told != "none" or self.ins.model == SCHULER
+
+
+def scenario_keys() -> Iterator[ParameterDescription]:
+    """Yield the descriptions of all keys of a scenario file; ``live`` applies to nodes only, and is False."""
+    return (replace(key, live=False) for key in describe(Scenario))
 
 
 def start_time_ns(start_utc: str) -> int:

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.config import SCHULER
+from ship_estimation.parameters.ins_errors import SCHULER
 from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.draws.noise import (
     ExposureTimes,
@@ -203,13 +202,7 @@ def star_sensor_motion(
     The rotation vectors are the common error c, the flexure f and the installation error m; R0 is the nominal mounting.
     """
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
-    nominal_dv = rotation_from_angles(*np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg]))
-    sigma_installation = [
-        config.installation_sigma_forward_arcsec,
-        config.installation_sigma_up_arcsec,
-        config.installation_sigma_right_arcsec,
-    ]
-    truth = _draw_truth(name, draws.seed, nominal_dv, sigma_installation, config)
+    truth = _draw_truth(name, draws.seed, config.rotation_ds, config.installation_sigma_s, config)
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
     flexure_d = _correlated_error(
@@ -244,14 +237,9 @@ def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: StarSensorM
     config = scenario.star_sensors[sensor_id]
     common_sigma = config.common_sigma_arcsec * ARCSEC
     samples = _samples(
-        f"star.{sensor_id}", draws, motion.time_ns, motion.rotation_nv, sigma_of_attitudes(config), common_sigma, config
+        f"star.{sensor_id}", draws, motion.time_ns, motion.rotation_nv, config.noise_sigma_s, common_sigma, config
     )
     return _select_samples(samples, is_outside(motion.since_start_s, config.outages))
-
-
-def sigma_of_attitudes(config: StarSensor) -> FloatArray:
-    """Return the sigmas of the white noise of an attitude sensor about (forward, up, right), rad, shape (3,)."""
-    return ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
 
 
 def simulate_reference(
@@ -269,21 +257,21 @@ def simulate_reference(
     The reference system levels itself on gravity, so R_true is relative to the horizon of gravity.
     """
     config = scenario.references[name]
-    nominal_dv = rotation_from_angles(*np.deg2rad([config.heading_deg, config.pitch_deg, config.roll_deg]))
-    truth = _draw_truth(f"reference.{name}", draws.seed, nominal_dv, [config.installation_sigma_arcsec] * 3, config)
-    sigma_v = ARCSEC * np.array([config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec])
+    truth = _draw_truth(
+        f"reference.{name}", draws.seed, config.rotation_dr, config.installation_sigma_r, config
+    )
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     valid_s = (time_ns - stretch.start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
     true_nv = carrier.attitude(valid_s) @ truth.rotation_dv
     if not scenario.gravity.is_level:
         true_nv = exp_rotation(-deflection.horizon_rotation_n(np.maximum(valid_s, 0.0))) @ true_nv
-    return _samples(f"reference.{name}", draws, time_ns, true_nv, sigma_v, 0.0, config), truth
+    return _samples(f"reference.{name}", draws, time_ns, true_nv, config.noise_sigma_r, 0.0, config), truth
 
 
 def _draw_truth(
-    name: str, seed: int, nominal_dv: FloatArray, sigma_arcsec: list[float], config: StarSensor | Reference
+    name: str, seed: int, nominal_dv: FloatArray, sigma_v: FloatArray, config: StarSensor | Reference
 ) -> DeviceTruth:
-    error_v = ARCSEC * np.array(sigma_arcsec) * random_stream(seed, name + ".installation").standard_normal(3)
+    error_v = sigma_v * random_stream(seed, name + ".installation").standard_normal(3)
     offset = random_stream(seed, name + ".time_offset").standard_normal()
     return DeviceTruth(
         installation_error_v=error_v,

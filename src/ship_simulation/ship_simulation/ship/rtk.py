@@ -85,7 +85,7 @@ def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretc
     config, name = scenario.ship_baseline, "ship_baseline"
     time_ns = stretch.stamps(config.rtk.rate_hz, config.rtk.phase_s)
     surveyed_off_d = config.sigma_m * random_stream(draws.seed, name + ".survey").standard_normal(3)
-    vector_d = np.array([config.forward_m, config.up_m, config.right_m]) + surveyed_off_d
+    vector_d = config.vector_d + surveyed_off_d
     true_n = carrier.attitude((time_ns - stretch.start_ns) / SECOND_NS) @ vector_d
     return simulate_solutions(name + ".rtk", config.rtk, time_ns, true_n, stretch, draws)
 

@@ -15,7 +15,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.draws.noise import arrival_times, centroids, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
-from ship_simulation.ship.attitude_device import DeviceExposures, StarSensorMotion, sigma_of_attitudes
+from ship_simulation.ship.attitude_device import DeviceExposures, StarSensorMotion
 from ship_simulation.stars.sky import TrueSky, julian_year, position_of_date
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swap_identities
@@ -273,7 +273,7 @@ def simulate_inertial_sensor(
     an outage, or if the boresight is below the range of the refraction model.
     """
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
-    sigma_v = sigma_of_attitudes(config)
+    sigma_v = config.noise_sigma_s
     noise_v = sigma_v * draws.stream(name + ".white").standard_normal((motion.time_ns.size, 3))
     arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(motion.time_ns, config.latency_s, config.jitter_s, arrival)

@@ -1,17 +1,31 @@
 """The suite file of a scenario, which gives the sigmas of the scenario to the estimators.
 
-Most parameters of a scenario and of a node have the same names. Each table in this module lists the parameters of a
-device that a node receives. A test loads the file of each scenario into the configurations of the nodes.
+The devices of a scenario and of a node have common schemas, whose parameters a node receives. A test loads the file of
+each scenario into the configurations of the nodes.
 """
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 import yaml
 
-from ship_attitude_star.ins_errors.config import SCHULER
 from ship_bags.parameter_yaml import PARAMETERS_KEY, in_any_namespace
+from ship_estimation.parameters.ins_errors import SCHULER
+from ship_estimation.parameters.ship_devices import (
+    BaselineSurvey,
+    ReferenceErrors,
+    StarSensorErrors,
+    StarSensorMounting,
+)
+from ship_estimation.parameters.theodolite_devices import (
+    AxesConfig,
+    BaselineErrors,
+    DroneAttitudeErrors,
+    MainAxisInCamera,
+    MainDetectorOptics,
+    TelescopeOptics,
+)
 from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
     DECK_FRAME,
@@ -26,10 +40,10 @@ from ship_simulation.scenario.names import (
     mount_camera_frame,
     star_frame,
 )
-from ship_simulation.scenario.scenario import Detector, Scenario, StarSensor
-from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Telescope
+from ship_simulation.scenario.scenario import Scenario, StarSensor
+from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline
 from ship_simulation.ship.deflection import deflection_table
-from theodolite_calib.axis_geometry.axes import NAMES
+from ship_stars.camera.config import CameraConfig
 
 _INS = (
     "tilt_sigma_arcsec",
@@ -42,88 +56,6 @@ _INS = (
 )
 _INS_FOR_STAR_ATTITUDE = tuple(name for name in _INS if name not in ("tilt_time_s", "heading_time_s"))
 """Parameters of the INS for ``star_attitude``, which has no parameters for the correlation times."""
-_STAR_MOUNTING = (
-    "azimuth_deg",
-    "elevation_deg",
-    "roll_deg",
-    "installation_sigma_forward_arcsec",
-    "installation_sigma_up_arcsec",
-    "installation_sigma_right_arcsec",
-)
-_STAR_SENSOR = (
-    *_STAR_MOUNTING,
-    "sigma_forward_arcsec",
-    "sigma_up_arcsec",
-    "sigma_right_arcsec",
-    "common_time_s",
-    "flexure_sigma_arcsec",
-    "flexure_time_s",
-    "time_offset_s",
-    "time_offset_sigma_s",
-)
-_CAMERA = (
-    "focal_length_m",
-    "pixel_pitch_m",
-    "principal_u_px",
-    "principal_v_px",
-    "distortion_k1",
-    "distortion_k2",
-    "distortion_k3",
-    "distortion_p1",
-    "distortion_p2",
-    "focal_length_sigma_m",
-    "principal_sigma_px",
-    "distortion_sigma",
-    "centroid_sigma_px",
-    "psf_sigma_px",
-    "field_spatial_sigma_px",
-    "pixel_spatial_sigma_px",
-)
-_REFERENCE = (
-    "heading_deg",
-    "pitch_deg",
-    "roll_deg",
-    "installation_sigma_arcsec",
-    "sigma_roll_arcsec",
-    "sigma_pitch_arcsec",
-    "sigma_heading_arcsec",
-    "time_offset_s",
-    "time_offset_sigma_s",
-)
-_AXES = tuple(f"{name}_{unit}" for name in NAMES for unit in ("arcsec", "sigma_arcsec"))
-_LEVER = ("forward_m", "up_m", "right_m", "sigma_m")
-_TELESCOPE = (
-    "focal_length_m",
-    "focal_length_sigma_m",
-    "principal_x_m",
-    "principal_z_m",
-    "sigma_m",
-    "psf_sigma_m",
-    "azimuth_arcsec",
-    "azimuth_sigma_arcsec",
-    "elevation_arcsec",
-    "elevation_sigma_arcsec",
-    "rotation_arcsec",
-    "rotation_sigma_arcsec",
-)
-_MAIN_DETECTOR = (
-    "focal_length_m",
-    "focal_length_sigma_m",
-    "principal_x_m",
-    "principal_z_m",
-    "principal_sigma_m",
-    "sigma_m",
-    "rotation_sigma_arcsec",
-)
-_STAR_TELESCOPE = (
-    "azimuth_deg",
-    "azimuth_sigma_arcsec",
-    "elevation_deg",
-    "elevation_sigma_arcsec",
-    "roll_deg",
-    "roll_sigma_arcsec",
-)
-_REFRACTION = ("coefficient", "sigma", "light_sigma", "time_s")
 
 _MIN_POSITION_TIME_S = 1.0
 """Minimum of the estimator's parameter ``position_time_s``."""
@@ -157,7 +89,8 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
             key: {
                 "frame_id": star_frame(key),
                 **_input(sensor),
-                **_select_parameters(sensor, _STAR_SENSOR),
+                **_of_schema(sensor, StarSensorMounting),
+                **_of_schema(sensor, StarSensorErrors),
                 **_masks(sensor),
             }
             for key, sensor in scenario.star_sensors.items()
@@ -166,7 +99,7 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
         configuration["sky"] = _sky_of_ship(scenario)
     if scenario.references:
         configuration["references"] = {
-            key: {"frame_id": key, **_select_parameters(reference, _REFERENCE)}
+            key: {"frame_id": key, **_of_schema(reference, ReferenceErrors)}
             for key, reference in scenario.references.items()
         }
     if scenario.ship_baseline.is_aboard:
@@ -182,7 +115,7 @@ def _ship_baseline(baseline: ShipBaseline) -> dict[str, Any]:
         "bias_sigma_m": baseline.rtk.bias_sigma_m,
         "bias_time_s": baseline.rtk.bias_time_s,
     }
-    return {**ids, **_select_parameters(baseline, ("forward_m", "up_m", "right_m", "sigma_m")), **rtk}
+    return {**ids, **_of_schema(baseline, BaselineSurvey), **rtk}
 
 
 def _gravity(scenario: Scenario) -> dict[str, Any]:
@@ -206,8 +139,8 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
         "star_sensors": {
             key: {
                 "frame_id": star_frame(key),
-                "camera": _camera(sensor.camera),
-                **_select_parameters(sensor, _STAR_MOUNTING),
+                "camera": _of_schema(sensor.camera, CameraConfig),
+                **_of_schema(sensor, StarSensorMounting),
                 **_masks(sensor),
             }
             for key, sensor in scenario.star_sensors.items()
@@ -222,25 +155,29 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
     theodolite = scenario.theodolite
     configuration = {
         "encoder": {**_select_parameters(theodolite.encoder, ("sigma_arcsec",)), "frame_id": MOUNT_FRAME},
-        "axes": _select_parameters(theodolite.axes, _AXES),
-        "deformation": _select_parameters(theodolite.deformation, ("sigma_arcsec", "time_s")),
-        "lever": _select_parameters(theodolite.lever, _LEVER),
-        "telescope": _telescope(theodolite.telescope),
-        "air": _select_parameters(theodolite.air, _REFRACTION),
-        "ship_antenna": _select_parameters(theodolite.ship_antenna, ("sigma_m", "time_s")),
+        "axes": _of_schema(theodolite.axes, AxesConfig),
+        "deformation": asdict(theodolite.deformation),
+        "lever": asdict(theodolite.lever),
+        "telescope": {
+            **_of_schema(theodolite.telescope, TelescopeOptics),
+            "telescope_id": TELESCOPE_ID,
+            "frame_id": TELESCOPE_FRAME,
+        },
+        "air": asdict(theodolite.air),
+        "ship_antenna": asdict(theodolite.ship_antenna),
         "ship": _ship(scenario),
         "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)},
     }
     if scenario.targets:
         configuration["main_detector"] = {
-            **_select_parameters(theodolite.main_detector, _MAIN_DETECTOR), "frame_id": MAIN_DETECTOR_FRAME
+            **_of_schema(theodolite.main_detector, MainDetectorOptics), "frame_id": MAIN_DETECTOR_FRAME
         }  # fmt: skip
     if scenario.telescopes:
         configuration["telescopes"] = {
             key: {
-                **_select_parameters(camera, _STAR_TELESCOPE),
+                **_of_schema(camera, MainAxisInCamera),
                 "frame_id": mount_camera_frame(key),
-                "camera": _camera(camera.camera),
+                "camera": _of_schema(camera.camera, CameraConfig),
             }
             for key, camera in scenario.telescopes.items()
         }  # fmt: skip
@@ -260,8 +197,9 @@ def _select_parameters(device: object, names: tuple[str, ...]) -> dict[str, Any]
     return {name: getattr(device, name) for name in names}
 
 
-def _camera(detector: Detector) -> dict[str, Any]:
-    return _select_parameters(detector, _CAMERA)
+def _of_schema(device: Any, schema: type) -> dict[str, Any]:
+    """Return the parameters of a device that belong to a schema of it."""
+    return {name: value for name, value in asdict(device).items() if name in {field.name for field in fields(schema)}}
 
 
 def _input(sensor: StarSensor) -> dict[str, Any]:
@@ -271,7 +209,7 @@ def _input(sensor: StarSensor) -> dict[str, Any]:
     if sensor.output == "inertial_attitude":
         # The simulated tracker is affected by the refraction at its boresight only.
         return {"input": sensor.output, "inertial": {"field_deg": 0.0}}
-    return {"input": sensor.output, "camera": _camera(sensor.camera)}
+    return {"input": sensor.output, "camera": _of_schema(sensor.camera, CameraConfig)}
 
 
 def _masks(sensor: StarSensor) -> dict[str, Any]:
@@ -307,11 +245,6 @@ def _sky(scenario: Scenario, magnitude_limits: list[float]) -> dict[str, Any]:
     return known
 
 
-def _telescope(telescope: Telescope) -> dict[str, Any]:
-    ids = {"telescope_id": TELESCOPE_ID, "frame_id": TELESCOPE_FRAME}
-    return {**_select_parameters(telescope, _TELESCOPE), "lens": _select_parameters(telescope.lens, _LEVER), **ids}
-
-
 def _ship(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of the ship's attitude: its source, or the errors of a simulated ``ship/attitude``."""
     if scenario.fused_attitude.written:
@@ -325,10 +258,10 @@ def _ship(scenario: Scenario) -> dict[str, Any]:
 def _beacon(beacon_id: str, beacon: Beacon) -> dict[str, Any]:
     ids = {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": beacon_id}
     return {
-        "light": _select_parameters(beacon.light, _LEVER),
-        "rtk": {**_select_parameters(beacon.rtk, ("sigma_m", "bias_sigma_m", "bias_time_s")), **ids},
+        "light": asdict(beacon.light),
+        "rtk": {**_of_schema(beacon.rtk, BaselineErrors), **ids},
         "imu": {
-            **_select_parameters(beacon.imu, ("tilt_sigma_deg", "heading_sigma_deg", "time_s")),
+            **_of_schema(beacon.imu, DroneAttitudeErrors),
             "frame_id": beacon_frame(beacon_id),
         },
     }

@@ -15,5 +15,5 @@ the principal point of the telescope's lens. A light is observed along ``path_n`
 (2 R) with the refraction coefficient k and the Earth radius R, and is imaged with the true focal length. Each value has
 an error from the scenario, which is constant in a run, correlated, or white.
 
-The folder imports ``stars/``, ``ship/``, ``draws/`` and ``scenario/``, and the pure geometry of ``theodolite_calib``.
+The folder imports ``stars/``, ``ship/``, ``draws/`` and ``scenario/``.
 """

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.mount.image import Camera
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, wrap_two_pi
 from ship_simulation.draws.noise import (
     CorrelatedError,
@@ -16,7 +17,6 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
 from ship_simulation.ship.rtk import BaselineSamples, simulate_solutions
 from ship_simulation.theodolite.scene import MountState, Scene, TrueBeacon
-from theodolite_calib.beacon_camera.image import Camera
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,7 @@ def simulate_images(config: Telescope, scene: Scene, stretch: Stretch, draws: Dr
 
 def points_on_detector(config: Telescope, scene: Scene, t_s: FloatArray, mount: MountState) -> FloatArray:
     """Return true points of the lights on the plane of the detector, m, shape (k, N, 2); NaN behind the telescope."""
-    principal_point_m = np.array([config.principal_x_m, config.principal_z_m])
-    camera = Camera(scene.theodolite.focal_length_m, 0.0, principal_point_m)
+    camera = Camera(scene.theodolite.focal_length_m, 0.0, config.principal_point_m)
     return camera.points(scene.directions_n(t_s, mount) @ scene.rotation_nt(mount))
 
 

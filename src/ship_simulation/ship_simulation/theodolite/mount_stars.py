@@ -4,7 +4,7 @@ import numpy as np
 
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import FloatArray
 from ship_simulation.draws.noise import exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import StarTelescope
@@ -16,10 +16,8 @@ from ship_simulation.theodolite.scene import Scene
 
 def draw_parallelism(camera_id: str, config: StarTelescope, seed: int) -> FloatArray:
     """Return the true azimuth, elevation and roll of the main axis in a camera, rad, shape (3,)."""
-    known = np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg])
-    sigma = ARCSEC * np.array([config.azimuth_sigma_arcsec, config.elevation_sigma_arcsec, config.roll_sigma_arcsec])
-    drawn: FloatArray = known + sigma * random_stream(seed, f"{_source(camera_id)}.parallelism").standard_normal(3)
-    return drawn
+    errors = random_stream(seed, f"{_source(camera_id)}.parallelism").standard_normal(3)
+    return config.parallelism + config.parallelism_sigma * errors
 
 
 def simulate_mount_stars(

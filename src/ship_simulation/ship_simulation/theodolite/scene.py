@@ -8,24 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.errors import BadInput
+from ship_estimation.parameters.theodolite_devices import LeverConfig
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_geometry.mount.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation
+from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
+from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_simulation.draws.noise import CorrelatedError, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import (
     Axes,
     Beacon,
-    Lever,
     SurveyError,
     Target,
-    Telescope,
     Theodolite,
 )
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, sway_motion
-from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation
-from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 
 
 @dataclass(frozen=True)
@@ -51,34 +50,15 @@ class TrueTheodolite:
 def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
     """Return the true constants: the known constants plus drawn errors. ``lens_m`` also contains ``lens_untold``."""
     telescope = config.telescope
-    known, sigma = parallelism_of(telescope)
+    angle_errors = random_stream(seed, "theodolite.parallelism").standard_normal(3)
     focal_error = random_stream(seed, "theodolite.focal_length").standard_normal()
     return TrueTheodolite(
         axis_errors=AxisErrors.from_vector(_draw_axis_errors(config.axes, seed)),
-        parallelism=known + sigma * random_stream(seed, "theodolite.parallelism").standard_normal(3),
+        parallelism=telescope.parallelism + telescope.parallelism_sigma * angle_errors,
         focal_length_m=telescope.focal_length_m + telescope.focal_length_sigma_m * focal_error,
         lever_d=draw_lever(config.lever, "theodolite.lever", seed),
         lens_m=draw_lever(telescope.lens, "theodolite.lens", seed) + survey_error(telescope.lens_untold),
     )
-
-
-def axis_errors_of(axes: Axes) -> tuple[FloatArray, FloatArray]:
-    """Return known axis errors and their sigmas in the order of axes.NAMES, rad, shape (7,) each."""
-    known = [getattr(axes, f"{name}_arcsec") for name in NAMES]
-    sigma = [getattr(axes, f"{name}_sigma_arcsec") for name in NAMES]
-    return ARCSEC * np.array(known), ARCSEC * np.array(sigma)
-
-
-def parallelism_of(telescope: Telescope) -> tuple[FloatArray, FloatArray]:
-    """Return known angles of the main axis in the telescope and their sigmas, rad, shape (3,) each."""
-    known = [telescope.azimuth_arcsec, telescope.elevation_arcsec, telescope.rotation_arcsec]
-    sigma = [telescope.azimuth_sigma_arcsec, telescope.elevation_sigma_arcsec, telescope.rotation_sigma_arcsec]
-    return ARCSEC * np.array(known), ARCSEC * np.array(sigma)
-
-
-def surveyed_vector(lever: Lever) -> FloatArray:
-    """Return the surveyed vector, m, shape (3,)."""
-    return np.array([lever.forward_m, lever.up_m, lever.right_m])
 
 
 def survey_error(vector: SurveyError) -> FloatArray:
@@ -86,13 +66,13 @@ def survey_error(vector: SurveyError) -> FloatArray:
     return np.array([vector.forward_m, vector.up_m, vector.right_m])
 
 
-def draw_lever(lever: Lever, name: str, seed: int) -> FloatArray:
+def draw_lever(lever: LeverConfig, name: str, seed: int) -> FloatArray:
     """Return the true vector, m, shape (3,): the surveyed vector plus a drawn error."""
-    return surveyed_vector(lever) + lever.sigma_m * random_stream(seed, name).standard_normal(3)
+    return lever.vector_m + lever.sigma_m * random_stream(seed, name).standard_normal(3)
 
 
 def _draw_axis_errors(axes: Axes, seed: int) -> FloatArray:
-    known, sigma = axis_errors_of(axes)
+    known, sigma = axes.values, axes.sigma
     rng = random_stream(seed, "theodolite.axes")
     if axes.spread == "uniform":
         # Uniform distribution with the same sigma.

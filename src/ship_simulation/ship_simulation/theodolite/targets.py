@@ -11,6 +11,7 @@ import numpy as np
 
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.image import Camera
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_simulation.draws.noise import arrival_times, centroids, exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
@@ -18,7 +19,6 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import MainDetector, Target
 from ship_simulation.theodolite.flight import flight_path
 from ship_simulation.theodolite.scene import ObservedBody, Scene, refracted_directions
-from theodolite_calib.beacon_camera.image import Camera
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,7 @@ def simulate_targets(
 def _true_detector(config: MainDetector, seed: int) -> tuple[Camera, float]:
     """Return the detector's true geometry, drawn about the known geometry, and the detector's rotation error, rad."""
     focal, x, z, rotation = random_stream(seed, "theodolite.main_detector").standard_normal(4)
-    principal_point_m = np.array([config.principal_x_m, config.principal_z_m]) + config.principal_sigma_m * np.array(
-        [x, z]
-    )
+    principal_point_m = config.principal_point_m + config.principal_sigma_m * np.array([x, z])
     focal_length_m = config.focal_length_m + config.focal_length_sigma_m * focal
     return Camera(focal_length_m, 0.0, principal_point_m), config.rotation_sigma_arcsec * ARCSEC * rotation
 

@@ -7,10 +7,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ship_estimation.parameters.fields import arcsec, degrees, mapping_of, parameter
+from ship_estimation.parameters.fields import mapping_of, parameter
 from ship_estimation.parameters.schema import ParameterError
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_estimation.parameters.ship_devices import StarSensorMounting
+from ship_geometry.rotations import FloatArray
 from ship_stars.camera.camera import Distortion, StarCamera
 from ship_stars.camera.optics_errors import SURVEYED_FOCAL_SIGMA, OpticsErrors
 from ship_stars.camera.spatial_errors import SpatialErrors
@@ -187,40 +187,16 @@ class RequiredCameraConfig(CameraConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MountingConfig:
+class MountingConfig(StarSensorMounting):
     """Mounting angles of a star sensor, with their standard deviations, and obstructions in its view."""
 
     frame_id: str = parameter("", doc="frame_id required in its messages; empty accepts any")
-    azimuth_deg: float = degrees(doc="installation azimuth of the boresight in the deck")
-    elevation_deg: float = parameter(
-        doc="installation elevation of the boresight above the deck", unit="deg", minimum=-90.0, maximum=90.0
-    )
-    roll_deg: float = degrees(0.0, doc="installation roll about the boresight, right side down")
-    installation_sigma_forward_arcsec: float = arcsec(20.0, doc="installation error about the boresight")
-    installation_sigma_up_arcsec: float = arcsec(1.0, doc="installation error about the up axis")
-    installation_sigma_right_arcsec: float = arcsec(1.0, doc="installation error about the right axis")
     masks: dict[str, MaskConfig] = mapping_of("obstructions in its view by name; no detection inside one is a star")
 
     @cached_property
     def sensor_masks(self) -> SensorMasks | None:
         """Deck masks in the view of the sensor; None if there are none."""
         return sensor_masks(self, "star_sensors")
-
-    @cached_property
-    def rotation_ds(self) -> FloatArray:
-        """Rotation "deck from sensor" by the installation angles, shape (3, 3)."""
-        return rotation_from_angles(*np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg]))
-
-    @cached_property
-    def installation_sigma_s(self) -> FloatArray:
-        """Standard deviation of the installation about the sensor's forward, up and right axes, rad, shape (3,)."""
-        return ARCSEC * np.array(
-            [
-                self.installation_sigma_forward_arcsec,
-                self.installation_sigma_up_arcsec,
-                self.installation_sigma_right_arcsec,
-            ]
-        )
 
 
 class SensorWithCamera(MountedSensor, Protocol):

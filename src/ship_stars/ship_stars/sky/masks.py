@@ -8,7 +8,6 @@ import numpy as np
 
 from ship_estimation.parameters.fields import parameter
 from ship_estimation.parameters.schema import ParameterError
-from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_stars.sky.deck_masks import DeckMasks, SensorMasks
 
@@ -64,16 +63,8 @@ class MountedSensor(Protocol):
     """Mounting and obstructions of a star sensor, in the parameters of suites and scenarios."""
 
     @property
-    def azimuth_deg(self) -> float:
-        """Azimuth of the boresight from the bow."""
-
-    @property
-    def elevation_deg(self) -> float:
-        """Elevation of the boresight above the deck."""
-
-    @property
-    def roll_deg(self) -> float:
-        """Rotation about the boresight, right side down."""
+    def rotation_ds(self) -> FloatArray:
+        """Rotation "deck from sensor", shape (3, 3)."""
 
     @property
     def masks(self) -> Mapping[str, MaskConfig]:
@@ -91,10 +82,7 @@ def sensor_masks(sensor: MountedSensor, prefix: str) -> SensorMasks | None:
         ParameterError: a mask is not a valid polygon.
     """
     masks = deck_masks(sensor.masks, f"{prefix}.masks")
-    if masks is None:
-        return None
-    angles = np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg])
-    return SensorMasks(masks, rotation_from_angles(*angles))
+    return None if masks is None else SensorMasks(masks, sensor.rotation_ds)
 
 
 def check_field_not_covered(masks: SensorMasks, field_s: FloatArray, prefix: str) -> None:

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ship_estimation.kalman.kalman_filter import StateModel
+from ship_geometry.mount.axes import direction_change
+from ship_geometry.mount.line_of_sight import covariance_by_source
 from ship_geometry.rotations import FloatArray
 from ship_studies.axis_fit.sightings import right_and_up
-from theodolite_calib.axis_geometry.axes import direction_change
-from theodolite_calib.beacon_camera.line_of_sight import covariance_by_source
 from theodolite_calib.beacon_camera.telescope_attitude import linearise, total_covariance
 from theodolite_calib.filter.prediction import Prediction
 from theodolite_calib.samples.sighting import Sighting

@@ -11,6 +11,7 @@ import numpy as np
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force_option, check_folder
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_studies.axis_fit.diagnostics import table_warnings
 from ship_studies.axis_fit.report import MEANINGS, summary, write_tables
@@ -18,7 +19,6 @@ from ship_studies.axis_fit.robust_fit import AxisFit, fit
 from ship_studies.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
 from ship_studies.axis_fit.sightings import MAX_SIGHTINGS, Sightings
 from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
-from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 
 _MAX_SCATTER = np.deg2rad(1.0)

@@ -8,11 +8,11 @@ import numpy as np
 import yaml
 
 from ship_bags.output_files import write_atomically, write_csv
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_studies.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from ship_studies.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
 from ship_studies.axis_fit.sightings import Sightings, azimuth_and_elevation, coverage
-from theodolite_calib.axis_geometry.axes import NAMES
 
 MEANINGS = {
     "g": "zero point of the azimuth encoder",

@@ -24,9 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_geometry.mount.axes import NAMES, AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_studies.axis_fit.sightings import Sightings
-from theodolite_calib.axis_geometry.axes import NAMES, AxisErrors, main_axis_rotation
 
 HUBER_K = 1.345
 """Residual at which the loss changes from quadratic to linear, in multiples of the scale."""

@@ -18,9 +18,9 @@ import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.yaml_text import plain_data
+from ship_geometry.mount.axes import direction_change
 from ship_geometry.rotations import ARCSEC
 from ship_studies.axis_fit.sightings import SharedError, Sightings, directions, right_and_up
-from theodolite_calib.axis_geometry.axes import direction_change
 
 COLUMNS = {
     "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",

@@ -14,14 +14,14 @@ from itertools import groupby
 
 import numpy as np
 
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
-from theodolite_calib.axis_geometry.axes import (
+from ship_geometry.mount.axes import (
     AxisErrors,
     direction_change,
     encoder_angles,
     main_axis,
     main_axis_rotation,
 )
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
 
 MAX_SIGHTINGS = 1000
 """Maximum number of sightings with errors correlated in time, whose joint covariance is decomposed as a whole."""

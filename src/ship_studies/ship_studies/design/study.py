@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, encoder_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_studies.design.config import DesignStudyConfig, with_image_sigma
-from theodolite_calib.axis_geometry.axes import AxisErrors, encoder_angles
 from theodolite_calib.config import EscortConfig, OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise

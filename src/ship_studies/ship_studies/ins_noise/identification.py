@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from ship_attitude_star.ins_errors.config import GAUSS_MARKOV
 from ship_bags.errors import BadInput
+from ship_estimation.parameters.ins_errors import GAUSS_MARKOV
 from ship_studies.ins_noise.fit import FittedModel, fit
 from ship_studies.ins_noise.outage import OutageCheck, outage_checks
 from ship_studies.ins_noise.processes import candidate_models

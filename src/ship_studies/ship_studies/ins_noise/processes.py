@@ -16,10 +16,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.linalg import expm
 
-from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.ship_attitude.config import InsConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
+from ship_estimation.parameters.ins_errors import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_studies.ins_noise.likelihood import ProcessSteps
 

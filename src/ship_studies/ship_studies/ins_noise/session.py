@@ -15,7 +15,6 @@ import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
-from ship_attitude_star.ins_errors.config import GAUSS_MARKOV
 from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.model import ShipStateModel
@@ -25,6 +24,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
+from ship_estimation.parameters.ins_errors import GAUSS_MARKOV
 from ship_geometry.rotations import FloatArray
 from ship_node.adapters.reporting_adapter import Feed
 from ship_node.messages.topics import OutputMessage

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.innovations.gates import chi_square_gate, normalized_error_squared
+from ship_geometry.mount.image import Camera, Image
+from ship_geometry.mount.line_of_sight import LinesOfSight, covariance_by_source
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
-from theodolite_calib.beacon_camera.image import Camera, Image
-from theodolite_calib.beacon_camera.line_of_sight import LinesOfSight, covariance_by_source
 from theodolite_calib.beacon_camera.telescope_attitude import (
     AttitudePrior,
     TelescopeAttitude,

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import wahba
+from ship_geometry.mount.image import Camera, Image, block_diagonal, predict_points
+from ship_geometry.mount.line_of_sight import LinesOfSight, covariance_by_source
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
-from theodolite_calib.beacon_camera.image import Camera, Image, block_diagonal, predict_points
-from theodolite_calib.beacon_camera.line_of_sight import LinesOfSight, covariance_by_source
 
 SOURCE_IMAGE = "image"
 SOURCE_FOCAL_LENGTH = "focal_length"

@@ -19,9 +19,9 @@ import numpy as np
 
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, innovation, update
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.image import Image
+from ship_geometry.mount.line_of_sight import BeaconPoses
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.beacon_camera.image import Image
-from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.prediction import Prediction

@@ -6,7 +6,7 @@ state                      frame      meaning; errors are true minus used
 ship.attitude (3)          horizon    correlated error a of the ship's attitude: R_true = exp(a) R
 ship.time_offset (1)                  true minus stated time of INS samples, s; only with the INS as source
 deformation (3)            deck       e: the theodolite's base is rotated by exp(e) relative to the deck
-axes (7)                              axis errors in the order of theodolite_calib.axis_geometry.axes.NAMES
+axes (7)                              axis errors in the order of ship_geometry.mount.axes.NAMES
 focal_length (1)                      error of the calibration telescope's focal length, for beacons and stars, m
 parallelism (3)                       errors of azimuth, elevation and rotation of the main axis in the telescope
 ship_antenna (3)           horizon    error common to all baselines, m; from here on, states exist only with a sigma
@@ -38,12 +38,12 @@ from ship_estimation.kalman.kalman_filter import (
     exceeds_model,
     propagate_correlated_error,
 )
+from ship_geometry.mount.axes import AXES, DEFORMATION, SHIP, SHIP_TIME
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.camera.camera_states import camera_blocks
 from ship_stars.camera.spatial_errors import SOURCE_PIXEL
 from ship_stars.sky.shared_states import sky_blocks
 from ship_stars.solution.residuals import SOURCE_STAR_NOISE
-from theodolite_calib.axis_geometry.axes import AXIS_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 
 SOURCE_SHIP = "ship_attitude"
@@ -68,7 +68,7 @@ COMMON_TERMS = {
     "principal_point": "lens",
     "refraction": "refraction",
 }
-"""State of each error term common to all lines of sight (:mod:`theodolite_calib.beacon_camera.line_of_sight`)."""
+"""State of each error term common to all lines of sight (:mod:`ship_geometry.mount.line_of_sight`)."""
 
 OWN_TERMS = {
     "rtk_bias": "rtk",
@@ -77,6 +77,9 @@ OWN_TERMS = {
     "light_refraction": "refraction",
 }
 """State of each error term of one line of sight, without the prefix ``light.<id>.``."""
+
+AXIS_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
+"""Filter states that rotate the main axis, with their columns of ``by_error``, in order."""
 
 _STEP_RATIO = 2.0
 """Factor by which a stated variance may increase or decrease without a step of the error."""

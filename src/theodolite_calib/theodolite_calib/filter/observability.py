@@ -20,9 +20,9 @@ import numpy as np
 
 from ship_estimation.kalman.kalman_filter import StateModel, block
 from ship_estimation.kalman.unobservable_combinations import unobservable_combinations
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import FloatArray
 from ship_kernels.compiled_innovations import square_root
-from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep
 
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")

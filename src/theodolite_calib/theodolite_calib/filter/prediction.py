@@ -1,9 +1,8 @@
 """Prediction of a sighting of beacons from a state of the calibration filter, with its Jacobian.
 
 The beacons' points on the detector follow from the attitude of the telescope
-(:mod:`theodolite_calib.axis_geometry.axes`) and from the lines of sight
-(:mod:`theodolite_calib.beacon_camera.line_of_sight`). Attitude and lines of sight are corrected by the estimated
-errors.
+(:mod:`ship_geometry.mount.axes`) and from the lines of sight (:mod:`ship_geometry.mount.line_of_sight`).
+Attitude and lines of sight are corrected by the estimated errors.
 """
 
 from dataclasses import dataclass
@@ -12,12 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.kalman.kalman_filter import StateModel
-from ship_geometry.rotations import FloatArray, exp_rotation
-from ship_kernels import compiled_pointing
-from theodolite_calib.axis_geometry.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
-from theodolite_calib.axis_geometry.parallelism import telescope_rotation
-from theodolite_calib.beacon_camera.image import Camera, predict_points
-from theodolite_calib.beacon_camera.line_of_sight import (
+from ship_geometry.mount.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
+from ship_geometry.mount.image import Camera, predict_points
+from ship_geometry.mount.line_of_sight import (
     BASELINE,
     SHIP_ROTATION,
     TERM_COLUMNS,
@@ -28,6 +24,9 @@ from theodolite_calib.beacon_camera.line_of_sight import (
     Survey,
     lines_of_sight,
 )
+from ship_geometry.mount.parallelism import telescope_rotation
+from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_kernels import compiled_pointing
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import (
     COMMON_TERMS,

@@ -13,10 +13,10 @@ import numpy as np
 
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate
 from ship_estimation.rejections import Reason, Rejection
+from ship_geometry.mount.image import Camera
+from ship_geometry.mount.line_of_sight import LinesOfSight
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.beacon_camera.beacon_check import BeaconCheckResult, angle_residuals, check_beacons
-from theodolite_calib.beacon_camera.image import Camera
-from theodolite_calib.beacon_camera.line_of_sight import LinesOfSight
 from theodolite_calib.beacon_camera.telescope_attitude import AttitudePrior
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.samples.samples import Exposure, ExposureDecision

@@ -1,7 +1,7 @@
 """Comparison of stars in a camera on the theodolite with the camera's attitude predicted from the filter's state.
 
 The camera s is fixed to the main axis. The attitude of the camera follows from encoders, deformation and ship
-(:mod:`theodolite_calib.axis_geometry`):
+(:mod:`ship_geometry.mount.axes`):
 
     rotation_ns = exp(a) R_ship · exp(e) · R_axes · R(ΔA, ΔE, Δω)ᵀ
 
@@ -18,6 +18,8 @@ import numpy as np
 from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel
 from ship_estimation.rejections import Rejection
+from ship_geometry.mount.axes import axis_geometry
+from ship_geometry.mount.parallelism import telescope_rotation
 from ship_geometry.rotations import FloatArray
 from ship_stars.camera.camera_states import camera_state_indices
 from ship_stars.sky.shared_states import sky_slice
@@ -25,8 +27,6 @@ from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.residuals import StarResiduals, star_residuals
 from ship_stars.solution.scale_check import check_estimated_focal_length
 from ship_stars.solution.selection import StarPrior
-from theodolite_calib.axis_geometry.axes import axis_geometry
-from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
 from theodolite_calib.filter.prediction import SightingModel

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel, propagate_covariance
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels import compiled_kalman
-from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import ShipErrorProcess
 

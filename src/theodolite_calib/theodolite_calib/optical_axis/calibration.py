@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
-from theodolite_calib.axis_geometry.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_SAVED, parallelism_block

@@ -11,9 +11,9 @@ import numpy as np
 
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.mount.axes import axis_geometry
+from ship_geometry.mount.parallelism import telescope_rotation
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.axis_geometry.axes import axis_geometry
-from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting

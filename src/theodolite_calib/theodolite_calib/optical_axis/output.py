@@ -15,9 +15,9 @@ from ship_estimation.rejections import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import DEFORMATION, SHIP
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_pointing
-from theodolite_calib.axis_geometry.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
@@ -66,7 +66,7 @@ class AxesAt(NamedTuple):
 class CorrectedAxis:
     """Main axis corrected by one filter state; created once per state, used at the encoder's rate.
 
-    Only the states that rotate the main axis (:data:`theodolite_calib.axis_geometry.axes.AXIS_STATES`) are propagated.
+    Only the states that rotate the main axis (:data:`theodolite_calib.filter.model.AXIS_STATES`) are propagated.
 
     Args:
         filter_: filter with its model.

@@ -12,8 +12,8 @@ import numpy as np
 from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Status
 from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.mount.axes import AXES, SHIP, AxisErrors, axis_geometry
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
-from theodolite_calib.axis_geometry.axes import AXES, SHIP, AxisErrors, axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices

@@ -7,11 +7,11 @@ import numpy as np
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
+from ship_geometry.mount.image import BeaconStreaks, Camera, Image
+from ship_geometry.mount.line_of_sight import BeaconPoses
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.exposure_mean import Nodes
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.beacon_camera.image import BeaconStreaks, Camera, Image
-from theodolite_calib.beacon_camera.line_of_sight import BeaconPoses
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.baseline_track import BaselineJump
 from theodolite_calib.samples.samples import DetectedBeacon, Exposure

@@ -6,8 +6,8 @@ import numpy as np
 
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors
 from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure
-from theodolite_calib.axis_geometry.axes import AxisErrors
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.tracks import EncoderAt, MeasuredTracks, ShipAt
 

@@ -13,12 +13,12 @@ import numpy as np
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.tracks.attitude_track import AttitudeTrack
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
 from ship_geometry.tracks.sample_track import SampleTrack
 from ship_geometry.tracks.vector_track import VectorTrack
-from theodolite_calib.axis_geometry.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.baseline_track import BaselineJump, BaselineTrack
 from theodolite_calib.samples.samples import AnyExposure, EncoderSample, Exposure, ShipSample

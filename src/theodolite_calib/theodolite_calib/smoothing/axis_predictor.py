@@ -13,8 +13,8 @@ import numpy as np
 
 from ship_estimation.kalman.rts_smoother import Anchor
 from ship_estimation.kalman.rts_step import GaussianEstimate
+from ship_geometry.mount.axes import SHIP
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.axis_geometry.axes import SHIP
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.model import ShipErrorStep, axis_state_indices, ship_error_steps
 from theodolite_calib.samples.samples import StampArray

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.frames import SINGULAR_ELEVATION, rotation_from_angles
+from ship_geometry.mount.image import Camera
+from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import FloatArray, skew
-from theodolite_calib.beacon_camera.image import Camera
-from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 
 
 @dataclass(frozen=True)

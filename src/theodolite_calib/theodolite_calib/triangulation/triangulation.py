@@ -2,7 +2,7 @@
 
 The position is in the common frame: (North, Up, East) from a stated origin, m. Each theodolite's directions are in its
 local horizon. On the curved Earth the horizons of two theodolites differ by 1.6" at 50 m and by 32" at 1 km. Refraction
-raises each direction by k · (horizontal distance) / (2 R), as in :mod:`theodolite_calib.beacon_camera.line_of_sight`.
+raises each direction by k · (horizontal distance) / (2 R), as in :mod:`ship_geometry.mount.line_of_sight`.
 
 Errors of the theodolites' directions and positions are assumed to be independent; the error of k is common to all
 directions. Theodolites that use one ship's attitude share its error, which the residuals do not show.
@@ -19,9 +19,9 @@ import numpy as np
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.earth.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
+from ship_geometry.mount.image import unit_vector_jacobian
+from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.beacon_camera.image import unit_vector_jacobian
-from theodolite_calib.beacon_camera.line_of_sight import EARTH_RADIUS_M
 
 _STEPS = 20
 _SMALL_STEP_M = 1e-5

@@ -1,15 +1,57 @@
-"""Parameters of an INS with the Schuler error model."""
+"""Parameters of the errors of an INS, which nodes and scenarios share."""
 
 import math
 from dataclasses import dataclass
 
-from ship_estimation.parameters.fields import parameter
+from ship_estimation.parameters.fields import arcsec, parameter, section
 
 GAUSS_MARKOV, SCHULER = "gauss_markov", "schuler"
 
 _SQRT_HOUR = 60.0
 _HOUR_S = 3600.0
 _RADIUS_M = 6_371_000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsErrors:
+    """Errors of the attitude and the clock of an INS."""
+
+    tilt_sigma_arcsec: float = arcsec(10.0, doc="correlated error in tilt, each axis", live=True)
+    heading_sigma_arcsec: float = arcsec(72.0, doc="correlated error in heading", live=True)
+    white_sigma_arcsec: float = arcsec(1.0, doc="noise of each sample, each axis, quantisation included", live=True)
+    time_offset_s: float = parameter(
+        0.0, doc="a sample is valid at its stamp plus this offset", unit="s", minimum=-1.0, maximum=1.0
+    )
+    time_offset_sigma_s: float = parameter(
+        0.005, doc="uncertainty of time_offset_s; 0: known exactly", unit="s", minimum=0.0, maximum=1.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsRateErrors:
+    """Errors of the angular rate of an INS."""
+
+    rate_sigma_arcsec_per_s: float = parameter(
+        0.0,
+        doc="noise of the angular rate, each axis; nodes estimate a larger noise from the samples",
+        unit="arcsec/s",
+        minimum=0.0,
+        maximum=36_000.0,
+        live=True,
+    )
+    rate_has_earth_rate: bool = parameter(
+        False, doc="the angular rate is that of the gyroscopes: it contains the Earth rate, 15 arcsec/s"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsCorrelationTimes:
+    """Correlation times of the errors of an INS."""
+
+    tilt_time_s: float = parameter(1800.0, doc="correlation time of the tilt error", unit="s", minimum=0.1, maximum=1e7)
+    heading_time_s: float = parameter(
+        10800.0, doc="correlation time of the heading error", unit="s", minimum=0.1, maximum=1e7
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,3 +117,16 @@ class SchulerConfig:
     def velocity_walk(self) -> float:
         """Random walk of the velocity, m/s/√s."""
         return self.velocity_walk_m_per_s_per_sqrt_h / _SQRT_HOUR
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsErrorModel:
+    """Model of the correlated error of an INS."""
+
+    model: str = parameter(
+        GAUSS_MARKOV,
+        doc="model of the INS error: exponentially correlated (tilt_time_s, heading_time_s), or the Schuler oscillation"
+        ", for which nodes need gnss/fix (schuler)",
+        choices=(GAUSS_MARKOV, SCHULER),
+    )
+    schuler: SchulerConfig = section(SchulerConfig)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.mount.parallelism import telescope_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.simulated_sightings import truth_of
-from theodolite_calib.axis_geometry.parallelism import telescope_rotation
 
 ANGLES = np.deg2rad([0.3, -0.2, 0.5])
 

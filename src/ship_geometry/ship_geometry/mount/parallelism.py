@@ -20,6 +20,14 @@ def telescope_rotation(parallelism: FloatArray, rotation_nm: FloatArray) -> tupl
     Returns:
         Horizon from telescope, shape (3, 3), and the derivative of its rotation vector in n with respect to the
             angles of the parallelism, shape (3, 3).
+
+    Example:
+        The main axis is 0.1 rad to the right in the telescope, so that the telescope points to its left:
+
+        >>> import numpy as np
+        >>> rotation_nt, _ = telescope_rotation(np.array([0.1, 0.0, 0.0]), np.eye(3))
+        >>> print(rotation_nt[:, 0].round(3)[[0, 2]])  # forward, right
+        [ 0.995 -0.1  ]
     """
     azimuth, elevation, rotation = parallelism
     rotation_nt = rotation_nm @ rotation_from_angles(azimuth, elevation, rotation).T

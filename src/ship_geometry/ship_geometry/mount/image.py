@@ -134,6 +134,14 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
         camera: geometry of the telescope.
         rotation_nt: horizon from telescope, shape (..., 3, 3).
         direction_n: unit vectors to the beacons, shape (..., N, 3).
+
+    Example:
+        A light to the right of and above the axis, for a focal length of 0.1 m:
+
+        >>> camera = Camera(focal_length_m=0.1, focal_length_sigma_m=0.0, principal_point_m=np.zeros(2))
+        >>> unit_n = np.array([[1.0, 0.1, 0.2]]) / np.sqrt(1.05)
+        >>> print(predict_points(camera, np.eye(3), unit_n).point_m)
+        [[-0.02 -0.01]]
     """
     leading, count = direction_n.shape[:-2], direction_n.shape[-2]
     principal_point_m = np.asarray(camera.principal_point_m, dtype=float)
@@ -155,6 +163,10 @@ def flatten_exposures(values: FloatArray | float, leading: tuple[int, ...], item
         values: array of shape (..., *item_shape), whose leading axes broadcast to ``leading``.
         leading: shape of the exposures; empty for one exposure.
         item_shape: shape of the values of one exposure.
+
+    Example:
+        >>> flatten_exposures(0.1, (2,), ()).tolist()
+        [0.1, 0.1]
     """
     array: FloatArray = np.asarray(values, dtype=float)
     whole = (*leading, *item_shape)
@@ -211,7 +223,12 @@ class BeaconStreaks:
 
 
 def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
-    """Return the derivative of u = v / |v| with respect to v, (I - u uᵀ) / |v|, shape (..., 3, 3)."""
+    """Return the derivative of u = v / |v| with respect to v, (I - u uᵀ) / |v|, shape (..., 3, 3).
+
+    Example:
+        >>> unit_vector_jacobian(np.array([2.0, 0.0, 0.0])).diagonal().tolist()
+        [0.0, 0.5, 0.5]
+    """
     length = np.linalg.norm(vector, axis=-1)[..., None, None]
     unit = vector[..., None] / length
     jacobian: FloatArray = (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
@@ -219,7 +236,13 @@ def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:
-    """Return the matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal."""
+    """Return the matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal.
+
+    Example:
+        >>> print(block_diagonal(np.array([[[1.0, 2.0]], [[3.0, 4.0]]])))
+        [[1. 2. 0. 0.]
+         [0. 0. 3. 4.]]
+    """
     count, rows, columns = blocks.shape[-3:]
     matrix = np.zeros((*blocks.shape[:-3], count * rows, count * columns))
     for i in range(count):

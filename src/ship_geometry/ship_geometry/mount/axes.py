@@ -98,7 +98,14 @@ class MainAxis:
 
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
-    """Return the main frame with its Jacobians. ``by_encoder`` also converts errors of the encoder readings."""
+    """Return the main frame with its Jacobians. ``by_encoder`` also converts errors of the encoder readings.
+
+    Example:
+        The elevation of the encoder includes its zero point h:
+
+        >>> main_axis(AxisErrors(h=0.1), azimuth=0.0, elevation=0.1).rotation_dm[:, 0]
+        array([1., 0., 0.])
+    """
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)
@@ -120,7 +127,14 @@ def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
 
 
 def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> FloatArray:
-    """Return the rotation deck from main frame, shape (..., 3, 3), without the Jacobians."""
+    """Return the rotation deck from main frame, shape (..., 3, 3), without the Jacobians.
+
+    Example:
+        A quarter turn of the azimuth points the axis to starboard:
+
+        >>> print(main_axis_rotation(AxisErrors(), azimuth=0.5 * np.pi, elevation=0.0)[:, 0].round(3))
+        [0. 0. 1.]
+    """
     rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     return rotation_dx @ _about_elevation_and_collimation(errors, elevation)
 
@@ -129,6 +143,14 @@ def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArr
     """Return the derivative of a direction fixed in a frame, shape (..., 3, n).
 
     ``by_rotation`` is the derivative of the small rotation of the frame, shape (..., 3, n).
+
+    Example:
+        The encoder of elevation raises a horizontal axis, and that of azimuth moves it to the right:
+
+        >>> main = main_axis(AxisErrors(), azimuth=0.0, elevation=0.0)
+        >>> direction_change(main.rotation_dm[:, 0], main.by_encoder).T[:, 1:]  # up, right
+        array([[0., 1.],
+               [1., 0.]])
     """
     return -skew(direction) @ by_rotation
 
@@ -141,9 +163,6 @@ SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), sli
 - AXES: the axis errors in the order of :data:`NAMES`, rad.
 - SHIP_TIME: true minus assumed time of the samples of the ship's attitude, s.
 """
-
-AXIS_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
-"""Filter states that rotate the main axis, with their slices of the vector of all errors, in order."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +197,14 @@ def axis_geometry(
         rate_d: angular velocity of the deck, rad/s, shape (3,).
         azimuth: encoder azimuth, rad.
         elevation: encoder elevation, rad.
+
+    Example:
+        The sample is valid at another time than assumed, while the ship turns to port at 0.1 rad/s:
+
+        >>> rate_d = np.array([0.0, 0.1, 0.0])
+        >>> geometry = axis_geometry(np.zeros(14), np.eye(3), rate_d, azimuth=0.0, elevation=0.0)
+        >>> print(geometry.by_error[1, SHIP_TIME])  # rad/s about up
+        [-0.1]
     """
     arrays = compiled_pointing.axis_geometries(
         errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]])
@@ -201,6 +228,13 @@ def encoder_angles(
     Returns:
         Azimuth in [0, 2 pi) and elevation (rad), shape (...) each; NaN for directions that the axes cannot reach.
             Without axis errors the elevation is in [-pi/2, pi/2], or in [pi/2, 3 pi/2] if plunged.
+
+    Example:
+        >>> bow = np.array([1.0, 0.0, 0.0])
+        >>> for plunged in (False, True):
+        ...     print([round(float(angle), 3) for angle in encoder_angles(AxisErrors(g=0.1), bow, plunged=plunged)])
+        [0.1, 0.0]
+        [3.242, 3.142]
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
     # Direction in the frame of the tilted vertical axis: x, y (up), z.

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free_epochs, raise_elevation, truth_of
-from theodolite_calib.beacon_camera.line_of_sight import (
+from ship_geometry.mount.line_of_sight import (
     BeaconPoses,
     ErrorTerm,
     LeverArm,
@@ -19,6 +17,8 @@ from theodolite_calib.beacon_camera.line_of_sight import (
     covariance_by_source,
     lines_of_sight,
 )
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free_epochs, raise_elevation, truth_of
 
 NOTHING = LeverArm(np.zeros(3), np.zeros(3))
 # The lights have different distances and heights; levers and errors are large enough for each term to count.

@@ -5,16 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ship_geometry.rotations import (
-    ARCSEC,
-    FloatArray,
-    angle_between,
-    exp_rotation,
-    left_jacobian,
-    log_rotation,
-    wrap_pi,
-)
-from theodolite_calib.axis_geometry.axes import (
+from ship_geometry.mount.axes import (
     NAMES,
     AxisErrors,
     AxisGeometry,
@@ -23,6 +14,15 @@ from theodolite_calib.axis_geometry.axes import (
     encoder_angles,
     main_axis,
     main_axis_rotation,
+)
+from ship_geometry.rotations import (
+    ARCSEC,
+    FloatArray,
+    angle_between,
+    exp_rotation,
+    left_jacobian,
+    log_rotation,
+    wrap_pi,
 )
 
 SMALL = AxisErrors(*(ARCSEC * np.array([-30.0, 20.0, -35.0, 40.0, 25.0, -38.0, 12.0])).tolist())

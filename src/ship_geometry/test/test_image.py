@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from ship_geometry.mount.image import Camera, predict_points, unit_vector_jacobian
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.simulated_sightings import CAMERA as PAPER_CAMERA
 from ship_testing.simulated_sightings import error_free_epochs, truth_of
-from theodolite_calib.beacon_camera.image import Camera, predict_points, unit_vector_jacobian
 
 CAMERA = Camera(0.1, 1e-4, np.array([3e-4, -5e-4]))
 
