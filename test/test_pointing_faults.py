@@ -77,7 +77,7 @@ def test_one_wrong_fixed_baseline_is_excluded_and_the_other_light_is_used(seed, 
     during = [e.light_count for e in found.estimates if FAULT_S + 1.0 < (e.time_ns - found.start_ns) * 1e-9 < 59.0]
     assert set(during) == {1}
     lasts = until_s > 1e6
-    assert set(found.core.state.fault_state.excluded_sources) == ({"beacon.a"} if lasts else set())
+    assert set(found.core.state.fault_state.excluded) == ({"beacon.a"} if lasts else set())
     assert found.estimates[-1].light_count == (1 if lasts else 2)
 
 
@@ -94,7 +94,7 @@ def test_two_wrong_fixed_baselines_are_not_accepted_again(seed, moved_b):
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
     assert found.duration_s(Status.VALID) < 1.0
-    assert {"beacon.a", "beacon.b"} == set(found.core.state.fault_state.excluded_sources)
+    assert {"beacon.a", "beacon.b"} == set(found.core.state.fault_state.excluded)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

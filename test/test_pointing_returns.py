@@ -44,7 +44,7 @@ def test_a_fault_that_ends_leaves_no_source_excluded(fault, seed):
     not_valid_s = found.time_s[found.status != Status.VALID]
     assert not_valid_s[-1] < END_S + RETURNS_S
     assert found.worst(Status.VALID) < 5.0
-    assert not found.core.state.fault_state.excluded_sources
+    assert not found.core.state.fault_state.excluded
     assert "ship_attitude" not in found.excluded_sources
 
 

@@ -20,7 +20,7 @@ from scipy.stats import binom
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
+from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState
@@ -587,7 +587,7 @@ def test_the_fast_consistency_test_equals_the_full_one(
 ) -> None:
     expected = run_with_errors(*errors, seconds=40.0)
     calls = []
-    monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(calls.append(None)))
+    monkeypatch.setattr(ShipFaultDetector, "_is_all_consistent", lambda *_: bool(calls.append(None)))
     RUNS_BEFORE_ERRORS.clear()
     looked = run_with_errors(*errors, seconds=40.0)
     assert calls

@@ -7,10 +7,10 @@ import pytest
 
 from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.state import with_changes
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.kalman.rts_smoother import Anchor
 from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_estimation.parameters.schema import build

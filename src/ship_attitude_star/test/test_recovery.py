@@ -16,8 +16,8 @@ from scipy.stats import chi2
 from ship_attitude_star.messages.input_messages import star_measurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import memory_residual
-from ship_attitude_star.ship_attitude.state import with_changes
 from ship_bags.stamps import ns_from_stamp, stamp_fields
+from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.rejections import Reason

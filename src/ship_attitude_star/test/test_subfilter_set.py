@@ -7,11 +7,11 @@ from scipy.stats import norm
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.subfilter_set import SubfilterSet
+from ship_attitude_star.ship_attitude.subfilter_set import ShipSubfilters
 from ship_estimation.parameters.schema import ParameterError, build
 
 
-def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> SubfilterSet:
+def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> ShipSubfilters:
     stars = {f"s{number}": {"azimuth_deg": 60.0 * number, "elevation_deg": 45.0} for number in range(sensors)}
     others: dict[str, Any] = {f"r{number}": {} for number in range(references)}
     values = {"star_sensors": stars, "references": others, "integrity": integrity}

@@ -1,11 +1,9 @@
 """Estimation without ROS: Kalman filter with subfilters, fault isolation, protection levels and consistency tests.
 
 - Filter: :mod:`ship_estimation.kalman.kalman_filter` (time and measurement update, covariance by error source),
-  :mod:`ship_estimation.fault_detection.subfilters`, :mod:`ship_estimation.innovations.gates` (innovation gate, NEES,
-  NIS).
-- Fault detection and exclusion: :mod:`ship_estimation.fault_detection.innovation_means`,
-  :mod:`ship_estimation.fault_detection.fault_isolation`, :mod:`ship_estimation.integrity.protection_levels`,
-  :mod:`ship_estimation.fault_detection.common_error`.
+  :mod:`ship_estimation.innovations.gates` (innovation gate, NEES, NIS).
+- Fault detection and exclusion, with subfilters: :mod:`ship_estimation.fault_detection`.
+- Integrity: :mod:`ship_estimation.integrity.protection_levels`, :mod:`ship_estimation.fault_detection.common_error`.
 - Plausibility checks before a measurement is used: :mod:`ship_estimation.plausibility.ins_check` for the samples of an
   INS, :mod:`ship_estimation.plausibility.rate_consistency` for its rates,
   :mod:`ship_estimation.plausibility.value_checks` for frozen values, jumps.

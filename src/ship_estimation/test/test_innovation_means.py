@@ -1,4 +1,4 @@
-"""Windowed innovation means against the same formulas in plain numpy; test_fault_isolation tests their use."""
+"""Windowed innovation means against the same formulas in plain numpy; test_isolation tests their use."""
 
 from dataclasses import replace
 

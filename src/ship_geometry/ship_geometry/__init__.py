@@ -232,16 +232,16 @@ Terms of integrity
         Unit: rad, n; source: Blanch, Walter, Enge and others 2015; module: ship_estimation.integrity.protection_levels.
     Fault detection and exclusion (FDE)
         Detection of an inconsistency, isolation of the faulty source, and its exclusion.
-        Module: ship_estimation.fault_detection.fault_isolation.
+        Module: ship_estimation.fault_detection.
     Unresolved fault
         Fault that is detected but not isolated; the covariance is inflated.
-        Module: ship_attitude_star.ship_attitude.fault_detection.
+        Module: ship_estimation.fault_detection.fault_state.
     Excluded, monitored
         A source is not used; its innovations are still computed.
-        Module: ship_estimation.fault_detection.fault_isolation.
+        Module: ship_estimation.fault_detection.exclusions.
     Reinstatement
         An excluded source is used again after a time of consistency.
-        Module: ship_estimation.fault_detection.fault_isolation.
+        Module: ship_estimation.fault_detection.exclusions.
     Mounting shift
         Step of the installation of a device.
         Unit: rad, d; module: ship_watch.mounting_shifts.

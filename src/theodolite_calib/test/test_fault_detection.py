@@ -4,27 +4,26 @@ from dataclasses import replace
 
 import pytest
 
-from ship_estimation.fault_detection.fault_isolation import ExcludedSource
+from ship_estimation.fault_detection.fault_state import UnresolvedFault
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
 from theodolite_calib.filter.fault_detection import (
-    ExclusionRecord,
-    FaultDetector,
-    FaultState,
-    UnresolvedFault,
+    AxisExclusion,
+    AxisFaultDetector,
+    AxisFaultState,
     initial_fault_state,
 )
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
+from theodolite_calib.filter.subfilters import ENCODER
 
 SETTINGS = config()
 SUBFILTERS = CalibrationFilter(SETTINGS).subfilters
-DETECTOR = FaultDetector(SETTINGS.integrity, SETTINGS.gate, SUBFILTERS, threshold=5.0)
-FIRST, SECOND = SUBFILTERS.beacons[:2]
+DETECTOR = AxisFaultDetector(SUBFILTERS, SETTINGS.gate, SETTINGS.integrity)
+FIRST, SECOND = SUBFILTERS.sources[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
-def consistent_state(received_ns: dict[str, int]) -> FaultState:
+def consistent_state(received_ns: dict[str, int]) -> AxisFaultState:
     """Return a state with exclusions of FIRST and the encoders and an unresolved fault, all consistent since AGREED_NS.
 
     ``received_ns`` is the time of the last measurement of each beacon.
@@ -32,25 +31,22 @@ def consistent_state(received_ns: dict[str, int]) -> FaultState:
     state = initial_fault_state(SUBFILTERS)
     seen_ns = state.innovation_means.last_measured_ns.copy()
     for name, time_ns in received_ns.items():
-        seen_ns[SUBFILTERS.beacons.index(name)] = time_ns
-    left_out = {
-        name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "")
-        for name in (BEACON_PREFIX + FIRST, ENCODER)
-    }
+        seen_ns[SUBFILTERS.indices[name]] = time_ns
+    left_out = {name: AxisExclusion(0, consistent_since_ns=AGREED_NS, reason="") for name in (FIRST, ENCODER)}
     conflict = UnresolvedFault(
-        0.0 * state.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS
+        "", 0.0 * state.innovation_means.running[0, 0, :, :3], consistent_since_ns=AGREED_NS
     )
     return replace(
         state,
         innovation_means=replace(state.innovation_means, last_measured_ns=seen_ns),
-        exclusions=left_out,
+        excluded=left_out,
         unresolved_fault=conflict,
     )
 
 
-def consistent_since_ns(fault_state: FaultState) -> list[int | None]:
+def consistent_since_ns(fault_state: AxisFaultState) -> list[int | None]:
     assert fault_state.unresolved_fault is not None
-    exclusions = [fault_state.exclusions[name].exclusion for name in (BEACON_PREFIX + FIRST, ENCODER)]
+    exclusions = [fault_state.excluded[name] for name in (FIRST, ENCODER)]
     return [
         *(exclusion.consistent_since_ns for exclusion in exclusions),
         fault_state.unresolved_fault.consistent_since_ns,
@@ -61,8 +57,8 @@ def consistent_since_ns(fault_state: FaultState) -> list[int | None]:
     ("gap_s", "names", "expected"),
     [
         (9, (FIRST, SECOND), [AGREED_NS, AGREED_NS, AGREED_NS]),
-        (11, (FIRST, SECOND), [None, None, None]),
-        (11, (SECOND,), [AGREED_NS, None, None]),
+        (11, (FIRST, SECOND), [None, LAST_NS + 11 * SECOND_NS, None]),
+        (11, (SECOND,), [AGREED_NS, LAST_NS + 11 * SECOND_NS, None]),
     ],
 )
 def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(gap_s, names, expected) -> None:
@@ -86,9 +82,9 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
         state = DETECTOR.restart_timers(state, (SECOND,), time_ns)
         measured_ns = state.innovation_means.last_measured_ns.copy()
-        measured_ns[SUBFILTERS.beacons.index(SECOND)] = time_ns
+        measured_ns[SUBFILTERS.indices[SECOND]] = time_ns
         state = replace(state, innovation_means=replace(state.innovation_means, last_measured_ns=measured_ns))
-        if ENCODER in state.exclusions:
+        if ENCODER in state.excluded:
             state = DETECTOR.monitor_prediction(state, ENCODER, True, time_ns)
-            returned += [] if ENCODER in state.exclusions else [(time_ns - back_ns) / SECOND_NS]
+            returned += [] if ENCODER in state.excluded else [(time_ns - back_ns) / SECOND_NS]
     assert returned == [SETTINGS.integrity.return_after_s]

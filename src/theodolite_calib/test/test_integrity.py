@@ -126,9 +126,9 @@ def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None
     in_order, out_of_order = run_adapter(new_adapter(), wrong), run_adapter(new_adapter(), shuffled)
     assert out_of_order.state() == in_order.state()
     one, other = (run.adapter.core.state for run in (in_order, out_of_order))
-    assert set(one.fault_state.excluded_sources) == {"beacon.alpha"}
+    assert set(one.fault_state.excluded) == {"beacon.alpha"}
     assert (
-        one.fault_state.exclusions["beacon.alpha"].exclusion == other.fault_state.exclusions["beacon.alpha"].exclusion
+        one.fault_state.excluded["beacon.alpha"].since_ns == other.fault_state.excluded["beacon.alpha"].since_ns
     )
     assert one.subfilters.mean.tobytes() == other.subfilters.mean.tobytes()
     assert one.subfilters.covariances.tobytes() == other.subfilters.covariances.tobytes()

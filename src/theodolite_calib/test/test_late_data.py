@@ -152,7 +152,7 @@ def lights_used(run: Run) -> list[float]:
 def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
     run = run_adapter(new_adapter(), repeat_times((ENCODER, SHIP)))
     core = run.adapter.core
-    assert not core.state.fault_state.exclusions
+    assert not core.state.fault_state.excluded
     assert run.pointings[-1].status == Status.VALID
     used = lights_used(run)
     assert not [s for s in used if 2.3 < s < 12.2]

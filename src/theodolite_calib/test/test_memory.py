@@ -95,7 +95,7 @@ def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
     now = sighting.ship, sighting.encoder
     start = start_from_memory(FILTER, state)
     assert largest_difference_sigmas(FILTER, start, state, *now) == pytest.approx(0.0, abs=1e-9)
-    assert not start.fault_state.excluded_sources
+    assert not start.fault_state.excluded
     assert start.last_update_ns is None
     row = FILTER.model.slices["focal_length"].start
     mean = start.mean.copy()

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.fault_detection.fault_state import UnresolvedFault
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import axis_geometry
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.fault_detection import UnresolvedFault
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import SightingStep
@@ -95,7 +95,7 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
 
 def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
     """Return the state with an unresolved fault and separated subfilters."""
-    conflict = UnresolvedFault((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
+    conflict = UnresolvedFault("", (3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
     fault_state = replace(state.fault_state, unresolved_fault=conflict)
     return replace(state, fault_state=fault_state, solution_separation=np.full(len(state.solution_separation), 5.0))
 

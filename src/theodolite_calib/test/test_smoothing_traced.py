@@ -5,9 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ship_estimation.fault_detection.fault_isolation import ExcludedSource
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.filter.fault_detection import ExclusionRecord
+from theodolite_calib.filter.fault_detection import AxisExclusion
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.samples.encoder_check import EncoderJump
@@ -32,8 +31,8 @@ def step_state(filter_: CalibrationFilter, state: CalibrationState, sighting: Si
 def with_excluded(state: TracedState, source: str) -> TracedState:
     """Return the state of a filter that excludes a source."""
     assert state.time_ns is not None
-    left_out = {source: ExclusionRecord(ExcludedSource(state.time_ns), "it lies", 0.0)}
-    return replace(state, fault_state=replace(state.fault_state, exclusions=left_out))
+    left_out = {source: AxisExclusion(state.time_ns, reason="it lies")}
+    return replace(state, fault_state=replace(state.fault_state, excluded=left_out))
 
 
 def test_its_states_are_those_of_the_filter() -> None:

@@ -58,7 +58,7 @@ def valid_pointings() -> tuple[ValidPointing, ...]:
             sigma = float(np.sqrt(drifted.encoder.noise))
             sample = EncoderSample(drifted.time_ns, np.array([azimuth, drifted.encoder.elevation]), sigma)
             estimate = out.estimate(PendingPointing(sample, drifted.ship, "", 0.0, state))
-            if state.fault_state.exclusions:
+            if state.fault_state.excluded:
                 break
             if estimate.status is Status.VALID:
                 found.append(ValidPointing(time_s - START_S, estimate, rotation_nm))

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.fault_detection.fault_isolation import ExcludedSource
 from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
@@ -31,7 +30,7 @@ from ship_testing.mount_stars import (
 from ship_testing.simulated_session import gauss_markov
 from ship_testing.star_sky import TIME_NS, without_identity
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.fault_detection import ExclusionRecord
+from theodolite_calib.filter.fault_detection import AxisExclusion
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.subfilters import ENCODER
@@ -258,8 +257,8 @@ def test_identified_stars_give_the_attitude_without_encoders(sky_model) -> None:
     encoder = np.array([2.0, 0.8])
     sighting = session.sighting(encoder, 6)
     state, _ = mount.step(mount.filter.initial_state(), sighting)
-    left_out = ExclusionRecord(ExcludedSource(TIME_NS), "slipped")
-    state = replace(state, fault_state=replace(state.fault_state, exclusions={ENCODER: left_out}))
+    left_out = AxisExclusion(TIME_NS, reason="slipped")
+    state = replace(state, fault_state=replace(state.fault_state, excluded={ENCODER: left_out}))
     slipped = replace(sighting.encoder, azimuth=sighting.encoder.azimuth + np.deg2rad(1.0))
     sighting = replace(sighting, encoder=slipped)
     nameless = replace(sighting, exposure=without_identity(sighting.exposure))

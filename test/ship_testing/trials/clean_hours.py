@@ -218,7 +218,7 @@ def _run_theodolite(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     for outcome in pointing_outcomes(core, run):
         if outcome.decisions:
             since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
-            statistics.record_exclusions(since_s, frozenset(core.state.fault_state.exclusions))
+            statistics.record_exclusions(since_s, frozenset(core.state.fault_state.excluded))
         for estimate in outcome.estimates:
             if estimate.time_ns in wanted and estimate.status is not Status.INVALID:
                 truth_nm = truth.mount.rotation_nm[rows[estimate.time_ns]]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
 from ship_testing.trials.voyage_outputs import VoyageOutputs

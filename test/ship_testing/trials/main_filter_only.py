@@ -8,7 +8,8 @@ from typing import Any
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
-from ship_attitude_star.ship_attitude.state import FilterState, with_changes
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.kalman.kalman_filter import innovation, update
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Measurement
@@ -16,7 +17,7 @@ from ship_stars.samples.attitude_samples import AttitudeDecision
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.filter.subfilters import SubfilterSet, SubfilterStates
+from theodolite_calib.filter.subfilters import AxisSubfilters, SubfilterStates
 from theodolite_calib.samples.samples import ExposureDecision
 
 
@@ -41,7 +42,7 @@ class ShipFilterWithoutSubfilters(ShipFilter):
 class _NoSubfilters:
     """Subfilters of a theodolite's filter that are never propagated."""
 
-    def __init__(self, rows: SubfilterSet) -> None:
+    def __init__(self, rows: AxisSubfilters) -> None:
         self._rows = rows
 
     def __getattr__(self, name: str) -> Any:

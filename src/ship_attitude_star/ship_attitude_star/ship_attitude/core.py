@@ -6,7 +6,6 @@ applied and which output may follow. This module adds the parts for the ship att
 of the inputs, and the attitude from star sensors alone when the INS is not available.
 """
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import ClassVar
@@ -41,12 +40,13 @@ from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.parameters.ins import InsChange, InsJump
 from ship_estimation.plausibility.ins_check import CheckedInsSample
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
+from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.rejections import Rejection
 from ship_estimation.time_order.outcome import Measurement, Status
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator, is_within_lag
@@ -68,11 +68,8 @@ from ship_stars.sky.sky_model import SkyModel
 
 INS = "ins"
 
-_MAX_JUMPS = 100
-"""Maximum number of INS jumps stored until :meth:`ShipAttitudeCore.take_jumps`, which is called once a second."""
 
-
-class ShipAttitudeCore:
+class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
     """Estimator of the ship attitude.
 
     Args:
@@ -82,6 +79,8 @@ class ShipAttitudeCore:
     """
 
     filter_class: ClassVar[type[ShipFilter]] = ShipFilter
+    config: ShipAttitudeConfig
+    _sky_model: SkyModel | None
 
     def __init__(
         self,
@@ -168,7 +167,7 @@ class ShipAttitudeCore:
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
         self._recent_sources: dict[str, RecentSource] = {}
-        self._ins_jumps: deque[InsJump] = deque(maxlen=_MAX_JUMPS)
+        self._clear_jumps()
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Continue with changed noise and gate parameters; geometry and the set of devices stay."""
@@ -278,7 +277,7 @@ class ShipAttitudeCore:
             since_ns = self._track.add_noise(checked.noise)
             self._estimator.add_jump(self.filter.change_effective_ns(checked.noise), INS, checked.noise, since_ns)
             self._estimator.apply(outcome)
-        self._ins_jumps.extend(checked.jumps)
+        self._jumps.extend(checked.jumps)
         for jump in checked.jumps:
             effective_ns = self.filter.change_effective_ns(jump)
             self._estimator.add_jump(effective_ns, INS, jump, self._track.add_cut(jump.time_ns))
@@ -418,15 +417,10 @@ class ShipAttitudeCore:
             return self._start[0] if self._start is not None else None
         return prior_from_state(self.filter, self.config, self.state)
 
-    @property
-    def state(self) -> FilterState:
-        """State of the filter after the last applied measurement."""
-        return self._estimator.state
-
-    # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
+    # -- recovery: see ship_estimation.recovery.recoverable_core --------------------------------------------------
 
     @property
-    def excluded(self) -> Set[str]:
+    def excluded_sources(self) -> Set[str]:
         """Excluded sources."""
         return self.state.excluded.keys()
 
@@ -440,33 +434,14 @@ class ShipAttitudeCore:
         """True if a fault is detected and not isolated, or UTC is not verified."""
         return self.state.unresolved_fault is not None or self.state.utc_step is not None
 
-    def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
-        """Return another estimator, started from a stored state if given, else from the saved alignment or the prior.
-
-        With a stored state the estimator also starts with the current position and air data.
-        """
-        second = self._new_estimator(None if self._sky_model is None else self._sky_model.clone(memory is not None))
-        second._start = self._start
-        if memory is None:
-            second.reset()
-            return second
-        if self.vertical is not None:
-            second.vertical = self.vertical.clone()
-            second.filter = second.filter_class(second.config, second.vertical)
-        state = start_from_memory(second.filter, memory, self.state)
-        second._estimator.reset(state)
-        second._start_without_samples(state)
-        return second
-
-    def _new_estimator(self, sky_model: SkyModel | None) -> "ShipAttitudeCore":
-        """Return an estimator of the same class and configuration."""
-        return type(self)(self.config, sky_model)
-
-    def take_jumps(self) -> list[InsJump]:
-        """Return the INS jumps that were detected from the INS rates since the last call."""
-        jumps = list(self._ins_jumps)
-        self._ins_jumps.clear()
-        return jumps
+    def _start_from_memory(self, memory: FilterState, live: "ShipAttitudeCore") -> None:
+        """See :meth:`RecoverableCore._start_from_memory`."""
+        if live.vertical is not None:
+            self.vertical = live.vertical.clone()
+            self.filter = self.filter_class(self.config, self.vertical)
+        state = start_from_memory(self.filter, memory, live.state)
+        self._estimator.reset(state)
+        self._start_without_samples(state)
 
     def propagate_memory(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
         """Return a stored state propagated to the oldest time that measurements may still have."""
@@ -488,10 +463,6 @@ class ShipAttitudeCore:
         """Return those of ``sources`` that are devices of the filter without a recently accepted measurement."""
         since_ns, used_ns = self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.last_used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
-
-    def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
-        """Continue the outputs of another estimator."""
-        self._estimator.continue_outputs(live._estimator)
 
     @property
     def rate_status(self) -> RateStatus:

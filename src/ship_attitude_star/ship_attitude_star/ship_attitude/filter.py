@@ -8,7 +8,7 @@ import numpy as np
 from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, diagnosis_hint
 from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
+from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.linearisation import Linearisation, LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.model import (
     SOURCE_DEFLECTION,
@@ -18,9 +18,10 @@ from ship_attitude_star.ship_attitude.model import (
     ShipStateModel,
     devices,
 )
-from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, with_changes, with_entry, without_entry
+from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_estimation.fault_detection.fault_state import with_changes, with_entry, without_entry
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate
@@ -56,7 +57,7 @@ class ShipFilter:
         self.devices: dict[str, Device] = devices(config)
         deflection_track = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, deflection_track)
-        self.fault_detector = FaultDetector(config, self.model, self.devices)
+        self.fault_detector = ShipFaultDetector(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, self._ins_index)

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
-from ship_attitude_star.ship_attitude.state import FilterState, UnresolvedFault, with_changes, with_entry, without_entry
-from ship_attitude_star.ship_attitude.subfilter_set import INS, SubfilterSet
-from ship_estimation.fault_detection.fault_isolation import ExcludedSource, reinstatement_time_s
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.ship_attitude.subfilter_set import INS, ShipSubfilters
+from ship_estimation.fault_detection.exclusions import ExcludedSource, reinstatement_time_s
+from ship_estimation.fault_detection.fault_state import UnresolvedFault, with_changes, with_entry, without_entry
 from ship_estimation.fault_detection.innovation_means import cleared_means
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
@@ -62,7 +63,7 @@ class InsFaultHandling:
         subfilters: the filters.
     """
 
-    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, subfilters: SubfilterSet) -> None:
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, subfilters: ShipSubfilters) -> None:
         self._subfilters, self._return_after_s = subfilters, config.integrity.return_after_s
         self._degraded_after = config.gate.degraded_after
         self._consistent_gate = chi_square_gate(config.gate.probability, 3)
@@ -248,7 +249,7 @@ class InsFaultHandling:
 
     def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
         """True if this subfilter would be inconsistent with the source after one more rejection."""
-        index = self._subfilters.sources.index(source)
+        index = self._subfilters.indices[source]
         if source in state.excluded or not self._subfilters.uses[subfilter, index]:
             return False
         return bool(state.innovation_means.rejection_counts[subfilter, index] >= self._degraded_after - 1)

@@ -10,7 +10,8 @@ import numpy as np
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearisation import NotEvaluable
-from ship_attitude_star.ship_attitude.state import FilterState, with_changes
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.parameters.ins import InsJump
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.time_order.outcome import Measurement

@@ -6,62 +6,18 @@ A :class:`FilterState` is immutable, so the time-ordered log can store states an
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.fault_detection.common_error import NO_CORRECTIONS, CorrectionSums
-from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS, ExcludedSource
-from ship_estimation.fault_detection.innovation_means import InnovationMeans
+from ship_estimation.fault_detection.fault_state import FaultState
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_kalman
 from ship_stars.camera.spatial_errors import PixelDwell
-
-__all__ = [
-    "NO_PIXEL_DWELLS",
-    "FilterState",
-    "RecentInnovations",
-    "SourceInnovation",
-    "UnresolvedFault",
-    "UtcStep",
-    "shared_rotation",
-    "with_changes",
-    "with_entry",
-    "without_entry",
-]
-
-Value = TypeVar("Value")
-
-if TYPE_CHECKING:
-    from dataclasses import replace as with_changes
-else:
-
-    def with_changes(of, **fields):
-        """Return a copy of a frozen dataclass with some fields replaced.
-
-        The function takes a fifth of the time of ``dataclasses.replace``, because ``__init__`` and ``__post_init__``
-        are not called. A filter step replaces fields several times.
-        """
-        after = object.__new__(type(of))
-        after.__dict__.update(of.__dict__, **fields)
-        return after
-
-
-@dataclass(frozen=True)
-class UnresolvedFault:
-    """A fault that is detected and not isolated.
-
-    Attributes:
-        text: description for the user.
-        covariance_n: covariance added to the attitude for the contradiction; rotation vector in the horizon frame,
-            rad², shape (3, 3).
-    """
-
-    text: str
-    covariance_n: FloatArray
 
 
 class SourceInnovation(NamedTuple):
@@ -119,8 +75,8 @@ class RecentInnovations(NamedTuple):
     """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
-        windowed_means: the windowed means
-            (:attr:`ship_estimation.fault_detection.innovation_means.InnovationMeans.running`), shape (w, 5).
+        windowed_means: the windowed means, as in
+            :attr:`~ship_estimation.fault_detection.innovation_means.InnovationMeans.running`, shape (w, 5).
         largest_sigmas: largest deviation of a mean from zero, in standard deviations of the mean.
     """
 
@@ -133,7 +89,7 @@ NO_PIXEL_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class FilterState:
+class FilterState(FaultState):
     """State of h filters, the main filter first, then the subfilters.
 
     Attributes:
@@ -141,10 +97,7 @@ class FilterState:
         means: estimated errors, shape (h, n).
         stack: covariance of the main filter by error source, then covariances of the subfilters, as in
             :mod:`ship_estimation.fault_detection.subfilters`, shape (n_sources + h - 1, n, n).
-        innovation_means: windowed innovation means of each source in each filter.
-        excluded: excluded sources by name.
         exclusion_counts: number of exclusions of each source.
-        unresolved_fault: fault that is detected and not isolated; None without such a fault.
         separation_covariance_n: covariance that an output adds for large solution separations and for an earlier error
             shared by the stars, rad², horizon frame, shape (3, 3); not part of ``stack``; None if neither exists.
         last_innovations: innovation of each source's last measurement against the main filter.
@@ -174,10 +127,7 @@ class FilterState:
     time_ns: int | None
     means: FloatArray
     stack: FloatArray
-    innovation_means: InnovationMeans
-    excluded: MappingProxyType[str, ExcludedSource] = field(default_factory=lambda: MappingProxyType({}))
     exclusion_counts: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    unresolved_fault: UnresolvedFault | None = None
     last_innovations: MappingProxyType[str, SourceInnovation] = field(default_factory=lambda: MappingProxyType({}))
     recent_innovations: MappingProxyType[str, RecentInnovations] = field(default_factory=lambda: MappingProxyType({}))
     received_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -210,26 +160,8 @@ class FilterState:
         """True if a measurement of the source was accepted, even if the source was excluded since."""
         return source in self.last_used_ns or source in self.exclusion_counts
 
-    def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
-        """Return the sources, in the given order, that are not excluded and have measured recently."""
-        received, since_ns = (
-            zip(sources, self.innovation_means.last_measured_ns.tolist(), strict=True),
-            time_ns - MAX_MEASUREMENT_AGE_NS,
-        )
-        return [name for name, measured_ns in received if measured_ns >= since_ns and name not in self.excluded]
-
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the main filter, shape (n, n)."""
         total: FloatArray = compiled_kalman.total(self.stack, len(self.stack) - len(self.means) + 1)
         return total
-
-
-def with_entry(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:
-    """Return a copy of a mapping with one entry set."""
-    return MappingProxyType({**mapping, key: value})
-
-
-def without_entry(mapping: MappingProxyType[str, Value], key: str) -> MappingProxyType[str, Value]:
-    """Return a copy of a mapping without one key."""
-    return MappingProxyType({name: value for name, value in mapping.items() if name != key})

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_estimation.fault_detection.common_error import common_threshold
-from ship_estimation.fault_detection.innovation_means import excess_limit
-from ship_estimation.integrity.protection_levels import SigmaMultipliers, joint_prior_per_h, sigma_multipliers
+from ship_estimation.fault_detection.subfilter_table import SubfilterTable
+from ship_estimation.integrity.protection_levels import SigmaMultipliers, sigma_multipliers
 from ship_estimation.parameters.schema import ParameterError
 
 INS = "ins"
@@ -53,8 +53,8 @@ class RelevantHypotheses(NamedTuple):
     is_cross_checked: bool
 
 
-class SubfilterSet:
-    """The h filters of a configuration (the main filter first), for s sources.
+class ShipSubfilters(SubfilterTable):
+    """The h filters of a configuration (the main filter first), for s sources of n states.
 
     Args:
         config: configuration of the node.
@@ -62,15 +62,8 @@ class SubfilterSet:
         devices: sources by name.
 
     Attributes:
-        sources: names of the sources, in the order of their index.
         stars: names of the star sensors.
-        excluded_sources: names of the sources that each subfilter excludes, the INS as ``ins``.
-        names: name of the hypothesis of each subfilter, for example "star.bow" or "star.bow+star.port".
-        count: number of filters, h.
-        single_subfilters: indices of the subfilters that exclude one source.
-        pair_subfilters: indices of the subfilters that exclude two sources.
         ins_subfilters: indices of the subfilters that exclude the INS.
-        uses: True where a filter uses a source, if no source is excluded, shape (h, s).
         used_by: for each source, True for the filters that use the source, if no source is excluded, shape (h,).
         own_states: for each source, True for the states that belong to the source alone, shape (n,).
         updatable_states: for each source, True for the states that each filter updates with measurements of the source,
@@ -79,41 +72,32 @@ class SubfilterSet:
         common_k_md: multiplier K_md (missed detection) for the hypothesis of an error that all star sensors share.
         common_threshold: threshold of the sum of the star corrections, in standard deviations; above this threshold all
             stars contradict the INS.
-        innovation_mean_limit: chi² limit of a windowed mean of whitened innovations.
 
     Raises:
         ParameterError: there are more filters than ``integrity.max_hypotheses``.
     """
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
-        self.sources = tuple(devices)
-        one = (*self.sources, INS) if len(self.sources) > 1 else self.sources
-        with_pairs = config.integrity.pairs and len(self.sources) >= MIN_SOURCES_FOR_PAIRS
+        one = (*devices, INS) if len(devices) > 1 else tuple(devices)
+        with_pairs = config.integrity.pairs and len(devices) >= MIN_SOURCES_FOR_PAIRS
         two = itertools.combinations(one, 2) if with_pairs else ()
-        self.excluded_sources: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
-        self.names = tuple("+".join(names) for names in self.excluded_sources)
-        self.count = len(self.names) + 1
+        prior = config.integrity.prior_per_h
+        prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
+        prior_per_h[INS] = prior.ins
+        super().__init__(tuple(devices), (*((name,) for name in one), *two), prior_per_h, config.integrity)
         self._check_count(config.integrity.max_hypotheses)
-        self.single_subfilters, self.pair_subfilters = range(1, len(one) + 1), range(len(one) + 1, self.count)
         self.ins_subfilters = tuple(row for row, names in enumerate(self.excluded_sources, start=1) if INS in names)
-        used = [[name not in names for name in self.sources] for names in ((), *self.excluded_sources)]
-        self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
         self.used_by = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
         self.own_states = {name: _own_states(model, name) for name in self.sources}
         self.updatable_states = {
             name: self.uses[:, index, None] | self.own_states[name] for index, name in enumerate(self.sources)
         }
-        prior = config.integrity.prior_per_h
-        prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
-        prior_per_h[INS] = prior.ins
-        priors_per_h = [joint_prior_per_h([prior_per_h[name] for name in names]) for names in self.excluded_sources]
-        k = sigma_multipliers(config.integrity, [*priors_per_h, prior.all_stars])
+        k = sigma_multipliers(config.integrity, [*self.priors_per_h, prior.all_stars])
         self.k: SigmaMultipliers = replace(k, missed_detection=k.missed_detection[:-1])
         self.common_k_md = float(k.missed_detection[-1])
         self.common_threshold = common_threshold(config.integrity)
         self.stars = frozenset(name for name, one in devices.items() if one.is_star)
         self._relevant: dict[tuple[tuple[str, ...], tuple[str, ...]], RelevantHypotheses] = {}
-        self.innovation_mean_limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
     def relevant_pairs(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
         """Return the subfilters that exclude two sources in use; none for fewer than three sources besides the INS.

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UnresolvedFault, UtcStep, with_changes
+from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UtcStep
+from ship_estimation.fault_detection.fault_state import UnresolvedFault, with_changes
 from ship_estimation.rejections import Reason
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
+from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
-from ship_attitude_star.ship_attitude.state import FilterState, with_changes
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
+from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.fault_detection.subfilters import FilterInnovations
 from ship_estimation.kalman.rts_smoother import StateUpdate
 from ship_estimation.kalman.rts_step import GaussianEstimate
@@ -52,11 +53,11 @@ class TracedFilter(ShipFilter):
         return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
 
 
-class _TracedFaultDetector(FaultDetector):
+class _TracedFaultDetector(ShipFaultDetector):
     """Fault detection on states that record their last update."""
 
     def initial_state(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
-        """See :meth:`FaultDetector.initial_state`."""
+        """See :meth:`ShipFaultDetector.initial_state`."""
         return TracedState(**vars(super().initial_state(mean, covariance_by_source)))
 
     def update_filters(
@@ -68,7 +69,7 @@ class _TracedFaultDetector(FaultDetector):
         innovations: FilterInnovations,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
-        """See :meth:`FaultDetector.update_filters`."""
+        """See :meth:`ShipFaultDetector.update_filters`."""
         after = super().update_filters(state, predicted, measurement, comparison, innovations, accepted)
         if after.means is state.means:
             return after

@@ -1,10 +1,9 @@
 """Windowed innovation means, which show the consistency of every filter with every source.
 
-The main filter and every subfilter (:mod:`ship_estimation.fault_detection.subfilters`) compute innovations for every
-source. If a filter is fault-free and uses a source, the whitened innovations of that source have zero mean and unit
-covariance, and are independent of one another. Exponential means of these innovations over few measurements show a
-mounting shift within three measurements. The means over many measurements show a drift.
-:mod:`ship_estimation.fault_detection.fault_isolation` isolates the faulty source.
+The main filter and every subfilter compute innovations for every source. If a filter is fault-free and uses a source,
+the whitened innovations of that source have zero mean and unit covariance, and are independent of one another.
+Exponential means of these innovations over few measurements show a mounting shift within three measurements. The means
+over many measurements show a drift. :mod:`ship_estimation.fault_detection.isolation` isolates the faulty source.
 """
 
 import math

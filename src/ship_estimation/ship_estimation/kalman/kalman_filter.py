@@ -165,8 +165,8 @@ class StateModel:
             dt_s: time step, s, not negative.
             means: states of h filters, shape (h, n). The correlated error is propagated by
                 :func:`propagate_correlated_error`.
-            stack: covariances of the filters (:mod:`ship_estimation.fault_detection.subfilters`), shape (n_sources + h
-                - 1, n, n).
+            stack: covariances of the filters (:mod:`ship_estimation.fault_detection.subfilters`), shape
+                (n_sources + h - 1, n, n).
             correlated: name of the block of the correlated error.
 
         Returns:

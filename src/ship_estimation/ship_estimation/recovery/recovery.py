@@ -15,93 +15,24 @@ restart of the node.
 All decisions are made once a second by the timeout clock, from the inputs and their order alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence, Set
-from typing import Any, Protocol
+from collections.abc import Callable, Set
+from typing import Any
 
 from ship_estimation.recovery.config import RecoveryConfig
-from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.displacements import Displacements
 from ship_estimation.recovery.memory import BEFORE_STEP_NS, StateMemory
+from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.recovery.trouble import TroubleDetector
 from ship_estimation.rejections import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import FloatArray
 
 MEMORY_SIGMAS = 3.0
 """Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""
 
 _LEAST_IN_AGREEMENT = 2
 """Minimum number of available sources, the INS included, that the second estimator does not exclude."""
-
-
-class Jump(Protocol):
-    """A jump that a source itself reported or showed."""
-
-    @property
-    def covariance_n(self) -> FloatArray:
-        """Covariance of the change, in the components of :attr:`MemoryResidual.turn`, rad², shape (k, k)."""
-        ...
-
-
-class RecoverableCore(Protocol):
-    """An estimator with immutable states that a second estimator can replace."""
-
-    @property
-    def state(self) -> Any:
-        """The state now."""
-        ...
-
-    @property
-    def excluded(self) -> Set[str]:
-        """The sources that are excluded."""
-        ...
-
-    @property
-    def is_consistent(self) -> bool:
-        """True if the state results from measurements, no source is excluded, and all sources are consistent."""
-        ...
-
-    @property
-    def has_unresolved_fault(self) -> bool:
-        """True if the sources are inconsistent and no faulty source is isolated."""
-        ...
-
-    def make_second(self, memory: Any | None) -> Any:
-        """Return another estimator of the same configuration that starts from a stored state, or from the prior."""
-        ...
-
-    def take_jumps(self) -> Sequence[Jump]:
-        """Return the jumps that sources themselves reported or showed since the last call."""
-        ...
-
-    def propagate_memory(self, memory: Any, jumps: Sequence[Any]) -> Any:
-        """Return a stored state propagated to the oldest time that measurements may still have.
-
-        The covariance of the state is inflated for the jumps.
-        """
-        ...
-
-    def memory_residuals(self, decision: Any, memory: Any) -> Mapping[str, MemoryResidual]:
-        """Return the residual of a measurement from a stored state, by source; empty without a residual."""
-        ...
-
-    def largest_difference_sigmas(self, state: Any, memory: Any, is_later: bool = False) -> float:
-        """Return the largest difference between a state and a stored state, in standard deviations of both.
-
-        A later state of the same estimator depends on the stored state. The difference is then in standard deviations
-        of the stored state alone.
-        """
-        ...
-
-    def unused_sources(self, sources: Set[str]) -> Set[str]:
-        """Return the sources without a recently used measurement."""
-        ...
-
-    def take_over_outputs(self, live: Any) -> None:
-        """Continue the sequence of outputs of another estimator."""
-        ...
 
 
 class SecondEstimator:
@@ -180,14 +111,16 @@ class EstimatorRecovery:
         """Sources that have moved and not moved back; see :attr:`Displacements.displaced`."""
         return self._displacements.displaced
 
-    def record_decision(self, live: RecoverableCore, decision: MeasurementDecision[Any]) -> None:
+    def record_decision(self, live: RecoverableCore[Any, Any], decision: MeasurementDecision[Any]) -> None:
         """Add the residual of a measurement against the state that was stored before the first sign of trouble."""
         if self._before_step is None or decision.revised:
             return
         for source, residual in live.memory_residuals(decision, self._before_step).items():
             self._displacements.add(source, residual)
 
-    def update(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, available_sources: Set[str]) -> bool:
+    def update(
+        self, waiting_ns: int, live: RecoverableCore[Any, Any], is_as_expected: bool, available_sources: Set[str]
+    ) -> bool:
         """Update trouble, memory and candidate, once a second.
 
         Args:
@@ -202,7 +135,7 @@ class EstimatorRecovery:
         jumps = live.take_jumps()
         had_sign = self._trouble.first_sign_ns is not None
         was_in_trouble = self.is_in_trouble
-        is_sign = not is_as_expected or not live.excluded.isdisjoint(available_sources)
+        is_sign = not is_as_expected or not live.excluded_sources.isdisjoint(available_sources)
         self._trouble.update(waiting_ns, is_sign)
         if self._trouble.first_sign_ns is None:
             if had_sign:
@@ -243,7 +176,7 @@ class EstimatorRecovery:
         self._before_step = with_shifted_stamps(self._before_step, step_ns)
         self.candidate = None
 
-    def _recall(self, waiting_ns: int, live: RecoverableCore) -> None:
+    def _recall(self, waiting_ns: int, live: RecoverableCore[Any, Any]) -> None:
         """Recall the states from before the first sign of trouble."""
         self._reference, newest = self._memory.recall(waiting_ns), self._memory.recall(waiting_ns, BEFORE_STEP_NS)
         self._memory.forget_newer(self._reference)
@@ -260,7 +193,7 @@ class EstimatorRecovery:
         self._reference = self._before_step = None
         self.candidate = None
 
-    def _choose_candidate(self, live: RecoverableCore) -> None:
+    def _choose_candidate(self, live: RecoverableCore[Any, Any]) -> None:
         """Start the second estimator if none runs, or restart it.
 
         The second estimator restarts if the displaced sources change. The restart is from the other start (memory or
@@ -271,16 +204,18 @@ class EstimatorRecovery:
         if candidate is None or displaced != self._displaced_before:
             self._start(live, from_memory=True)
         elif (
-            candidate.failure is not None or candidate.core.has_unresolved_fault or candidate.core.excluded - displaced
+            candidate.failure is not None
+            or candidate.core.has_unresolved_fault
+            or candidate.core.excluded_sources - displaced
         ):
             self._start(live, from_memory=not candidate.is_from_memory)
         self._displaced_before = displaced
 
-    def _start(self, live: RecoverableCore, from_memory: bool) -> None:
+    def _start(self, live: RecoverableCore[Any, Any], from_memory: bool) -> None:
         memory = self._reference if from_memory else None
         self.candidate = SecondEstimator(live.make_second(memory), is_from_memory=memory is not None)
 
-    def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, available_sources: Set[str]) -> bool:
+    def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore[Any, Any], available_sources: Set[str]) -> bool:
         """True if the second estimator meets all conditions of the module's docstring.
 
         If only condition 2 fails, another second estimator starts: from the prior instead of the stored state, or the
@@ -291,7 +226,7 @@ class EstimatorRecovery:
             return False
         if waiting_ns - candidate.valid_since_ns < self._config.confirm_s * SECOND_NS:
             return False
-        excluded = candidate.core.excluded
+        excluded = candidate.core.excluded_sources
         if len(available_sources - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(
             available_sources - excluded
         ):

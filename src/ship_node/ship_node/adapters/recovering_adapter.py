@@ -289,7 +289,7 @@ class RecoveringAdapter(BatchAdapter):
 
     def _recovery_reason(self) -> str:
         """Return the cause of the trouble, with the advice for the operator."""
-        displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
+        displaced, excluded = self.recovery.displaced, sorted(self.core.excluded_sources)
         if displaced:
             moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
             return f"shifted: {moved}; {self.remedy(displaced)}"

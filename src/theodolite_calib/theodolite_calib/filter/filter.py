@@ -18,12 +18,12 @@ from ship_geometry.rotations import FloatArray
 from ship_stars.camera.spatial_errors import PixelDwell
 from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.fault_detection import FaultState, initial_fault_state
+from theodolite_calib.filter.fault_detection import AxisFaultState, initial_fault_state
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, ObservabilityState
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.star_comparison import StarComparison, StarModel
-from theodolite_calib.filter.subfilters import SubfilterSet, SubfilterStates
+from theodolite_calib.filter.subfilters import AxisSubfilters, SubfilterStates
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting
 
@@ -68,7 +68,7 @@ class CalibrationState:
     covariance_by_source: FloatArray
     observability: ObservabilityState
     subfilters: SubfilterStates
-    fault_state: FaultState
+    fault_state: AxisFaultState
     solution_separation: FloatArray
     ship_covariance_n: FloatArray | None = None
     consecutive_rejections: int = 0
@@ -134,7 +134,7 @@ class CalibrationFilter:
         self.stars = StarModel(config, self.model, self.sightings)
         self.observability = Observability(self.model, includes_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
-        self.subfilters = SubfilterSet(config, self.model, self.ship_error)
+        self.subfilters = AxisSubfilters(config, self.model, self.ship_error)
 
     def initial_state(self) -> CalibrationState:
         """Return the state before any sighting, with the configured errors."""
@@ -143,7 +143,7 @@ class CalibrationFilter:
     def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> CalibrationState:
         """Return the state before any sighting, with given errors, shape (n,), and covariance, (n_sources, n, n)."""
         subfilters = self.subfilters.initial_states(mean, covariance_by_source.sum(axis=0))
-        solution_separation = np.zeros(len(self.subfilters.sources))
+        solution_separation = np.zeros(len(self.subfilters.names))
         return CalibrationState(
             None,
             mean,
@@ -206,10 +206,10 @@ class CalibrationFilter:
         The telescope has no subfilter. If the telescope is excluded, all filters restart from the main filter, which
         has rejected the sighting.
         """
-        if source not in self.subfilters.sources:
+        if source not in self.subfilters.names:
             subfilters = self.subfilters.restart_from_estimate(state.subfilters, state.mean, state.covariance)
             return replace(state, subfilters=subfilters)
-        subfilters, row = state.subfilters, self.subfilters.sources.index(source)
+        subfilters, row = state.subfilters, self.subfilters.names.index(source)
         mean, covariance = subfilters.mean[row], subfilters.covariances[row, 0]
         return replace(
             state,
@@ -225,7 +225,7 @@ class CalibrationFilter:
 
         Each subfilter also gets the unknown error change of the source that it excludes.
         """
-        excluded, parts = state.fault_state.excluded_sources, state.covariance_by_source
+        excluded, parts = state.fault_state.excluded.keys(), state.covariance_by_source
         if excluded:
             parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
         return replace(
@@ -242,7 +242,7 @@ class CalibrationFilter:
         if comparison is None:
             return state
         after, _ = self.update_by_beacons(state, sighting, comparison)
-        states = self.subfilters.unknown_states(state.fault_state.excluded_sources)
+        states = self.subfilters.unknown_states(state.fault_state.excluded.keys())
         mean, subfilter_means = state.mean.copy(), state.subfilters.mean.copy()
         mean[states] = subfilter_means[:, states] = after.mean[states]
         return replace(state, mean=mean, subfilters=replace(state.subfilters, mean=subfilter_means))

@@ -15,11 +15,11 @@ from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
 from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.fault_detection import FaultDetector
+from theodolite_calib.filter.fault_detection import record_acceptance
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.star_comparison import StarComparison
-from theodolite_calib.filter.step import count_rejection, hypothesis_multipliers, solution_separations
+from theodolite_calib.filter.step import count_rejection, solution_separations
 from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.samples.samples import ExposureDecision
 from theodolite_calib.samples.star_sighting import StarSighting
@@ -39,14 +39,13 @@ class StarStep:
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, sky: SkyModel) -> None:
         self._filter, self._gate, self._sky = filter_, config.gate, sky
-        threshold = hypothesis_multipliers(config.integrity, filter_.subfilters.sources).false_exclusion
-        self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
+        self._return_after_s = config.integrity.return_after_s
         self._axis_indices = axis_state_indices(filter_.model)
 
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision after an exposure; ``state`` is the state after the previous beacons or stars."""
         after, decision = self._evaluate(state, sighting)
-        return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded_sources)))
+        return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded)))
 
     def _evaluate(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         predicted = self._filter.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
@@ -61,7 +60,7 @@ class StarStep:
             comparison = singular_covariance()
         decision = ExposureDecision(sighting.exposure, comparison.reason, text=comparison.text)
         # If encoders or ship are excluded, the prediction is unknown and stars cannot contradict it.
-        if comparison.reason in _CONFLICT_REASONS and not state.fault_state.excluded_sources & AXIS_SOURCES:
+        if comparison.reason in _CONFLICT_REASONS and not state.fault_state.excluded.keys() & AXIS_SOURCES:
             return count_rejection(state, decision, self._gate, "stars")
         return state, decision
 
@@ -105,6 +104,6 @@ class StarStep:
         separation = solution_separations(
             after, subfilters, self._axis_indices, comparison.camera.rotation_ns, comparison.camera.by_state_n
         )
-        fault_state = self._fault_detector.record_acceptance(predicted.fault_state, sighting.time_ns)
+        fault_state = record_acceptance(predicted.fault_state, sighting.time_ns, self._return_after_s)
         after = replace(after, subfilters=subfilters, solution_separation=separation, fault_state=fault_state)
         return after, replace(decision, reason=Reason.NONE, accepted=True)

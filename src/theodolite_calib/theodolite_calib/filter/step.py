@@ -6,30 +6,25 @@ filter. Main filter and subfilters are each updated if the beacons pass the gate
 (:mod:`theodolite_calib.filter.fault_detection`) uses the innovations of all filters.
 """
 
-import functools
 from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.fault_detection.fault_isolation import ExcludedSource
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate
-from ship_estimation.integrity.protection_levels import (
-    IntegrityConfig,
-    SigmaMultipliers,
-    separation_sigma,
-    sigma_multipliers,
-)
+from ship_estimation.integrity.protection_levels import separation_sigma
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import (
-    ExclusionRecord,
-    FaultDetector,
-    FaultState,
+    AxisExclusion,
+    AxisFaultDetector,
+    AxisFaultState,
     isolate_drift_fault,
     isolate_step_fault,
+    record_acceptance,
+    with_unresolved_fault,
 )
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.model import axis_state_indices
@@ -75,11 +70,9 @@ class SightingStep:
             has_ship_drifted,
             stream_faults,
         )
-        self._filter, self._gate, self._config = filter_, config.gate, config.integrity
+        self._filter, self._gate, self._return_after_s = filter_, config.gate, config.integrity.return_after_s
         self._sighting_gate = SightingGate(filter_, config.gate)
-        self._multipliers = hypothesis_multipliers(config.integrity, filter_.subfilters.sources)
-        threshold = self._multipliers.false_exclusion
-        self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
+        self._fault_detector = AxisFaultDetector(filter_.subfilters, config.gate, config.integrity)
         self._axis_indices = axis_state_indices(filter_.model)
 
     def __call__(
@@ -98,7 +91,8 @@ class SightingStep:
             jumps: baseline jumps of the sighting's beacons, by name.
         """
         predicted = self._filter.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
-        fault_state = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
+        drones = [BEACON_PREFIX + name for name in sighting.names]
+        fault_state = self._fault_detector.restart_timers(predicted.fault_state, drones, sighting.time_ns)
         predicted = replace(predicted, fault_state=fault_state)
         for name, jump in jumps:
             predicted = self._apply_baseline_jump(predicted, sighting, name, jump)
@@ -107,24 +101,29 @@ class SightingStep:
         except np.linalg.LinAlgError:
             rejection = singular_covariance()
             after, decision = state, ExposureDecision(exposure, rejection.reason, text=rejection.text)
-        return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded_sources)))
+        return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded)))
 
     def _apply_baseline_jump(
         self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
     ) -> CalibrationState:
         """Exclude the drone of a baseline that has jumped, or record the jump if the drone is already excluded."""
         source, fault_state = BEACON_PREFIX + name, predicted.fault_state
-        if source in fault_state.excluded_sources:
+        if source in fault_state.excluded:
             return replace(predicted, fault_state=self._fault_detector.record_baseline_jump(fault_state, source, jump))
         if fault_state.known_jumps_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
             return predicted
         reason = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
-        exclusion = ExcludedSource(sighting.time_ns)
-        excluded = ExclusionRecord(exclusion, reason, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
-        return self._exclude_source(predicted, source, excluded)
+        exclusion = AxisExclusion(
+            sighting.time_ns,
+            reason=reason,
+            jump_sum_n=jump.jump_n,
+            jump_sum_sigma_m=jump.sigma_m,
+            last_jump_ns=jump.time_ns,
+        )
+        return self._exclude_source(predicted, source, exclusion)
 
     def _exclude_source(
-        self, state: CalibrationState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
+        self, state: CalibrationState, source: str, exclusion: AxisExclusion, explaining_subfilter: str | None = None
     ) -> CalibrationState:
         """Exclude a source; all filters restart from the subfilter without this source, if this subfilter exists."""
         fault_state = self._fault_detector.exclude_source(state.fault_state, source, exclusion, explaining_subfilter)
@@ -141,8 +140,8 @@ class SightingStep:
             sighting: beacons with complete data.
             exposure: exposure of the sighting.
         """
-        excluded = predicted.fault_state.excluded_sources
-        unused_state = state if excluded == state.fault_state.excluded_sources else predicted
+        excluded = predicted.fault_state.excluded.keys()
+        unused_state = state if excluded == state.fault_state.excluded.keys() else predicted
         rows = range(len(sighting.names))
         used_rows = [row for row in rows if BEACON_PREFIX + sighting.names[row] not in excluded]
         excluded_beacons = tuple(
@@ -177,6 +176,18 @@ class SightingStep:
             return count_rejection(unused_state, decision, self._gate, "lights")
         return self._record_rejected(unused_state, prepared, chosen, comparison, decision)
 
+    def _update_subfilters(
+        self, predicted: CalibrationState, names: tuple[str, ...], comparison: Comparison, is_used: bool, time_ns: int
+    ) -> tuple[SubfilterStates, AxisFaultState]:
+        """Update the subfilters and the innovation means with a sighting; ``predicted`` is the propagated state."""
+        excluded, main_filter = predicted.fault_state.excluded.keys(), (predicted.mean, comparison.covariance)
+        subfilters, innovations = self._filter.subfilters.update_by_beacons(
+            predicted.subfilters, names, comparison.measurement, main_filter, excluded, self._gate.probability
+        )
+        return subfilters, self._fault_detector.update_means(
+            predicted.fault_state, names, innovations, is_used, time_ns
+        )
+
     def _record_accepted(
         self,
         before: CalibrationState,
@@ -186,27 +197,17 @@ class SightingStep:
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Update subfilters and fault state with an accepted sighting; ``before`` is the propagated state."""
-        main_filter = before.mean, comparison.covariance
-        subfilters, innovations = self._filter.subfilters.update_by_beacons(
-            before.subfilters,
-            names,
-            comparison.measurement,
-            main_filter,
-            before.fault_state.excluded_sources,
-            self._gate.probability,
-        )
-        time_ns = decision.measurement.time_ns
-        fault_state = self._fault_detector.update_means(before.fault_state, names, innovations, True, time_ns)
-        prediction = comparison.prediction
+        time_ns, prediction = decision.measurement.time_ns, comparison.prediction
+        subfilters, fault_state = self._update_subfilters(before, names, comparison, True, time_ns)
         separation = solution_separations(
             after, subfilters, self._axis_indices, prediction.rotation_nt, prediction.by_state_n
         )
-        after_acceptance = self._fault_detector.record_acceptance(fault_state, time_ns)
+        after_acceptance = record_acceptance(fault_state, time_ns, self._return_after_s)
         after = replace(after, subfilters=subfilters, fault_state=after_acceptance, solution_separation=separation)
-        is_detected, source, explaining_sources = self._fault_detector.isolate_fault(
+        is_detected, source, explaining_sources = self._fault_detector.isolate_source(
             after.fault_state, after.solution_separation, time_ns
         )
-        if is_detected and not fault_state.excluded_sources:
+        if is_detected and not fault_state.excluded:
             is_common = self._fault_detector.drift_together(fault_state, time_ns)
             source = isolate_drift_fault(source, explaining_sources, is_common, self._has_ship_drifted(time_ns))
             source = self._prefer_stream_fault(source, explaining_sources, time_ns)
@@ -220,10 +221,8 @@ class SightingStep:
             return self._exclude_faulty_source(after, source, decision)
         if is_detected:
             spread_n = self._largest_disagreement_n(after, comparison)
-            after = replace(
-                after,
-                fault_state=self._fault_detector.set_unresolved_fault(after.fault_state, spread_n, is_persistent=True),
-            )
+            unresolved = with_unresolved_fault(after.fault_state, spread_n, is_persistent=True)
+            after = replace(after, fault_state=unresolved)
         return after, decision
 
     def _record_rejected(
@@ -235,25 +234,14 @@ class SightingStep:
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Update subfilters and fault state with a rejected sighting; ``predicted`` is the propagated state."""
-        main_filter = predicted.mean, comparison.covariance
-        subfilters, innovations = self._filter.subfilters.update_by_beacons(
-            predicted.subfilters,
-            sighting.names,
-            comparison.measurement,
-            main_filter,
-            predicted.fault_state.excluded_sources,
-            self._gate.probability,
-        )
         time_ns = sighting.time_ns
-        fault_state = self._fault_detector.update_means(
-            unused_state.fault_state, sighting.names, innovations, False, time_ns
-        )
-        is_detected, explaining_subfilter, explaining_sources = self._fault_detector.isolate_fault(
-            fault_state, np.zeros(len(self._filter.subfilters.sources)), time_ns
+        subfilters, fault_state = self._update_subfilters(predicted, sighting.names, comparison, False, time_ns)
+        is_detected, explaining_subfilter, explaining_sources = self._fault_detector.isolate_source(
+            fault_state, np.zeros(len(self._filter.subfilters.names)), time_ns
         )
         after = replace(predicted, subfilters=subfilters, fault_state=fault_state)
         source = explaining_subfilter
-        if explaining_subfilter in (ENCODER, SHIP) and not unused_state.fault_state.excluded_sources:
+        if explaining_subfilter in (ENCODER, SHIP) and not unused_state.fault_state.excluded:
             source = self._isolate_by_streams(unused_state, explaining_subfilter, explaining_sources, decision)
             source = self._prefer_stream_fault(source, explaining_sources, time_ns)
         if source is not None:
@@ -263,9 +251,7 @@ class SightingStep:
                 decision,
                 explaining_subfilter,
             )
-        fault_state = self._fault_detector.set_unresolved_fault(
-            fault_state, _disagreement_n(comparison), is_persistent=is_detected
-        )
+        fault_state = with_unresolved_fault(fault_state, _disagreement_n(comparison), is_persistent=is_detected)
         return count_rejection(
             replace(unused_state, subfilters=subfilters, fault_state=fault_state), decision, self._gate, "lights"
         )
@@ -307,9 +293,10 @@ class SightingStep:
         rejected_residual_m = float(
             np.max(np.abs(decision.residual), initial=0.0)
         ) * self._filter.sightings.focal_length_m(state.mean)
-        exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), reason, rejected_residual_m)
+        time_ns = decision.measurement.time_ns
+        exclusion = AxisExclusion(time_ns, reason=reason, rejected_residual_m=rejected_residual_m)
         state = self._exclude_source(
-            state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter
+            state, source, exclusion, source if source in self._filter.subfilters.names else explaining_subfilter
         )
         text = f"{decision.text}; excluded: {reason}" if decision.text else f"excluded: {reason}"
         return replace(state, consecutive_rejections=0), replace(decision, text=text)
@@ -327,7 +314,7 @@ class SightingStep:
         used = [
             row
             for row, name in enumerate(sighting.names)
-            if BEACON_PREFIX + name not in predicted.fault_state.excluded_sources
+            if BEACON_PREFIX + name not in predicted.fault_state.excluded
         ]
         comparison = self._filter.compare(predicted, sighting.select(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
@@ -338,26 +325,26 @@ class SightingStep:
         return replace(predicted, fault_state=fault_state)
 
     def _monitor_beacons(
-        self, fault_state: FaultState, state: CalibrationState, sighting: Sighting, has_others: bool
-    ) -> FaultState:
+        self, fault_state: AxisFaultState, state: CalibrationState, sighting: Sighting, has_others: bool
+    ) -> AxisFaultState:
         """Compare the beacons of excluded drones with the estimate from the other sources."""
         for row, name in enumerate(sighting.names):
-            if BEACON_PREFIX + name not in state.fault_state.excluded_sources:
+            source = BEACON_PREFIX + name
+            if source not in state.fault_state.excluded:
                 continue
             comparison = self._filter.compare(state, sighting.select([row]))
             if comparison is not None:
                 measurement = comparison.measurement
                 innovation = beacon_innovation(measurement.residual, comparison.covariance, measurement.noise)
-                expected_rejection_m = self._expected_rejection_m(
-                    fault_state.exclusions[BEACON_PREFIX + name], comparison, has_others
-                )
+                exclusion = fault_state.excluded[source]
+                expected_rejection_m = self._expected_rejection_m(exclusion, comparison, has_others)
                 fault_state = self._fault_detector.monitor_beacon(
-                    fault_state, name, innovation, sighting.time_ns, expected_rejection_m
+                    fault_state, source, innovation, sighting.time_ns, expected_rejection_m
                 )
         return fault_state
 
     @staticmethod
-    def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, has_others: bool) -> float:
+    def _expected_rejection_m(exclusion: AxisExclusion, comparison: Comparison, has_others: bool) -> float:
         """Return the residual on the detector that the fault of an excluded drone would cause now, m.
 
         Without a jump the residual is 0 if beacons of other drones are used; 0 omits the test.
@@ -372,15 +359,7 @@ class SightingStep:
         return 0.0 if has_others else exclusion.rejected_residual_m
 
     def _exclusion_rejection(self, state: CalibrationState, name: str) -> tuple[str, Rejection]:
-        return name, Rejection(Reason.EXCLUDED, state.fault_state.exclusions[BEACON_PREFIX + name].reason)
-
-
-@functools.lru_cache(maxsize=16)
-def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
-    """Return the sigma multipliers for hypotheses that each assume one faulty source."""
-    priors = config.prior_per_h
-    by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
-    return sigma_multipliers(config, [by_source.get(source, priors.beacon) for source in sources])
+        return name, Rejection(Reason.EXCLUDED, state.fault_state.excluded[BEACON_PREFIX + name].reason)
 
 
 def count_rejection(

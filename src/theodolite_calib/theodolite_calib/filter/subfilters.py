@@ -16,8 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_estimation.fault_detection.subfilter_table import SubfilterTable
 from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_estimation.innovations.gates import chi_square_gate
+from ship_estimation.integrity.protection_levels import SigmaMultipliers, sigma_multipliers
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel, propagate_covariance
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -94,7 +96,7 @@ class _MeasurementPattern(NamedTuple):
     gates: FloatArray
 
 
-class SubfilterSet:
+class AxisSubfilters(SubfilterTable):
     """Subfilters of a configuration: initial states, propagation and measurement update.
 
     Args:
@@ -103,13 +105,14 @@ class SubfilterSet:
         ship_error: process of the ship's error.
 
     Attributes:
-        sources: source that each subfilter excludes: the drones, the encoders, the ship's attitude.
-        beacons: ids of the drones.
+        k: sigma multipliers K of the protection levels.
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, ship_error: ShipErrorProcess) -> None:
-        self.beacons = tuple(config.beacons)
-        self.sources = (*(BEACON_PREFIX + id_ for id_ in self.beacons), ENCODER, SHIP)
+        drones, prior = tuple(BEACON_PREFIX + id_ for id_ in config.beacons), config.integrity.prior_per_h
+        prior_per_h = dict.fromkeys(drones, prior.beacon) | {ENCODER: prior.encoder, SHIP: prior.ship_attitude}
+        super().__init__(drones, tuple((name,) for name in prior_per_h), prior_per_h, config.integrity)
+        self.k: SigmaMultipliers = sigma_multipliers(config.integrity, self.priors_per_h)
         self._model, self._ship_error = model, ship_error
         first_axis = model.slices["axes"].start
         zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
@@ -133,7 +136,7 @@ class SubfilterSet:
         self, subfilters: SubfilterStates, mean: FloatArray, covariance: FloatArray
     ) -> SubfilterStates:
         """Restart all subfilters from one mean, shape (n,), and covariance, shape (n, n)."""
-        count = len(self.sources)
+        count = len(self.names)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(subfilters, mean=np.tile(mean, (count, 1)), covariances=parts)
 
@@ -163,7 +166,7 @@ class SubfilterSet:
     def add_unknown_errors(self, subfilters: SubfilterStates, excluded: Set[str]) -> SubfilterStates:
         """Add to each subfilter, before a sighting, the unknown error changes of its source and of ``excluded``."""
         parts = subfilters.covariances.copy()
-        for row, source in enumerate(self.sources):
+        for row, source in enumerate(self.names):
             for name in {source, *excluded} & self._states.keys():
                 add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN_CHANGE_SIGMA[name])
         return replace(subfilters, covariances=parts)
@@ -186,10 +189,10 @@ class SubfilterSet:
         self, names: tuple[str, ...], excluded: frozenset[str], probability: float
     ) -> "_MeasurementPattern":
         unknown = excluded & self._states.keys()
-        has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
-        uses = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
+        has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.names)]
+        uses = np.ones((self.count, 2 * len(names)), dtype=bool)
         for light, name in enumerate(names):
-            uses[1 + self.sources.index(BEACON_PREFIX + name), 2 * light : 2 * light + 2] = False
+            uses[self.subfilter_of(BEACON_PREFIX + name), 2 * light : 2 * light + 2] = False
         # Components of the other beacons for each beacon, shape (l, 1, m).
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
         conditioning = uses & np.array(has_unknown_states)[:, None] & others
@@ -197,7 +200,7 @@ class SubfilterSet:
         return _MeasurementPattern(
             uses=uses[1:].astype(np.uint8),
             conditioning=conditioning.astype(np.uint8),
-            updated_states=np.ones((len(self.sources), self._model.size), dtype=np.uint8),
+            updated_states=np.ones((len(self.names), self._model.size), dtype=np.uint8),
             gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
         )
 

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from ship_estimation.fault_detection.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
+from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.rejections import Reason, Rejection, StampConflicts
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
 from ship_estimation.time_order.time_shift import with_shifted_stamps
@@ -75,8 +76,6 @@ if TYPE_CHECKING:
 
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
-_MAX_JUMPS = 100
-"""Maximum number of jumps stored until the next :meth:`OpticalAxisCore.take_jumps`, called once a second."""
 _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal stamps: a clock has repeated this time"
 
 
@@ -88,7 +87,7 @@ class _WaitingReading(NamedTuple):
     unconfirmed_sigma_rad: float
 
 
-class OpticalAxisCore:
+class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
     """Estimator of the main optical axis.
 
     Args:
@@ -102,6 +101,8 @@ class OpticalAxisCore:
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter
+    config: OpticalAxisConfig
+    _sky_model: SkyModel | None
 
     def __init__(
         self,
@@ -110,7 +111,7 @@ class OpticalAxisCore:
         on_commit: Callable[[Sequence[CalibrationState]], None] | None = None,
     ) -> None:
         self.pending: list[PendingPointing] | None = None
-        self._sky = sky
+        self._sky_model = sky
         self._target_stamp_conflicts = StampConflicts()
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
@@ -145,8 +146,8 @@ class OpticalAxisCore:
         if self._start is not None:
             initial, remarks = state_from_prior(self.filter, self.config, *self._start)
         self._estimator.reset(initial, clock_jumped)
-        if self._sky is not None:
-            self._sky.reset()
+        if self._sky_model is not None:
+            self._sky_model.reset()
         self._start_without_samples()
         return remarks
 
@@ -158,8 +159,8 @@ class OpticalAxisCore:
             state: state before the step.
         """
         self._estimator.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
-        if self._sky is not None:
-            self._sky.step_time_base(step_ns)
+        if self._sky_model is not None:
+            self._sky_model.step_time_base(step_ns)
         self._start_without_samples()
 
     def _start_without_samples(self) -> None:
@@ -179,7 +180,7 @@ class OpticalAxisCore:
         self._newest_stars: tuple[StarExposure, int] | None = None
         self._repeated_time_ns: tuple[int, int] | None = None
         self._stream_fault_ns: dict[str, int] = {}
-        self._stream_jumps: deque[StreamJump] = deque(maxlen=_MAX_JUMPS)
+        self._clear_jumps()
         self._is_stuck = False
         self._ship_final_until_ns: int | None = None
 
@@ -268,8 +269,8 @@ class OpticalAxisCore:
 
         Exposures of stars whose sky values have changed are applied again.
         """
-        assert self._sky is not None
-        surroundings, outcome = self._sky.surroundings, PointingOutcome()
+        assert self._sky_model is not None
+        surroundings, outcome = self._sky_model.surroundings, PointingOutcome()
         outcome.rejection = surroundings.rejection(given)
         changed_after_ns = surroundings.insert(given)
         if changed_after_ns is not None:
@@ -378,17 +379,12 @@ class OpticalAxisCore:
         """
         return self._sightings.assemble(exposure).sighting
 
-    @property
-    def state(self) -> CalibrationState:
-        """State of the filter after the last applied exposure."""
-        return self._estimator.state
-
-    # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
+    # -- recovery: see ship_estimation.recovery.recoverable_core --------------------------------------------------
 
     @property
-    def excluded(self) -> Set[str]:
+    def excluded_sources(self) -> Set[str]:
         """Names of the excluded sources."""
-        return self.state.fault_state.excluded_sources
+        return self.state.fault_state.excluded.keys()
 
     @property
     def is_consistent(self) -> bool:
@@ -407,25 +403,10 @@ class OpticalAxisCore:
         conflict = self.state.fault_state.unresolved_fault
         return conflict is not None and conflict.is_persistent
 
-    def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
-        """Return another estimator that starts from a stored state, or else from the saved calibration or the prior.
-
-        An estimator that starts from a stored state also gets the current position and air data.
-        """
-        second = type(self)(self.config, None if self._sky is None else self._sky.clone(memory is not None))
-        second._start = self._start
-        if memory is None:
-            second.reset()
-            return second
-        second._estimator.reset(start_from_memory(second.filter, memory))
-        second._start_without_samples()
-        return second
-
-    def take_jumps(self) -> list[StreamJump]:
-        """Return the jumps detected in the encoder and ship streams since the last call."""
-        jumps = list(self._stream_jumps)
-        self._stream_jumps.clear()
-        return jumps
+    def _start_from_memory(self, memory: CalibrationState, live: "OpticalAxisCore") -> None:
+        """See :meth:`RecoverableCore._start_from_memory`."""
+        self._estimator.reset(start_from_memory(self.filter, memory))
+        self._start_without_samples()
 
     def propagate_memory(self, memory: CalibrationState, jumps: Sequence[StreamJump]) -> CalibrationState:
         """Return a stored state propagated to the oldest time of measurements that may still come."""
@@ -457,12 +438,12 @@ class OpticalAxisCore:
             self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS,
         )
         used = (means.last_measured_ns >= since_ns) & (means.rejection_counts[0] == 0)
-        lights = [BEACON_PREFIX + id_ for id_ in self.filter.subfilters.beacons]
+        lights = self.filter.subfilters.sources
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
         """Continue the outputs of the estimator ``live``, which ends and has no pending output."""
-        self._estimator.continue_outputs(live._estimator)
+        super().take_over_outputs(live)
         self._target_stamp_conflicts = live._target_stamp_conflicts
         self._targets.take_over(live._targets)
         self.pending = None if live.pending is None else []
@@ -475,7 +456,7 @@ class OpticalAxisCore:
         self._step_to = SightingStep(
             config, self.filter, self._stream_consistency, self._has_ship_drifted, self._stream_faults
         )
-        sky = self._sky
+        sky = self._sky_model
         self._step_to_stars = None if sky is None else StarStep(config, self.filter, sky)
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
@@ -514,7 +495,7 @@ class OpticalAxisCore:
             if changed_after_ns is not None:
                 changed_after_ns += self._tracks.ship_shift_ns
             jump = replace(jump, time_ns=time_ns)
-            self._stream_jumps.append(StreamJump(jump))
+            self._jumps.append(StreamJump(jump))
             self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(result.sample, ShipSample)
         # If the ship's attitude is that of the INS, no rates are used, so that no wrong rate can affect the pointing.
@@ -571,10 +552,10 @@ class OpticalAxisCore:
     def _record_stream_jump(self, time_ns: int, result: CheckedReading) -> None:
         """Record a jump of the encoders, or the first of several stuck readings, for :meth:`take_jumps`."""
         if result.jump is not None:
-            self._stream_jumps.append(StreamJump(result.jump))
+            self._jumps.append(StreamJump(result.jump))
         is_stuck = result.rejection is not None and result.rejection.reason is Reason.STUCK
         if is_stuck and not self._is_stuck:
-            self._stream_jumps.append(stuck_encoder_jump(time_ns))
+            self._jumps.append(stuck_encoder_jump(time_ns))
         self._is_stuck = is_stuck
 
     def _stream_faults(self, time_ns: int) -> set[str]:
@@ -585,8 +566,8 @@ class OpticalAxisCore:
     def _drop_before(self, time_ns: int) -> None:
         """Drop the data that no exposure at or after a stamp needs."""
         self._tracks.drop_before(time_ns)
-        if self._sky is not None:
-            self._sky.surroundings.drop_before(time_ns)
+        if self._sky_model is not None:
+            self._sky_model.surroundings.drop_before(time_ns)
 
     def _update_checks(self, decision: ExposureDecision) -> None:
         """Pass the result of an exposure to the checks of encoders and ship's attitude."""
@@ -665,8 +646,8 @@ class OpticalAxisCore:
         text = f"by stars alone: no data from {' and '.join(timed_out)}"
 
         def by_stars(state: CalibrationState) -> PointingEstimate | None:
-            assert self._sky is not None
-            return pointing_by_stars(exposure, self._sky, self.config, self.filter, state, text)
+            assert self._sky_model is not None
+            return pointing_by_stars(exposure, self._sky_model, self.config, self.filter, state, text)
 
         self._estimator.add_output(outcome, exposure.time_ns, waiting_ns, by_stars)
 

@@ -69,7 +69,7 @@ class EscortAdvisor:
 
     def _usable_drones(self, estimate: PointingEstimate) -> tuple[str, ...]:
         """Return the drones whose beacons the filter would use."""
-        disabled, excluded = set(self._config.sources_off), estimate.state.fault_state.excluded_sources
+        disabled, excluded = set(self._config.sources_off), estimate.state.fault_state.excluded
         return tuple(
             name
             for name in self._config.beacons

@@ -14,7 +14,6 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
-from theodolite_calib.filter.step import hypothesis_multipliers
 from theodolite_calib.samples.samples import Mode, PointingEstimate
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
@@ -35,10 +34,9 @@ class PointingLevels:
 
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
         self.state, self._config = state, config.integrity
-        sources = filter_.subfilters.sources
-        self._multipliers = hypothesis_multipliers(config.integrity, sources)
+        sources, self._multipliers = filter_.subfilters.names, filter_.subfilters.k
         self._axis_indices = axis_state_indices(filter_.model)
-        excluded = {name: record.exclusion.since_ns for name, record in state.fault_state.exclusions.items()}
+        excluded = {name: one.since_ns for name, one in state.fault_state.excluded.items()}
         self._subfilter_indices = np.array(
             [row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp
         )

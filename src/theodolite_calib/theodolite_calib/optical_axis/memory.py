@@ -50,7 +50,7 @@ def is_consistent(state: CalibrationState) -> bool:
     """True if a state has used beacons or stars, and no source is excluded or inconsistent."""
     fault_state = state.fault_state
     return state.last_update_ns is not None and not (
-        state.consecutive_rejections or fault_state.excluded_sources or fault_state.unresolved_fault is not None
+        state.consecutive_rejections or fault_state.excluded or fault_state.unresolved_fault is not None
     )
 
 

@@ -216,7 +216,7 @@ class PointingOutput:
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.fault_state.unresolved_fault is not None:
             axes.covariance_by_source_n[:, self._disagreement_source] += (
-                state.fault_state.unresolved_fault.disagreement_n
+                state.fault_state.unresolved_fault.covariance_n
             )
         lights, stars = self._is_recent(time_ns, state.last_beacons_ns), self._is_recent(time_ns, state.last_stars_ns)
         recent = lights | stars
@@ -300,9 +300,9 @@ class PointingOutput:
             text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
             return Status.DEGRADED, text + state.rejection_text
         if state.fault_state.unresolved_fault is not None:
-            return Status.DEGRADED, "unresolved fault: lights are inconsistent with encoders and ship's attitude"
-        for source, record in state.fault_state.exclusions.items():
-            unconfirmed = state.last_update_ns is None or state.last_update_ns < record.exclusion.since_ns
+            return Status.DEGRADED, state.fault_state.unresolved_fault.text
+        for source, record in state.fault_state.excluded.items():
+            unconfirmed = state.last_update_ns is None or state.last_update_ns < record.since_ns
             if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON_PREFIX):
                 return Status.DEGRADED, f"{source} is excluded: {record.reason}"
         if ship_status is Status.DEGRADED:

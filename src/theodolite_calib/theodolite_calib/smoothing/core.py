@@ -206,7 +206,7 @@ def _has_unresolved_fault(state: CalibrationState) -> bool:
     return (
         bool(state.consecutive_rejections)
         or state.fault_state.unresolved_fault is not None
-        or bool(state.fault_state.excluded_sources & AXIS_SOURCES)
+        or bool(state.fault_state.excluded.keys() & AXIS_SOURCES)
     )
 
 

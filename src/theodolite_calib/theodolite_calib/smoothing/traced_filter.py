@@ -81,7 +81,7 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
     filter.
     """
     assert isinstance(predicted, TracedState)
-    is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
+    is_update = predicted.is_predicted_only and not predicted.fault_state.excluded.keys() & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
     return replace(
         after,

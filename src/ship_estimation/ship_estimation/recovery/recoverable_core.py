@@ -1,0 +1,122 @@
+"""Estimator that a second estimator can replace, around its time-ordered estimator."""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Mapping, Sequence, Set
+from typing import Any, Generic, Protocol, TypeVar
+
+from ship_estimation.recovery.displacement import MemoryResidual
+from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
+from ship_geometry.rotations import FloatArray
+
+_MAX_JUMPS = 100
+"""Maximum number of jumps stored until :meth:`RecoverableCore.take_jumps`, which is called once a second."""
+
+
+class Jump(Protocol):
+    """A jump that a source itself reported or showed."""
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance of the change, in the components of :attr:`MemoryResidual.turn`, rad², shape (k, k)."""
+        ...
+
+
+State = TypeVar("State")
+AnyJump = TypeVar("AnyJump", bound=Jump)
+
+
+class RecoverableCore(ABC, Generic[State, AnyJump]):
+    """An estimator with immutable states that a second estimator can replace.
+
+    A core has a configuration, a sky model or None, a time-ordered estimator, and the saved estimate from which it
+    starts. The first two are the arguments of its constructor.
+    """
+
+    config: Any
+    _sky_model: Any
+    _estimator: TimeOrderedEstimator[State, Any, Any, Any, Any]
+    _start: Any
+
+    def _clear_jumps(self) -> None:
+        """Start without jumps."""
+        self._jumps: deque[AnyJump] = deque(maxlen=_MAX_JUMPS)
+
+    @property
+    def state(self) -> State:
+        """State of the filter after the last applied measurement."""
+        return self._estimator.state
+
+    @property
+    @abstractmethod
+    def excluded_sources(self) -> Set[str]:
+        """Names of the excluded sources."""
+
+    @property
+    @abstractmethod
+    def is_consistent(self) -> bool:
+        """True if the state results from measurements, no source is excluded, and all sources are consistent."""
+
+    @property
+    @abstractmethod
+    def has_unresolved_fault(self) -> bool:
+        """True if the sources are inconsistent and no faulty source is isolated."""
+
+    @abstractmethod
+    def reset(self, clock_jumped: bool = False) -> Any:
+        """Discard all measurements; after a jump of the clock, outputs may start again at earlier times."""
+
+    def make_second(self, memory: State | None) -> Any:
+        """Return another estimator of the same configuration, which starts from a stored state if given.
+
+        Otherwise it starts from the saved estimate or the prior. With a stored state the estimator also gets the
+        current position and air data.
+        """
+        second = self._new_estimator(None if self._sky_model is None else self._sky_model.clone(memory is not None))
+        second._start = self._start
+        if memory is None:
+            second.reset()
+        else:
+            second._start_from_memory(memory, self)
+        return second
+
+    def _new_estimator(self, sky_model: Any) -> Any:
+        """Return an estimator of the same class and configuration."""
+        return type(self)(self.config, sky_model)  # type: ignore[call-arg]
+
+    @abstractmethod
+    def _start_from_memory(self, memory: State, live: Any) -> None:
+        """Start from a stored state of another estimator."""
+
+    def take_jumps(self) -> list[AnyJump]:
+        """Return the jumps that sources themselves reported or showed since the last call."""
+        jumps = list(self._jumps)
+        self._jumps.clear()
+        return jumps
+
+    @abstractmethod
+    def propagate_memory(self, memory: State, jumps: Sequence[AnyJump]) -> State:
+        """Return a stored state propagated to the oldest time that measurements may still have.
+
+        The covariance of the state is inflated for the jumps.
+        """
+
+    @abstractmethod
+    def memory_residuals(self, decision: Any, memory: State) -> Mapping[str, MemoryResidual]:
+        """Return the residual of a measurement from a stored state, by source; empty without a residual."""
+
+    @abstractmethod
+    def largest_difference_sigmas(self, state: State, memory: State, is_later: bool = False) -> float:
+        """Return the largest difference between a state and a stored state, in standard deviations of both.
+
+        A later state of the same estimator depends on the stored state. The difference is then in standard deviations
+        of the stored state alone.
+        """
+
+    @abstractmethod
+    def unused_sources(self, sources: Set[str]) -> Set[str]:
+        """Return the sources without a recently used measurement."""
+
+    def take_over_outputs(self, live: Any) -> None:
+        """Continue the sequence of outputs of another estimator."""
+        self._estimator.continue_outputs(live._estimator)
