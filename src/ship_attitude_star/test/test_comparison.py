@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.model import devices
+from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
@@ -36,7 +35,7 @@ CONFIG = build(
 )
 FILTER = ShipFilter(CONFIG)
 MODEL = FILTER.model
-DEVICES = devices(CONFIG)
+DEVICES = CONFIG.devices()
 STEP = 1e-6
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.alignment import current_alignment
-from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.parameters.schema import build
 from ship_estimation.rejections import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
@@ -19,6 +19,7 @@ from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.spatial_errors import FIELD_MODES, SOURCE_PIXEL, SpatialErrors
 from ship_stars.samples.attitude_samples import AttitudeMeasurement
 from ship_stars.samples.readings import InertialAttitude, PositionFix
+from ship_stars.sky.shared_states import sky_slice
 from ship_stars.solution.residuals import SOURCE_STAR_NOISE, star_residuals
 from ship_testing.star_sky import (
     ROTATION_ND,
@@ -59,7 +60,7 @@ def residuals(ship_filter, sky_model, exposure, mean):
         predicted.jacobian_v,
         prior,
         sky_model,
-        model.sky_slice,
+        sky_slice(model.slices),
         mean,
         camera_indices=field_rows,
     )
@@ -196,8 +197,7 @@ def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(sky_model):
 
 @pytest.mark.parametrize("field", ["rotation_nv", "noise_v"])
 def test_nan_passes_no_gate(field):
-    config = configuration()
-    ship_filter = ShipFilter(config)
+    ship_filter = ShipFilter(build(ShipAttitudeConfig, {"star_sensors": {"fore": SENSORS["fore"]}}))
     rotation_ns = ROTATION_ND @ ship_filter.devices["star.fore"].rotation_dv0
     good = AttitudeMeasurement("star.fore", TIME_NS, rotation_ns, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
     before = ship_filter.initial_state()

@@ -16,7 +16,8 @@ def deck(heading_deg: float) -> FloatArray:
 
 
 def hint(ins_deg: float, measured_deg: float, source: str = "star.fore", ins_confirmed: bool = False) -> str:
-    return heading_hint(deck(ins_deg), deck(measured_deg), source, ins_confirmed)
+    parameter = "references.s330.heading_deg" if source == "reference.s330" else "star_sensors.fore.azimuth_deg"
+    return heading_hint(deck(ins_deg), deck(measured_deg), source, parameter, ins_confirmed)
 
 
 @pytest.mark.parametrize("heading_deg", AROUND)
@@ -53,8 +54,8 @@ def test_with_a_confirmed_ins_the_hint_names_the_other_source() -> None:
 
 def test_a_tilt_difference_is_no_heading_mistake() -> None:
     fallen = rotation_from_angles(*np.deg2rad([120.0, 40.0, -2.0]))
-    assert heading_hint(fallen, deck(30.0), "star.fore", False) == ""
-    assert heading_hint(np.full((3, 3), np.nan), deck(30.0), "star.fore", False) == ""
+    assert heading_hint(fallen, deck(30.0), "star.fore", "", False) == ""
+    assert heading_hint(np.full((3, 3), np.nan), deck(30.0), "star.fore", "", False) == ""
 
 
 def residual_of(arcsec: tuple[float, float, float], sigma_arcsec: float = 3.0) -> AttitudeResidual:

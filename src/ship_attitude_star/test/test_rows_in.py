@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.messages import input_messages, input_rows
-from ship_attitude_star.ship_attitude.config import StarSensorConfig
+from ship_attitude_star.ship_attitude.devices import StarSensorConfig
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import FloatArray

@@ -10,11 +10,12 @@ import pytest
 from geometry_msgs.msg import Vector3
 
 from ship_attitude_star.messages.input_messages import baseline
-from ship_attitude_star.samples.baseline import BASELINE, BaselineMeasurement
-from ship_attitude_star.ship_attitude.comparison import compare, predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE, BaselineMeasurement
+from ship_attitude_star.ship_attitude.measurements.kind import LinearisationPoint
+from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
@@ -90,7 +91,7 @@ def test_jacobian_is_the_difference_quotient() -> None:
 
     def residuals_at(mean: np.ndarray) -> Any:
         predicted = predict_attitude(device, model, mean, ins)
-        return compare(measured, device, predicted, model, mean, np.eye(model.size), None)
+        return device.linearise(measured, LinearisationPoint(model, mean, np.eye(model.size), predicted, None))
 
     mean = 20.0 * ARCSEC * rng.standard_normal(model.size)
     clock = model.state_indices("ins.time_offset")

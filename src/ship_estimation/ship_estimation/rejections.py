@@ -13,7 +13,7 @@ A measurement is checked in this order:
 5. :class:`ship_estimation.time_order.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and
    FAILED for defects of the software;
 6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
-   its measurement model (``ship_attitude/comparison``, ``theodolite_calib/samples/sighting``): all others.
+   its measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): all others.
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 """

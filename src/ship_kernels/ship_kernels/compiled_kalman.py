@@ -918,7 +918,7 @@ def _add_noise(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _solve_symmetric(
+def _solve_beacon(
     matrix: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.bint:
     """Replace the right-hand side b (size × columns) by A⁻¹ b, with the Cholesky factor of the symmetric matrix A.
@@ -989,7 +989,7 @@ def _whiten_beacon(
     scratch: cython.p_double,
     whitened_innovation: cython.p_double,
 ) -> cython.bint:
-    """Whiten a beacon's residual conditioned on the components ``conditioning``; False if :func:`_solve_symmetric` fails."""
+    """Whiten a beacon's residual conditioned on ``conditioning``; return False if :func:`_solve_beacon` fails."""
     size: cython.int = conditioning.shape[0]
     count: cython.int = _select_components(conditioning, covariance, places, scratch)
     # Columns for the conditioning components: covariance with the beacon's two components, and residual.
@@ -1005,7 +1005,7 @@ def _whiten_beacon(
         for j in range(2):
             right_side[3 * i + j] = covariance[places[i] * size + 2 * beacon + j]
         right_side[3 * i + 2] = residual[places[i]]
-    if not _solve_symmetric(scratch, count, right_side, 3):
+    if not _solve_beacon(scratch, count, right_side, 3):
         return False
     for i in range(2):
         left[i] = residual[2 * beacon + i]
@@ -1127,7 +1127,7 @@ def beacon_innovations(
             for k in range(n):
                 right_side[i * (n + 1) + k] = cross[places[i] * n + k]
             right_side[i * (n + 1) + n] = residuals[subfilter, places[i]] = subfilter_residual[places[i]]
-        if not _solve_symmetric(scratch, count, right_side, n + 1):
+        if not _solve_beacon(scratch, count, right_side, n + 1):
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
         nis[subfilter] = 0.0
         for i in range(count):

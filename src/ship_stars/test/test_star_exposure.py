@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ship_attitude_star.ship_attitude.comparison import compare, predict_attitude
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurements.kind import LinearisationPoint
+from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.rejections import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
@@ -177,8 +178,8 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(sky_model):
 
     def residuals_at(mean: FloatArray):
         predicted = predict_attitude(ship_filter.devices["star.fore"], ship_filter.model, mean, ins)
-        device, covariance = ship_filter.devices["star.fore"], state.covariance
-        return compare(seen, device, predicted, ship_filter.model, mean, covariance, sky_model).linear
+        at = LinearisationPoint(ship_filter.model, mean, state.covariance, predicted, sky_model)
+        return ship_filter.devices["star.fore"].linearise(seen, at).linear
 
     here = residuals_at(mean)
     noise = here.noise_by_source[ship_filter.model.sources.index("star_noise")]

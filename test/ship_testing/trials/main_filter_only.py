@@ -7,7 +7,7 @@ from typing import Any
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
+from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.kalman.kalman_filter import innovation, update

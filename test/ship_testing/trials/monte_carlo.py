@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.samples.baseline import BaselineMeasurement
+from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.ins_batch import InsBatch
+from ship_attitude_star.ship_attitude.measurements.baseline import BaselineMeasurement
 from ship_estimation.innovations.gates import normalized_error_squared
 from ship_estimation.parameters.schema import build
-from ship_estimation.time_order.outcome import Measurement, Status
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
@@ -208,7 +209,7 @@ def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
     return AirReading(source, int(run.weather_ns[index]), values[source], None)
 
 
-def measurement_of(run: SimulatedRun, source: str, index: int) -> Measurement:
+def measurement_of(run: SimulatedRun, source: str, index: int) -> CheckedMeasurement:
     """Return a measurement of a star sensor or another attitude system in the estimator's form."""
     kind, _, name = source.partition(".")
     device = run.stars[name] if kind == "star" else run.references[name]

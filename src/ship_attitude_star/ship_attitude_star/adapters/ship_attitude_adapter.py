@@ -2,14 +2,15 @@
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
-from ship_attitude_star.messages import input_messages, input_rows
+from ship_attitude_star.adapters.sensor_feeds import sensor_feeds
+from ship_attitude_star.messages import input_messages
 from ship_attitude_star.messages.attitude_messages import (
     ATTITUDE_TOPIC,
     ATTITUDE_TYPE,
@@ -23,10 +24,10 @@ from ship_attitude_star.messages.attitude_messages import (
     attitude_rows,
     smoothed_message,
 )
-from ship_attitude_star.samples.baseline import BASELINE
 from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior
-from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.devices import InsConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn
 from ship_attitude_star.smoothing.core import SmoothingCore
@@ -46,10 +47,9 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.recovering_adapter import RecoveringAdapter
 from ship_node.adapters.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
-from ship_node.health.duplicate_publishers import ATTITUDE, INNOVATION
+from ship_node.health.duplicate_publishers import ATTITUDE
 from ship_node.health.innovation_report import clock_status
 from ship_node.messages.batches import BatchFeed, OutputRows, ReadBatch, StampArray
-from ship_node.messages.column_checks import ReadRows
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -67,7 +67,7 @@ from ship_node.messages.ins_messages import ins_batch, ins_sample, sigma_mismatc
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
-from ship_stars.messages import star_messages, surroundings_messages
+from ship_stars.messages import surroundings_messages
 from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries
 from ship_stars.samples.readings import DeflectionReading
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
@@ -75,12 +75,6 @@ from ship_stars.sky.sky_model import SkyModel, load_sky_model
 INTEGRITY_TOPIC = "ship/integrity"
 DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"
 
-_STAR_TYPES = {
-    "horizon_attitude": "ship_msgs/msg/StarHorizonAttitude",
-    "solution": "ship_msgs/msg/StarHorizonAttitude",
-    "observations": "ship_msgs/msg/StarObservationArray",
-    "inertial_attitude": "ship_msgs/msg/StarInertialAttitude",
-}
 _STATUS_TEXTS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
     Status.COASTING: (Level.WARN, "COASTING: no star measurements, INS alone with growing uncertainty"),
@@ -98,9 +92,6 @@ _RATE_TEXTS = {
 }
 _OBSERVABILITY_PERIOD_NS = 60 * SECOND_NS
 """Period of the observability diagnostics, in the time of the data, ns."""
-
-_PARAMETER_SECTIONS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
-"""Parameter section by the first part of a source name."""
 
 
 class ShipAttitudeAdapter(RecoveringAdapter):
@@ -128,7 +119,6 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     required_sources: ClassVar[tuple[str, ...]] = ("ins",)
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
-    source_timeouts_s: Mapping[str, float] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, ATTITUDE_TYPE),
         OutputTopic(IMU_TOPIC, IMU_TYPE),
@@ -148,11 +138,6 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
         looks_at_sky = any(star.needs_sky for star in config.star_sensors.values())
         self._sky_model = load_sky_model(config.sky) if looks_at_sky else None
-        self._cameras = {
-            id_: star.camera.camera(f"star_sensors.{id_}.camera")
-            for id_, star in config.star_sensors.items()
-            if star.input == "observations"
-        }
         core = self.make_core(config, self._sky_model)
         saved = SavedStart(
             ALIGNMENT_FILE,
@@ -190,6 +175,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             return SmoothingCore(config, sky_model, config.smoothing_lag_s)
         return ShipAttitudeCore(config, sky_model)
 
+    @property
+    def source_timeouts_s(self) -> Mapping[str, float]:
+        """See :class:`RecoveringAdapter`."""
+        return {"ins": 3.0, **dict.fromkeys(self.config.sensors, 10.0)}
+
     def accepts_batches(self, topic: str) -> bool:
         """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
         return super().accepts_batches(topic) and not isinstance(self.core, SmoothingCore)
@@ -211,28 +201,12 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return published
 
     def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
-        """Yield the inputs and the methods of a core that process them; each star sensor has one topic only."""
+        """Yield the inputs and the methods of a core that process them."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = BatchFeed(functools.partial(self._read_ins_block, config=config.ins), core)
         read_ins = functools.partial(self._read_ins, config=config.ins)
         yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, stream_quantity=ATTITUDE)
-        for id_, star in config.star_sensors.items():
-            topic = InputTopic(
-                f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, is_configured=True
-            )
-            read, read_rows = self._star_readers(id_, star)
-            process, source = core.add_measurement, f"star.{id_}"
-            yield Feed(topic, source, read, process, has_decision=True, read_rows=read_rows, stream_quantity=INNOVATION)
-        for name, reference in config.references.items():
-            topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, is_configured=True)
-            read = functools.partial(input_messages.reference_measurement, name=name, config=reference)
-            yield Feed(
-                topic, f"reference.{name}", read, core.add_measurement, has_decision=True, stream_quantity=INNOVATION
-            )
-        if config.ship_baseline.is_aboard:
-            antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, is_configured=True)
-            read_baseline = functools.partial(input_messages.baseline, config=config.ship_baseline)
-            yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, has_decision=True)
+        yield from sensor_feeds(config, core, self._sky_model)
         if self._sky_model is not None:
             yield from surroundings_messages.surroundings_feeds(config.sky, ignore_time(core.add_sky_input))
         elif config.needs_vertical:
@@ -252,27 +226,6 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         reading = ins_batch(messages, receive_ns, config)
         self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
         return reading
-
-    def _star_readers(
-        self, id_: str, star: StarSensorConfig
-    ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
-        """Return the readers of a star sensor's messages: of single messages, and of blocks (None for some inputs)."""
-        if star.input == "observations":
-            assert self._sky_model is not None
-            exposure = functools.partial(
-                star_messages.star_exposure,
-                sensor_id=id_,
-                frame_id=star.frame_id,
-                camera=self._cameras[id_],
-                camera_config=star.camera,
-                masks=star.sensor_masks,
-                catalogue=self._sky_model.catalogue,
-            )
-            return exposure, None
-        if star.input == "inertial_attitude":
-            return functools.partial(input_messages.inertial_attitude, sensor_id=id_, config=star), None
-        read = functools.partial(input_messages.star_measurement, sensor_id=id_, config=star)
-        return read, functools.partial(input_rows.star_attitudes, sensor_id=id_, config=star)
 
     def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[OutputRows]:
         """See :meth:`BatchAdapter.batch_messages`."""
@@ -314,9 +267,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 "if the star sensors or the INS were remounted, call ~/reset; otherwise check the clocks "
                 "(time_offset_s of each sensor and of ins), gnss/fix and the computer's clock"
             )
-        where = ".time_offset_s, ".join(
-            f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced)
-        )
+        devices = self.core.filter.devices
+        where = ".time_offset_s, ".join(devices[name].parameters for name in sorted(displaced))
         return f"if remounted, call ~/reset; otherwise check clock and cable (parameters {where}.time_offset_s)"
 
     def before_adoption(self) -> list[OutputMessage]:
@@ -364,7 +316,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return all diagnostics of this node, from attitude and alignment to innovations and clocks."""
-        remarks = self.saved_document_remarks()
+        remarks, devices = self.saved_document_remarks(), self.core.filter.devices
+        sections = {name.partition(".")[0]: one.parameters.partition(".")[0] for name, one in devices.items()}
         text = "; ".join(remarks) or "as configured or loaded"
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
@@ -377,7 +330,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.innovation_report.statuses(),
-            clock_status(self.core.filter.model, self.core.state.mean, _PARAMETER_SECTIONS),
+            clock_status(self.core.filter.model, self.core.state.mean, sections),
         ]
 
 
@@ -492,7 +445,7 @@ def installed_frames(
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
     """Return texts about missing parts of a configuration, for the log at the start and the diagnostics."""
-    if config.star_sensors or config.references or config.ship_baseline.is_aboard:
+    if config.sensors:
         return ()
     lacking = "no star_sensors, no references and no ship_baseline are configured"
     return (f"{lacking}: the attitude is that of the INS alone, DEGRADED, horizon GRAVITY",)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.messages.input_messages import MAX_ANGLE, MAX_ELEVATION, STAR_INVALID, attitude_from_numbers
-from ship_attitude_star.ship_attitude.config import StarSensorConfig
+from ship_attitude_star.ship_attitude.devices import StarSensorConfig
 from ship_bags.cdr_template import CdrRows
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import FloatArray

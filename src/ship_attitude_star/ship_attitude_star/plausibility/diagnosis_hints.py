@@ -6,7 +6,6 @@ from itertools import combinations
 
 import numpy as np
 
-from ship_attitude_star.samples.baseline import BASELINE
 from ship_estimation.innovations.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
@@ -25,7 +24,7 @@ _SAME_TILT_RAD = np.deg2rad(15.0)
 """Maximum tilt difference for a heading mistake, rad, because a heading mistake does not change the tilt."""
 
 _QUARTER_TURN = 0.5 * np.pi
-_STAR, _REFERENCE = "star.", "reference."
+_REFERENCE = "reference."
 _SAME_RATIO = 0.5
 """Maximum difference of two residuals that count as equal, divided by the smaller residual."""
 
@@ -52,6 +51,7 @@ class AttitudeResidual:
 
 def diagnosis_hint(
     source: str,
+    heading_parameter: str,
     consecutive_rejections: Mapping[str, int],
     last_used_ns: Mapping[str, int],
     rejected_residuals: Mapping[str, AttitudeResidual],
@@ -62,6 +62,7 @@ def diagnosis_hint(
 
     Args:
         source: source that disagrees with the INS.
+        heading_parameter: name of the parameter of its mounting that determines the heading.
         consecutive_rejections: number of consecutive rejections by source.
         last_used_ns: stamp of the last accepted measurement by source, ns.
         rejected_residuals: residual of the last rejected measurement by source.
@@ -79,17 +80,21 @@ def diagnosis_hint(
         for name, residual in rejected_residuals.items()
         if residual.time_ns >= since_ns and consecutive_rejections.get(name, 0)
     }
-    hint = heading_hint(ins_nd, measured_nd, source, ins_confirmed=bool(consistent) and len(inconsistent) == 1)
+    ins_confirmed = bool(consistent) and len(inconsistent) == 1
+    hint = heading_hint(ins_nd, measured_nd, source, heading_parameter, ins_confirmed)
     return f"{hint}; {consistency_text(source, consistent, inconsistent)}"
 
 
-def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
+def heading_hint(
+    ins_nd: FloatArray, measured_nd: FloatArray, source: str, heading_parameter: str, ins_confirmed: bool
+) -> str:
     """Return a hint if the headings differ by a common mistake of marine drivers; otherwise return an empty text.
 
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the other source, shape (3, 3).
-        source: the other source, ``star.<id>``, ``reference.<name>`` or ``baseline``.
+        source: the other source, for example ``reference.<name>``.
+        heading_parameter: name of the parameter of its mounting that determines the heading.
         ins_confirmed: True if other sources are consistent with the INS and only ``source`` is not; then the INS is not
             the cause.
     """
@@ -100,17 +105,18 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     # With the condition in this form, NaN gives no hint.
     if not (difference > _MIN_HEADING_ERROR_RAD and tilt < _SAME_TILT_RAD):
         return ""
-    parameter = _heading_parameter(source)
-    if _is_near(by_ins + measured, _QUARTER_TURN) and (_is_reference(source) or not ins_confirmed):
-        ins_parameter = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
-        driver = source if ins_confirmed else "the INS"
-        return f", as if heading were given as yaw (90° - heading): check {ins_parameter} and the driver of {driver}"
+    is_reference = source.startswith(_REFERENCE)
+    if _is_near(by_ins + measured, _QUARTER_TURN) and (is_reference or not ins_confirmed):
+        of, driver = "ins", "the INS"
+        if ins_confirmed:
+            of, driver = f"references.{source.removeprefix(_REFERENCE)}", source
+        return f", as if heading were given as yaw (90° - heading): check {of}.convention and the driver of {driver}"
     if _is_near(difference, _QUARTER_TURN):
         ins = "" if ins_confirmed else "ins.convention, ins.installation_heading_deg and "
-        return f" by about 90° in heading: check {ins}{parameter}"
+        return f" by about 90° in heading: check {ins}{heading_parameter}"
     if _is_near(difference, np.pi):
         ins = "" if ins_confirmed else " and ins.installation_heading_deg"
-        return f" by about 180° in heading: check {parameter}{ins}"
+        return f" by about 180° in heading: check {heading_parameter}{ins}"
     return ""
 
 
@@ -151,25 +157,6 @@ def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool
         return True
     noise_n = first.noise_n + second.noise_n
     return bool(noise_n.any()) and bool(normalized_error_squared(difference, noise_n) <= _SAME_CHI2)
-
-
-def _heading_parameter(source: str) -> str:
-    """Return the name of the parameter with the mounting heading of a source."""
-    if source == BASELINE:
-        return "ship_baseline.forward_m and right_m"
-    return f"star_sensors.{_id(source)}.azimuth_deg" if _is_star(source) else f"references.{_id(source)}.heading_deg"
-
-
-def _is_star(source: str) -> bool:
-    return source.startswith(_STAR)
-
-
-def _is_reference(source: str) -> bool:
-    return source.startswith(_REFERENCE)
-
-
-def _id(source: str) -> str:
-    return source.partition(".")[2]
 
 
 def _is_near(angle: float, target: float) -> bool:

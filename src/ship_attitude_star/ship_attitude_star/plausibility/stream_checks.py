@@ -1,19 +1,24 @@
 """Plausibility checks of all input streams of a run, in the order of their stamps."""
 
-import math
+from typing import Protocol
 
-from ship_attitude_star.samples.baseline import BaselineMeasurement
 from ship_estimation.parameters.ins import CheckedInsConfig
 from ship_estimation.plausibility.ins_check import InsCheck
 from ship_estimation.plausibility.motion_check import MotionReference
-from ship_estimation.plausibility.value_checks import StuckCheck
+from ship_estimation.plausibility.value_checks import StuckCheck, StuckValue, largest_sigma
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.time_order.outcome import Measurement
-from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack
 from ship_stars.samples.attitude_samples import AttitudeMeasurement
-from ship_stars.samples.readings import InertialAttitude
-from ship_stars.solution.exposure import StarExposure
+
+
+class CheckedMeasurement(Measurement, Protocol):
+    """A measurement with a value that must not stay constant."""
+
+    @property
+    def stuck_value(self) -> StuckValue:
+        """Value that varies while the ship rotates; see :class:`StuckValue`."""
+        ...
 
 
 class PlausibilityChecks:
@@ -34,7 +39,7 @@ class PlausibilityChecks:
         self._stuck: dict[str, StuckCheck] = {}
         self._latest_ns: dict[str, int] = {}
 
-    def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
+    def check(self, measurement: CheckedMeasurement, track: AttitudeTrack) -> Rejection | None:
         """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
 
         An :class:`AttitudeMeasurement` that passes becomes a motion reference. A measurement is checked only if it is
@@ -47,10 +52,7 @@ class PlausibilityChecks:
         source, time_ns = measurement.source, measurement.time_ns
         if time_ns <= self._latest_ns.get(source, time_ns - 1):
             return None
-        checked = _stuck_check_value(measurement)
-        if checked is None:
-            return None
-        value, sigma_rad, description = checked
+        value, sigma_rad, description = measurement.stuck_value
         # Exposures without stars may repeat, also on a moving ship.
         if len(value) > 0:
             references = {name: reference for name, reference in self.motion_references.items() if name != source}
@@ -70,29 +72,5 @@ class PlausibilityChecks:
 
     def add_motion_reference(self, attitude: AttitudeMeasurement) -> None:
         """Add an accepted attitude as motion reference for the other checks."""
-        sigma_rad = _sigma_rad(attitude.noise_v)
+        sigma_rad = largest_sigma(attitude.noise_v)
         self.motion_references[attitude.source] = MotionReference(attitude.time_ns, attitude.rotation_nv, sigma_rad)
-
-
-def _stuck_check_value(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
-    """Return the value that must not stay constant, its largest standard deviation, rad, and a text for a rejection.
-
-    The result is None for a kind of measurement that is not checked.
-    """
-    if isinstance(measurement, StarExposure):
-        sigma_rad = float(measurement.sigma.max(initial=0.0))
-        return measurement.directions_s, sigma_rad, "stars do not move on the detector"
-    if isinstance(measurement, InertialAttitude):
-        # A ship at rest rotates relative to the stars.
-        return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude relative to the stars is constant"
-    if isinstance(measurement, BaselineMeasurement):
-        sigma_rad = _sigma_rad(measurement.noise_n) / measurement.length_m
-        return measurement.direction_n, sigma_rad, "baseline is constant"
-    if isinstance(measurement, AttitudeMeasurement):
-        return measurement.rotation_nv, _sigma_rad(measurement.noise_v), "attitude is constant"
-    return None
-
-
-def _sigma_rad(covariance: FloatArray) -> float:
-    """Return the largest standard deviation of the axes."""
-    return math.sqrt(max(covariance.diagonal().tolist()))

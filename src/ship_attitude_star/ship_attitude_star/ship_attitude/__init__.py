@@ -1,8 +1,9 @@
 """Core of the node ``ship_attitude``: ship attitude with error budget from INS and star measurements.
 
 - ``core`` runs ``filter`` in a time-ordered estimator.
-- ``model`` defines devices and states. ``comparison`` predicts measurements and computes residuals.
-  ``linearisation`` calls ``comparison``, iteratively for an uncertain state.
+- ``devices`` defines the parameters of the sensors, and the device and states that follow from them. ``model`` defines
+  the state vector.
+- ``measurements`` linearises the measurements of all kinds of sensors, iteratively for an uncertain state.
 - ``fault_detection`` excludes faulty sources.
 - ``corrected_ins`` and ``output`` compute the published attitude. ``alignment`` defines the alignment that is saved for
   the next voyage.

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.samples.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT, Device
+from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation, wrap_pi
@@ -96,25 +95,19 @@ def current_alignment(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fi
     for axis, index in zip(("north", "up", "east"), range(attitude.start, attitude.stop), strict=True):
         add(f"ins.{axis}", state.mean[index], "rad", np.eye(model.size)[index])
     add_time_offset("ins.time_offset", config.ins.time_offset_s)
-    for id_, star in config.star_sensors.items():
-        angles, jacobian = _installation(filter_, state, f"star.{id_}")
-        for name, angle, row in zip(("azimuth", "elevation", "roll"), angles, jacobian, strict=True):
-            add(f"star.{id_}.{name}", angle, "rad", row)
-        add_time_offset(f"star.{id_}.time_offset", star.time_offset_s)
-        optics = model.slices.get(f"star.{id_}.optics")
+    for device in filter_.devices.values():
+        angles, jacobian = _installation(filter_, state, device.name)
+        for name, index in device.angles.items():
+            angle = float(wrap_pi(angles[index])) if device.are_angles_signed else angles[index]
+            add(f"{device.name}.{name}", angle, "rad", jacobian[index])
+        if device.time_offset_s is not None:
+            add_time_offset(f"{device.name}.time_offset", device.time_offset_s)
+        optics = model.slices.get(f"{device.name}.optics")
         if optics is not None:
-            sigmas = star.camera.optics_errors(star.camera.camera(f"star_sensors.{id_}.camera")).sigmas
+            camera = config.star_sensors[device.name.removeprefix("star.")].camera
+            sigmas = camera.optics_errors(camera.camera(f"{device.parameters}.camera")).sigmas
             for (name, unit), index, sigma in zip(_OPTICS, range(optics.start, optics.stop), sigmas, strict=True):
-                add(f"star.{id_}.{name}", sigma * state.mean[index], unit, sigma * np.eye(model.size)[index])
-    for id_, reference in config.references.items():
-        angles, jacobian = _installation(filter_, state, f"reference.{id_}")
-        for name, index in (("roll", 2), ("pitch", 1), ("heading", 0)):
-            add(f"reference.{id_}.{name}", float(wrap_pi(angles[index])), "rad", jacobian[index])
-        add_time_offset(f"reference.{id_}.time_offset", reference.time_offset_s)
-    if config.ship_baseline.is_aboard:
-        angles, jacobian = _installation(filter_, state, BASELINE)
-        for name, index in (("azimuth", 0), ("elevation", 1)):
-            add(f"{BASELINE}.{name}", angles[index], "rad", jacobian[index])
+                add(f"{device.name}.{name}", sigma * state.mean[index], unit, sigma * np.eye(model.size)[index])
     transport = np.array(rows)
     covariance = transport @ state.covariance @ transport.T
     return Alignment(tuple(names), np.array(values), covariance, tuple(units))
@@ -134,7 +127,7 @@ def prior_from_state(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fil
         to_saved[block, block] = left_jacobian(state.mean[block]).T
     covariance = (to_saved @ state.covariance @ to_saved.T)[np.ix_(rows, rows)]
     offsets = {
-        name: _configured_offset_s(config, name) + float(state.mean[model.slices[name]][0])
+        name: _configured_offset_s(filter_, config, name) + float(state.mean[model.slices[name]][0])
         for name in names
         if name.endswith(".time_offset")
     }
@@ -164,11 +157,11 @@ def state_from_prior(
         rows += range(block.start, block.stop)
         saved_rows += range(start[name], start[name] + _width(name))
         if name.endswith(".installation"):
-            device: Device = filter_.devices[name.removesuffix(".installation")]
+            device = filter_.devices[name.removesuffix(".installation")]
             mean[block] = log_rotation(device.rotation_dv0.T @ prior.rotations_dv[device.name])
             to_state[block, block] = np.linalg.inv(left_jacobian(mean[block]).T)
         else:
-            mean[block] = prior.time_offsets_s[name] - _configured_offset_s(config, name)
+            mean[block] = prior.time_offsets_s[name] - _configured_offset_s(filter_, config, name)
     age_s = max(now_ns - prior.time_ns, 0) * 1e-9
     messages = list(warnings.values())
     saved = np.zeros((model.size, model.size))
@@ -216,13 +209,12 @@ def _changed_serials(config: ShipAttitudeConfig, prior: AlignmentPrior) -> dict[
     }
 
 
-def _configured_offset_s(config: ShipAttitudeConfig, name: str) -> float:
-    kind, _, id_ = name.removesuffix(".time_offset").partition(".")
-    if kind == "star":
-        return config.star_sensors[id_].time_offset_s
-    if kind == "reference":
-        return config.references[id_].time_offset_s
-    return config.ins.time_offset_s
+def _configured_offset_s(filter_: ShipFilter, config: ShipAttitudeConfig, name: str) -> float:
+    if name == "ins.time_offset":
+        return config.ins.time_offset_s
+    offset_s = filter_.devices[name.removesuffix(".time_offset")].time_offset_s
+    assert offset_s is not None
+    return offset_s
 
 
 def _width(name: str) -> int:

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
+from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement, PlausibilityChecks
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -26,8 +26,8 @@ from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.integrity import integrity_of
-from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, recommended_manoeuvre
+from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.memory import (
     is_consistent,
     largest_difference_sigmas,
@@ -329,7 +329,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         """Record that two publishers send messages of one source; an empty text removes the record."""
         self._estimator.stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
-    def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
+    def add_measurement(self, measurement: CheckedMeasurement, arrival_ns: int | None = None) -> AttitudeOutcome:
         """Add a measurement of a star sensor, another attitude system or a baseline.
 
         Args:

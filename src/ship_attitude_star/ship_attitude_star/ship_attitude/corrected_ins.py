@@ -12,7 +12,8 @@ from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttit
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
-from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.measurements.kind import SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_estimation.integrity.protection_levels import alert_limit_text

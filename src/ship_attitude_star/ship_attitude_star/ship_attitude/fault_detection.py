@@ -15,8 +15,8 @@ they are consistent with the INS again. A jump of the INS is detected from its o
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
+from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
 from ship_attitude_star.ship_attitude.source_exclusion import ShipSourceExclusion
 from ship_attitude_star.ship_attitude.state import FilterState, RecentInnovations, SourceInnovation
 from ship_attitude_star.ship_attitude.subfilter_set import INS, MIN_SOURCES_FOR_PAIRS

@@ -6,18 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, diagnosis_hint
-from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.devices import SOURCE_STAR_COMMON
 from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
-from ship_attitude_star.ship_attitude.linearisation import Linearisation, LinearisedMeasurement, NotEvaluable
-from ship_attitude_star.ship_attitude.model import (
-    SOURCE_DEFLECTION,
-    SOURCE_INS,
-    SOURCE_STAR_COMMON,
-    Device,
-    ShipStateModel,
-    devices,
+from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
+from ship_attitude_star.ship_attitude.measurements.prediction import (
+    Linearisation,
+    LinearisedMeasurement,
+    NotEvaluable,
 )
+from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
@@ -54,7 +52,7 @@ class ShipFilter:
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
-        self.devices: dict[str, Device] = devices(config)
+        self.devices = config.devices()
         deflection_track = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, deflection_track)
         self.fault_detector = ShipFaultDetector(config, self.model, self.devices)
@@ -487,6 +485,7 @@ class ShipFilter:
             reason = Reason.ATTITUDE_CONFLICT
             hint = diagnosis_hint(
                 source,
+                self.devices[source].heading_parameter,
                 state.consecutive_rejections,
                 state.last_used_ns,
                 state.rejected_residuals,

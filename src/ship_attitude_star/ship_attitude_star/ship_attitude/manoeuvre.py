@@ -12,18 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.samples.baseline import BaselineMeasurement
-from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude
-from ship_stars.samples.attitude_samples import AttitudeMeasurement
-from ship_stars.samples.readings import InertialAttitude
-from ship_stars.solution.exposure import StarExposure
 
 _TURNS_DEG = (45.0, 90.0, 180.0)
 _DURATION_S = 900.0
@@ -187,7 +183,7 @@ class _ManoeuvrePrediction:
 
         One step, at most as long as the shortest measurement period, is doubled until it covers the time.
         """
-        model, recent_sources = self._filter.model, self._recent_sources
+        model, devices, recent_sources = self._filter.model, self._filter.devices, self._recent_sources
         shortest_s = min(source.period_s for source in recent_sources.values())
         doublings = max(math.ceil(math.log2(length_s / shortest_s)), 0)
         step_s = length_s / 2.0**doublings
@@ -195,8 +191,8 @@ class _ManoeuvrePrediction:
         ins, white = InterpolatedAttitude(turned_nd, np.zeros(3), 0.0), model.blocks["ins.noise"].sigma[0]
         jacobian = np.vstack(
             [
-                _root(_information(recent.measurement), white, step_s / recent.period_s)
-                @ predict_attitude(self._filter.devices[source], model, self._state.mean, ins).jacobian_v
+                _root(devices[source].information(recent.measurement), white, step_s / recent.period_s)
+                @ predict_attitude(devices[source], model, self._state.mean, ins).jacobian_v
                 for source, recent in recent_sources.items()
             ]
         )
@@ -236,29 +232,6 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
             propagation.ins_noise[0] + propagation.deflection_noise[0],
         )
     return transition, noise
-
-
-def _information(measurement: Measurement) -> FloatArray:
-    """Return the information of a measurement about a rotation of its device (forward, up, right), 1/rad², (3, 3)."""
-    if isinstance(measurement, (AttitudeMeasurement, InertialAttitude)):
-        noise_v = measurement.noise_v if isinstance(measurement, AttitudeMeasurement) else measurement.noise_s
-        # A variance of zero counts as no information, so that the prediction does not fail.
-        inverse: FloatArray = np.asarray(np.linalg.pinv(noise_v, hermitian=True), dtype=np.float64)
-        return _symmetric(inverse)
-    if isinstance(measurement, BaselineMeasurement):
-        variance = float(np.trace(measurement.noise_n)) / 3.0 / measurement.length_m**2
-        return np.diag([0.0, 1.0, 1.0]) / variance
-    assert isinstance(measurement, StarExposure)
-    directions, weight = measurement.directions_s, measurement.sigma**-2.0
-    information: FloatArray = np.einsum(
-        "k,kij->ij", weight, np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    )
-    return _symmetric(information)
-
-
-def _symmetric(matrix: FloatArray) -> FloatArray:
-    symmetric: FloatArray = 0.5 * (matrix + matrix.T)
-    return symmetric
 
 
 def _root(information: FloatArray, ins_white: float, count: float) -> FloatArray:

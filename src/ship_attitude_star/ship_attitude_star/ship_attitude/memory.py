@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.linearisation import NotEvaluable
+from ship_attitude_star.ship_attitude.measurements.prediction import NotEvaluable
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.parameters.ins import InsJump

@@ -1,4 +1,4 @@
-"""Devices and state vector of the ship-attitude filter.
+"""State vector of the ship-attitude filter.
 
 The model is described in docs/explanation/filter.md.
 
@@ -47,7 +47,6 @@ where c is the common error of a star sensor, f its flexure, m the installation 
 reference. All star sensors share z, the rotation of the sky, which is a sum over its causes.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,68 +55,22 @@ from numpy.typing import NDArray
 from ship_attitude_star.ins_errors.gauss_markov import GaussMarkovIns
 from ship_attitude_star.ins_errors.process import InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
-from ship_attitude_star.samples.baseline import BASELINE
-from ship_attitude_star.ship_attitude.config import (
-    InsConfig,
-    ReferenceConfig,
-    ShipAttitudeConfig,
-    ShipBaselineConfig,
-    StarSensorConfig,
-)
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.devices import SOURCE_STAR_COMMON, InsConfig
+from ship_attitude_star.ship_attitude.measurements.kind import SOURCE_INTERPOLATION, Device
 from ship_estimation.kalman.kalman_filter import StateBlock, StateModel, block
 from ship_estimation.parameters.ins_errors import SCHULER, SchulerConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_stars.camera.camera_states import camera_blocks
-from ship_stars.camera.spatial_errors import SOURCE_PIXEL
-from ship_stars.samples.attitude_samples import SHARED_BY_GRAVITY, SHARED_BY_MESSAGES, SHARED_BY_SKY
-from ship_stars.sky.shared_states import sky_blocks, sky_slice
-from ship_stars.solution.residuals import SOURCE_STAR_NOISE
+from ship_stars.samples.attitude_samples import SHARED_BY_MESSAGES
+from ship_stars.sky.shared_states import sky_blocks
 
 SOURCE_INS = "ins_drift"
 SOURCE_INS_NOISE = "ins_noise"
 SOURCE_DEFLECTION = "deflection"
 SOURCE_INS_TIME = "ins_time_offset"
-SOURCE_INTERPOLATION = "interpolation"
-SOURCE_INSTALLATION = "installation"
-SOURCE_STAR_COMMON = "star_common"
-SOURCE_STAR_TIME = "star_time_offset"
-SOURCE_FLEXURE = "flexure"
-SOURCE_REFERENCE = "reference_installation"
-SOURCE_REFERENCE_NOISE = "reference_noise"
-SOURCE_REFERENCE_SLOW = "reference_slow_error"
-SOURCE_REFERENCE_TIME = "reference_time_offset"
-SOURCE_BASELINE = "baseline_installation"
-SOURCE_BASELINE_NOISE = "baseline_noise"
-SOURCE_BASELINE_COMMON = "baseline_common"
 SOURCE_SAVED_ALIGNMENT = "saved_alignment"
 
-_SQRT_HOUR = 60.0
 _IDENTITY = np.eye(3)
-
-
-@dataclass(frozen=True)
-class Device:
-    """Mounting, clock and error sources of a device that measures an attitude.
-
-    Attributes:
-        name: ``star.<id>``, ``reference.<name>`` or ``baseline``; also the prefix of the names of its states.
-        rotation_dv0: configured mounting, deck from device, shape (3, 3).
-        ins_time_s: configured part of (stamp of the INS - stamp of the device) for the same attitude, s.
-        ins_time_states: states that add to ``ins_time_s``, with their signs.
-        noise_source: error source of its white noise.
-        is_star: True for star sensors, which alone measure the full attitude relative to the geodetic horizon.
-        length_m: length of a baseline, m; NaN for other devices.
-        length_sigma_m: standard deviation of the correlated error of a baseline length, m.
-    """
-
-    name: str
-    rotation_dv0: FloatArray
-    ins_time_s: float
-    ins_time_states: tuple[tuple[str, float], ...]
-    noise_source: str
-    is_star: bool
-    length_m: float = math.nan
-    length_sigma_m: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -146,17 +99,13 @@ class ShipStateModel(StateModel):
 
     Attributes:
         rotation_chains: chain of rotations of each device, by name.
-        sky_slice: slice of the states of errors that all stars share, in the order of SHARED_TERMS; empty if no sensor
-            depends on the sky model.
-        shared_slices: slices of the states of errors that several attitude measurements share, by
-            :attr:`AttitudeMeasurement.shared_by`.
         ins_attitude_block: standard deviation and correlation time of the INS attitude error.
         ins_process: error process of the INS; None if each axis is a first-order Gauss-Markov process.
         process_indices: indices of the states of ``ins_process``, or of ``ins.attitude`` without a process.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
-        blocks = _ins_blocks(config.ins)
+        blocks, devices = _ins_blocks(config.ins), config.devices()
         self.ins_attitude_block, self.ins_process = blocks[0], _ins_process(config, blocks[0])
         if self.ins_process is not None:
             # The process propagates these states; as a block they are constant.
@@ -165,42 +114,23 @@ class ShipStateModel(StateModel):
             blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
         if config.ins.model == SCHULER:
             blocks += _schuler_blocks(config.ins.schuler)
-        for id_, star in config.star_sensors.items():
-            blocks += _star_blocks(f"star.{id_}", star)
-        needs_sky = any(star.needs_sky for star in config.star_sensors.values())
-        if needs_sky:
+        for source, sensor in config.sensors.items():
+            if devices[source].is_star:
+                blocks += sensor.blocks(source)
+        if any(star.needs_sky for star in config.star_sensors.values()):
             blocks += sky_blocks(config.sky)
         sharing = [star for star in config.star_sensors.values() if star.shared_error == SHARED_BY_MESSAGES]
         if sharing:
             time_s = max(star.common_time_s for star in sharing)
             blocks.append(block("sky.common", [1.0] * 3, SOURCE_STAR_COMMON, time_s=time_s))
-        for name, reference in config.references.items():
-            blocks += _reference_blocks(f"reference.{name}", reference)
-        if config.ship_baseline.is_aboard:
-            blocks += _baseline_blocks(config.ship_baseline)
-        noise_sources = [SOURCE_INTERPOLATION]
-        if config.star_sensors:
-            noise_sources.append(SOURCE_STAR_NOISE)
-        cameras = [star.camera for star in config.star_sensors.values() if star.input == "observations"]
-        if any(camera.pixel_spatial_sigma_px > 0.0 for camera in cameras):
-            noise_sources.append(SOURCE_PIXEL)
-        if config.references:
-            noise_sources.append(SOURCE_REFERENCE_NOISE)
-        if config.ship_baseline.is_aboard:
-            noise_sources.append(SOURCE_BASELINE_NOISE)
-        noise_sources.append(SOURCE_SAVED_ALIGNMENT)
-        super().__init__(blocks, noise_sources)
-        self.sky_slice = slice(0, 0)
-        if needs_sky:
-            self.sky_slice = sky_slice(self.slices, config.sky)
+        for source, sensor in config.sensors.items():
+            if not devices[source].is_star:
+                blocks += sensor.blocks(source)
+        noise_sources = [name for sensor in config.sensors.values() for name in sensor.noise_sources]
+        super().__init__(blocks, [SOURCE_INTERPOLATION, *noise_sources, SOURCE_SAVED_ALIGNMENT])
         process_blocks = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
         self.process_indices = np.concatenate([self.state_indices(name) for name in process_blocks])
-        self.rotation_chains = {name: self._rotation_chain(device) for name, device in devices(config).items()}
-        self.shared_slices = {
-            SHARED_BY_SKY: self.sky_slice,
-            SHARED_BY_MESSAGES: self.slices.get("sky.common", slice(0, 0)),
-            SHARED_BY_GRAVITY: self.slices.get("gravity.deflection", slice(0, 0)),
-        }
+        self.rotation_chains = {name: self._rotation_chain(device) for name, device in devices.items()}
 
     def _rotation_chain(self, device: Device) -> RotationChain:
         """Return the chain of rotations of a device, from the device outwards."""
@@ -222,55 +152,6 @@ class ShipStateModel(StateModel):
             clock_states=np.array([self.slices[name].start for name, _ in device.ins_time_states], dtype=np.intp),
             clock_signs=np.array([sign for _, sign in device.ins_time_states]),
         )
-
-
-def devices(config: ShipAttitudeConfig) -> dict[str, Device]:
-    """Return all devices of a configuration by name."""
-    stars = [_star_device(id_, star, config.ins) for id_, star in config.star_sensors.items()]
-    references = [_reference_device(name, reference) for name, reference in config.references.items()]
-    baselines = [_baseline_device(config)] if config.ship_baseline.is_aboard else []
-    return {device.name: device for device in stars + references + baselines}
-
-
-def _star_device(id_: str, star: StarSensorConfig, ins: InsConfig) -> Device:
-    name = f"star.{id_}"
-    time_states = [("ins.time_offset", -1.0)]
-    if star.time_offset_sigma_s > 0.0:
-        time_states.append((f"{name}.time_offset", 1.0))
-    return Device(
-        name=name,
-        rotation_dv0=star.rotation_ds,
-        ins_time_s=star.time_offset_s - ins.time_offset_s,
-        ins_time_states=tuple(time_states),
-        noise_source=SOURCE_STAR_NOISE,
-        is_star=True,
-    )
-
-
-def _reference_device(name: str, reference: ReferenceConfig) -> Device:
-    return Device(
-        name=f"reference.{name}",
-        rotation_dv0=reference.rotation_dr,
-        ins_time_s=-reference.time_offset_s,
-        ins_time_states=((f"reference.{name}.time_offset", -1.0),),
-        noise_source=SOURCE_REFERENCE_NOISE,
-        is_star=False,
-    )
-
-
-def _baseline_device(config: ShipAttitudeConfig) -> Device:
-    """Return the baseline as a device with a forward axis along the baseline and stamps in satellite time."""
-    baseline = config.ship_baseline
-    return Device(
-        name=BASELINE,
-        rotation_dv0=baseline.rotation_dv,
-        ins_time_s=-config.ins.time_offset_s,
-        ins_time_states=(("ins.time_offset", -1.0),),
-        noise_source=SOURCE_BASELINE_NOISE,
-        is_star=False,
-        length_m=baseline.length_m,
-        length_sigma_m=math.hypot(baseline.sigma_m, baseline.bias_sigma_m),
-    )
 
 
 def _ins_process(config: ShipAttitudeConfig, ins_attitude: StateBlock) -> InsProcess | None:
@@ -300,48 +181,3 @@ def _ins_blocks(ins: InsConfig) -> list[StateBlock]:
         block("ins.noise", [white] * 3, SOURCE_INS_NOISE, time_s=0.0),
         block("ins.time_offset", [ins.time_offset_sigma_s], SOURCE_INS_TIME),
     ]
-
-
-def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
-    walk = [
-        star.installation_walk_forward_arcsec_per_sqrt_h,
-        star.installation_walk_up_arcsec_per_sqrt_h,
-        star.installation_walk_right_arcsec_per_sqrt_h,
-    ]
-    walk_per_sqrt_s = np.array(walk) * ARCSEC / _SQRT_HOUR
-    blocks = [
-        block(f"{name}.installation", star.installation_sigma_s, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
-        # The covariance of this error is taken from the messages (ShipFilter) and therefore starts at zero.
-        block(f"{name}.common", [0.0] * 3, SOURCE_STAR_COMMON, time_s=star.common_time_s),
-    ]
-    if star.time_offset_sigma_s > 0.0:
-        blocks.append(block(f"{name}.time_offset", [star.time_offset_sigma_s], SOURCE_STAR_TIME))
-    if star.flexure_sigma_arcsec > 0.0:
-        sigma_flexure = [star.flexure_sigma_arcsec * ARCSEC] * 3
-        blocks.append(block(f"{name}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=star.flexure_time_s))
-    if star.input == "observations":
-        blocks += camera_blocks(name, star.camera)
-    return blocks
-
-
-def _baseline_blocks(baseline: ShipBaselineConfig) -> list[StateBlock]:
-    # A rotation about the baseline itself is not observable.
-    across = baseline.sigma_m / baseline.length_m
-    blocks = [block(f"{BASELINE}.installation", [0.0, across, across], SOURCE_BASELINE)]
-    if baseline.bias_sigma_m > 0.0:
-        sigma = [baseline.bias_sigma_m / baseline.length_m] * 3
-        blocks.append(block(f"{BASELINE}.common", sigma, SOURCE_BASELINE_COMMON, time_s=baseline.bias_time_s))
-    return blocks
-
-
-def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:
-    walk = reference.installation_walk_arcsec_per_sqrt_h * ARCSEC / _SQRT_HOUR
-    blocks = [
-        block(f"{name}.installation", reference.installation_sigma_r, SOURCE_REFERENCE, walk=walk),
-        block(f"{name}.time_offset", [reference.time_offset_sigma_s], SOURCE_REFERENCE_TIME),
-    ]
-    slow = [reference.slow_sigma_roll_arcsec, reference.slow_sigma_heading_arcsec, reference.slow_sigma_pitch_arcsec]
-    if any(slow):
-        slow_sigma = np.array(slow) * ARCSEC
-        blocks.append(block(f"{name}.slow", slow_sigma, SOURCE_REFERENCE_SLOW, time_s=reference.slow_time_s))
-    return blocks

@@ -14,7 +14,8 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_fault_handling import InsFaultHandling, is_ins_excluded_by_stars
-from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_attitude_star.ship_attitude.measurements.kind import Device
+from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.ship_attitude.state import FilterState, shared_rotation
 from ship_attitude_star.ship_attitude.subfilter_set import INS, ShipSubfilters
 from ship_estimation.fault_detection.detector import FaultDetector

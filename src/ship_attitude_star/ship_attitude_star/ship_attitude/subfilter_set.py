@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_attitude_star.ship_attitude.measurements.kind import Device
+from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_estimation.fault_detection.common_error import common_threshold
 from ship_estimation.fault_detection.subfilter_table import SubfilterTable
 from ship_estimation.integrity.protection_levels import SigmaMultipliers, sigma_multipliers

@@ -46,6 +46,25 @@ _STEPS = 64
 """Number of the last changes of the value; the smallest of them is the resolution."""
 
 
+class StuckValue(NamedTuple):
+    """Value of a measurement that must not stay constant.
+
+    Attributes:
+        value: value, of any shape.
+        sigma_rad: largest standard deviation of its noise, rad.
+        rejection_text: text of the rejection of a constant value.
+    """
+
+    value: FloatArray
+    sigma_rad: float
+    rejection_text: str
+
+
+def largest_sigma(covariance: FloatArray) -> float:
+    """Return the largest standard deviation of a covariance's axes."""
+    return math.sqrt(max(covariance.diagonal().tolist()))
+
+
 class StuckCheck:
     """Detects a source that repeats one value while other sources show motion.
 

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.samples.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_estimation.innovations.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis

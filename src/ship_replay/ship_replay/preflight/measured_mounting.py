@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.messages.input_messages import inertial_attitude, reference_measurement, star_measurement
-from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.devices import ReferenceConfig, StarSensorConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_estimation.plausibility.value_checks import StuckValue, largest_sigma
 from ship_estimation.time_order.outcome import Measurement, MeasurementDecision, Outcome, Status
 from ship_geometry.rotations import FloatArray
 
@@ -65,6 +66,11 @@ class AttitudeMeasurement:
         """Return rotation and covariances as bytes, to recognise repeated and to sort conflicting messages."""
         shared = b"" if self.shared_n is None else self.shared_n.tobytes()
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes() + shared
+
+    @property
+    def stuck_value(self) -> StuckValue:
+        """Value that must not stay constant while the ship rotates."""
+        return StuckValue(self.rotation_nv, largest_sigma(self.noise_v), "attitude is constant")
 
     @property
     def correlated_n(self) -> FloatArray:

@@ -6,6 +6,7 @@ The stars of an exposure are in :class:`ship_stars.solution.exposure.StarExposur
 from dataclasses import dataclass
 from typing import ClassVar
 
+from ship_estimation.plausibility.value_checks import StuckValue, largest_sigma
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.rotations import FloatArray
 
@@ -51,6 +52,11 @@ class InertialAttitude:
     def content(self) -> bytes:
         """Return all values as bytes, to recognise a repeated message and to sort conflicting messages."""
         return self.rotation_cs.tobytes() + self.noise_s.tobytes()
+
+    @property
+    def stuck_value(self) -> StuckValue:
+        """Value that must not stay constant; a ship at rest rotates relative to the stars."""
+        return StuckValue(self.rotation_cs, largest_sigma(self.noise_s), "attitude relative to the stars is constant")
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Filter states of the errors that all star directions share, with the names of their error sources."""
 
+from collections.abc import Mapping
+
 from ship_estimation.kalman.kalman_filter import StateBlock, block
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.sky_model import UTC
@@ -26,12 +28,12 @@ def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
     return blocks
 
 
-def sky_slice(slices: dict[str, slice], sky: SkyConfig) -> slice:
-    """Return the slice of the states of :func:`sky_blocks` in the state vector of a filter.
+def sky_slice(slices: Mapping[str, slice]) -> slice:
+    """Return the slice of the states of :func:`sky_blocks` in a filter; empty without such states.
 
     Args:
         slices: slice of the filter's states for each block.
-        sky: parameters of the sky model.
     """
-    of_sky = [slices[of_cause.name] for of_cause in sky_blocks(sky)]
-    return slice(of_sky[0].start, of_sky[-1].stop)
+    if "sky.refraction" not in slices:
+        return slice(0, 0)
+    return slice(slices["sky.refraction"].start, slices.get("sky.utc", slices["sky.position"]).stop)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_estimation.plausibility.value_checks import StuckValue
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.earth.star_directions import StarPositions
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -124,6 +125,11 @@ class StarExposure:
     def reach_ns(self) -> int:
         """Time before and after the middle for which the sensor's motion is needed; 0 if no length was given."""
         return 0 if self.length is None else self.length.nodes.reach_ns
+
+    @property
+    def stuck_value(self) -> StuckValue:
+        """Value that must not stay constant while the ship rotates."""
+        return StuckValue(self.directions_s, float(self.sigma.max(initial=0.0)), "stars do not move on the detector")
 
     @property
     def is_identified(self) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ship_attitude_star.ins_errors.schuler import SchulerIns
-from ship_attitude_star.ship_attitude.config import InsConfig
+from ship_attitude_star.ship_attitude.devices import InsConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.parameters.ins_errors import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -15,8 +15,9 @@ import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
-from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
+from ship_attitude_star.ship_attitude.devices import InsConfig
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.config import UNKNOWN, GravityConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical

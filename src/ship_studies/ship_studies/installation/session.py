@@ -13,8 +13,9 @@ import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.devices import StarSensorConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_factory import MessageFactory

@@ -98,7 +98,7 @@ class StarModel:
         if shared in config.telescopes:
             lens = config.star_camera(shared)
             self._in_sigmas[model.slices["focal_length"]] = 1.0 / (lens.focal_sigma * lens.focal_length_m)
-        self._sky_indices = sky_slice(model.slices, config.sky) if config.telescopes else slice(0, 0)
+        self._sky_indices = sky_slice(model.slices)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
         """Return the camera's attitude at the middle of an exposure, predicted from a state."""

@@ -1,4 +1,4 @@
-"""Linearisation of a measurement for one Kalman update (iterated extended Kalman filter).
+"""Prediction of a measurement, and its linearisation for one Kalman update (iterated extended Kalman filter).
 
 The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from the
 INS attitude. Both steps depend on the state nonlinearly. One linearisation at the predicted state is enough if the
@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.comparison import (
+from ship_attitude_star.ship_attitude.measurements.kind import (
     ComparedMeasurement,
+    Device,
+    InsMatch,
+    LinearisationPoint,
     PredictedAttitude,
-    compare,
-    predict_attitude,
 )
-from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
@@ -28,15 +29,9 @@ from ship_geometry import lapack
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeTrack, InterpolatedAttitude
-from ship_geometry.tracks.exposure_mean import exposure_motion
-from ship_kernels import compiled_kalman
-from ship_stars.samples.attitude_samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
-from ship_stars.samples.readings import InertialAttitude
+from ship_kernels import compiled_kalman, compiled_rotations
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.sky.tracker_attitude import to_horizon_attitude
-from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
 from ship_stars.solution.selection import LINEAR_RANGE
-from ship_stars.solution.solution import initial_attitude
 
 _CONVERGED_RAD = 2e-4
 """Convergence limit of the distance between linearisation point and estimate, rad; the second-order term is 0.004″."""
@@ -54,8 +49,6 @@ _FAR_SIGMAS = 3.0
 """Clock offset at which the nonlinear effect is evaluated, in standard deviations from the estimate."""
 
 _MAX_ITERATIONS = 20
-
-_SKY_MEASUREMENTS = (InertialAttitude, SolvedAttitude)
 
 
 class LinearisedMeasurement(NamedTuple):
@@ -156,8 +149,34 @@ class _MatchedMeasurement(NamedTuple):
     ins_time_ns: int
 
 
+def predict_attitude(
+    device: Device, model: ShipStateModel, mean: FloatArray, ins: InterpolatedAttitude
+) -> PredictedAttitude:
+    """Predict the attitude of a device from an (interpolated) INS attitude.
+
+    The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation J_left(v)
+    dv in the frame to the left of the factor. The transpose of the product of this factor and all factors to its right
+    rotates J_left(v) dv into the device frame.
+    """
+    chain = model.rotation_chains[device.name]
+    result = compiled_rotations.composed_attitude(
+        mean,
+        chain.links,
+        chain.fixed,
+        chain.hull_link,
+        chain.noise_link,
+        math.sqrt(ins.noise_gain),
+        chain.clock_states,
+        chain.clock_signs,
+        ins.rotation_nd,
+        ins.rate_d,
+        ins.error_covariance_d,
+    )
+    return PredictedAttitude(*result)
+
+
 class Linearisation:
-    """Measurement model of the filter.
+    """Linearisation of the measurements of all devices of a filter.
 
     Args:
         model: state vector.
@@ -243,7 +262,8 @@ class Linearisation:
         rotation_variance = compiled_kalman.projected_variance(predicted.jacobian_v, covariance, by_offset)
         if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or rotation_variance > LINEAR_RANGE**2:
             return self._iterate(task, matched, predicted)
-        compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)
+        at = LinearisationPoint(self._model, mean, covariance, predicted, sky_model)
+        compared = device.linearise(matched.measurement, at)
         if isinstance(compared, Rejection):
             return NotEvaluable(compared, matched.ins_time_ns)
         return LinearisedMeasurement(
@@ -268,31 +288,11 @@ class Linearisation:
             text = "no INS samples on both sides of the measurement"
             return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns)
         shared_count = task.count_between(ins)
-        if isinstance(measurement, _SKY_MEASUREMENTS):
-            assert task.sky_model is not None
-            attitude = to_horizon_attitude(measurement, task.sky_model)
-            if isinstance(attitude, Rejection):
-                return NotEvaluable(attitude, ins_time_ns)
-            measurement = attitude
-        elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
-            # Another attitude system is levelled by gravity, as the INS is.
-            by_deflection = self._vertical.at(measurement.time_ns).deflection_jacobian
-            measurement = replace(measurement, shared_n=by_deflection, shared_by=SHARED_BY_GRAVITY)
-        elif isinstance(measurement, StarExposure) and measurement.length is not None:
-            motion = exposure_motion(track, ins_time_ns, measurement.length.nodes)
-            if motion is None:
-                return NotEvaluable(measurement.length.coverage_rejection, ins_time_ns)
-            # A star is compared with the mean attitude over the exposure, so rate and errors of that mean are used. The
-            # rate between two INS samples would contain their noise divided by their interval. The filter would take
-            # this noise for a motion across the streaks, where stars are accurate. The clock offset would then seem
-            # well observed, and its sigma would become too small.
-            ins = replace(
-                ins,
-                rate_d=motion.rate,
-                noise_gain=motion.noise_gain,
-                error_covariance_d=motion.error_covariance,
-            )
-            measurement = reduce_to_mid_exposure(measurement, motion.in_device_frame(task.device.rotation_dv0).turns)
+        match = InsMatch(ins, ins_time_ns, track, task.sky_model, self._vertical)
+        converted = task.device.convert(measurement, match)
+        if isinstance(converted, Rejection):
+            return NotEvaluable(converted, ins_time_ns)
+        measurement, ins = converted
         if shared_count > 1.0:
             # All measurements between two samples share one interpolation error, but the filter treats it as noise. The
             # variance is therefore multiplied by the number of these measurements, so that their mean has the variance
@@ -329,9 +329,8 @@ class Linearisation:
                 return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
             until_ns = max(until_ns, found.ins_time_ns)
             predicted = predict_attitude(task.device, model, mean, found.ins)
-            at_point = compare(
-                found.measurement, task.device, predicted, model, mean, task.covariance, task.sky_model, expected
-            )
+            at = LinearisationPoint(model, mean, task.covariance, predicted, task.sky_model, expected)
+            at_point = task.device.linearise(found.measurement, at)
             if isinstance(at_point, Rejection):
                 return NotEvaluable(at_point, until_ns)
             linear = replace(at_point.linear, residual=at_point.linear.residual + at_point.linear.jacobian @ correction)
@@ -351,17 +350,14 @@ class Linearisation:
     ) -> FloatArray:
         """Return the first linearisation point, relative to the predicted mean, shape (n,).
 
-        For visible stars this point is the attitude of :func:`initial_attitude`. Otherwise the correction is zero.
+        For a device with an initial attitude this point is that attitude. Otherwise the correction is zero.
         """
-        correction, exposure = np.zeros_like(task.mean), matched.measurement
-        if not isinstance(exposure, StarExposure):
+        correction = np.zeros_like(task.mean)
+        at = LinearisationPoint(self._model, task.mean, task.covariance, expected, task.sky_model)
+        initial_nv = task.device.initial_attitude(matched.measurement, at)
+        if initial_nv is None:
             return correction
-        assert task.sky_model is not None
-        prior = expected.prior(task.covariance)
-        visible = visible_stars(exposure, task.sky_model, prior)
-        if isinstance(visible, Rejection) or not len(visible[1]):
-            return correction
-        rotation_n = initial_attitude(visible[1], prior) @ expected.rotation_nv.T
+        rotation_n = initial_nv @ expected.rotation_nv.T
         ins_attitude = self._model.slices["ins.attitude"]
         mean = task.mean[ins_attitude]
         correction[ins_attitude] = log_rotation(rotation_n @ exp_rotation(mean)) - mean

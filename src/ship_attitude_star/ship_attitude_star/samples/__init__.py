@@ -1,1 +1,0 @@
-"""Measurements of the ship's attitude alone, as plain data classes."""
