@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ship_estimation.checked_ins import CheckedInsSample
 from ship_estimation.parameters.ins import CheckedInsConfig
-from ship_estimation.plausibility.ins_check import CheckedInsSample, InsCheck
+from ship_estimation.plausibility.ins_check import InsCheck
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
 from ship_testing.every_case import check_every_case
@@ -132,13 +133,13 @@ def test_larger_stated_noise_ends_or_reduces_an_excess() -> None:
         ins_check = InsCheck(CheckedInsConfig(white_sigma_arcsec=1.0))
         for sample in samples[:-1]:
             ins_check.check(sample, NOTHING_LATE, {})
-        assert ins_check.excess_text != ""
+        assert ins_check.comparison.excess_text != ""
         ins_check.reconfigure(CheckedInsConfig(white_sigma_arcsec=stated_arcsec))
         noise = ins_check.check(samples[-1], NOTHING_LATE, {}).noise
         assert noise is not None
         assert noise.from_ns == samples[-2].time_ns
         assert sigma_arcsec(noise) == pytest.approx(excess_arcsec, rel=0.3)
-        assert (ins_check.excess_text != "") == (excess_arcsec > 0.0)
+        assert (ins_check.comparison.excess_text != "") == (excess_arcsec > 0.0)
 
 
 def test_extra_noise_applies_from_its_stamp_on() -> None:

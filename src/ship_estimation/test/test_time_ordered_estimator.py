@@ -1,24 +1,17 @@
 """The time-ordered estimator with a toy model whose steps do not commute: any wrong order changes the state."""
 
-import itertools
 import math
 from dataclasses import dataclass
 
 import hypothesis.strategies as st
 import numpy as np
-import pytest
 from hypothesis import given, settings
 
+from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome
-from ship_estimation.time_order.time_ordered_estimator import (
-    MOST_OVERTAKEN_PER_S,
-    MOST_REPEATS_AT_ONCE,
-    MOST_REPEATS_PER_S,
-    EstimatorModel,
-    LagWindow,
-    TimeOrderedEstimator,
-)
+from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, LagWindow, TimeOrderedEstimator
+from ship_estimation.time_ordered_log import MOST_OVERTAKEN_PER_S, MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
 
@@ -64,6 +57,7 @@ class Estimator:
             drop_before=self.track.drop_before,
             on_decision=self.decided.append,
         )
+        self.outputs = OutputSequence()
         self.shell: Shell = TimeOrderedEstimator(model, START, LAG_S, SECOND_NS)
 
     def inflate(self, state: float, jump: float) -> float:
@@ -96,14 +90,6 @@ class Estimator:
 
 def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
     return Toy(time_ms * MS, value, source)
-
-
-def state_for_outputs(estimator: Estimator) -> float:
-    """Return the state that the estimator uses for an output."""
-    outcome, times_ns = ToyOutcome(), itertools.count(10**15)
-    while not outcome.estimates:
-        estimator.shell.add_output(outcome, next(times_ns), 0, lambda state: state)
-    return outcome.estimates[0]
 
 
 def test_late_measurement_is_rejected_with_its_lag() -> None:
@@ -245,12 +231,12 @@ def test_jump_inflates_outputs_at_once_and_the_state_at_its_time() -> None:
     estimator.add(toy(20))
     estimator.shell.add_jump(25 * MS, "ins", 0.5)
     assert estimator.shell.state == before
-    assert state_for_outputs(estimator) == math.cos(before) + 0.5
+    assert estimator.shell.state_now == math.cos(before) + 0.5
     estimator.waits = False
     outcome = ToyOutcome()
     estimator.shell.apply(outcome)
     assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
-    assert estimator.shell.state == state_for_outputs(estimator)
+    assert estimator.shell.state == estimator.shell.state_now
     in_order = Estimator()
     in_order.add(toy(10))
     in_order.add(toy(20))
@@ -305,69 +291,23 @@ def add_one_output(estimator: Estimator, number: int) -> None:
     """Add an output after each arrival, at times that go forth and back; each fourth one cannot be computed."""
     time_ns, outcome = (3 * number + 3) % 7 * MS + number * MS, ToyOutcome()
 
-    def estimate(state: float) -> float:
+    def estimate() -> float:
         if number % 4 == 3:
             raise ArithmeticError("no root")
-        return state
+        return estimator.shell.state_now
 
-    estimator.shell.add_output(outcome, time_ns, number, estimate)
+    estimator.outputs.add(outcome, time_ns, number, estimate)
     assert len(outcome.estimates) + len(outcome.failures) <= 1
     assert all(rejection.reason is Reason.FAILED for _, rejection in outcome.failures)
     estimator.claimed += [time_ns] * len(outcome.estimates)
 
 
-def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
-    estimator, outcome = Estimator(), ToyOutcome()
-    for time_ms in (10, 10, 5, 20):
-        estimator.shell.add_output(outcome, time_ms * MS, 0, lambda state, time_ms=time_ms: float(time_ms))
-    assert outcome.estimates == [10.0, 20.0]
-
-    def fails(state: float) -> float:
-        raise ArithmeticError("no root")
-
-    estimator.shell.add_output(outcome, 30 * MS, 0, fails)
-    estimator.shell.add_output(outcome, 31 * MS, 0, lambda state: None)
-    estimator.shell.add_output(outcome, 30 * MS, 0, lambda state: 30.0)
-    assert outcome.estimates == [10.0, 20.0, 30.0]
-    ((time_ns, rejection),) = outcome.failures
-    assert (time_ns, rejection.reason) == (30 * MS, Reason.FAILED)
-
-
-@pytest.mark.parametrize("timeout_s", [0.05, 1.0, 3.0])
-def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(timeout_s: float) -> None:
+def test_a_reset_starts_from_a_state() -> None:
     estimator = Estimator()
-    timeout_ns = round(timeout_s * SECOND_NS)
-    outcome = ToyOutcome()
-    estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, timeout_ns)
-    reported_ns = []
-    for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
-        outcome = ToyOutcome()
-        estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
-        if outcome.estimates:
-            reported_ns.append(waiting_ns)
-    first_ns = max(timeout_ns, SECOND_NS) + 100 * MS
-    assert reported_ns == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
-
-
-def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
-    estimator, outcome = Estimator(), ToyOutcome()
     estimator.add(toy(10))
-    estimator.shell.add_output(outcome, 10 * MS, 0, lambda state: 1.0)
     estimator.shell.reset(START)
     assert estimator.shell.state == START
-    assert not estimator.shell.can_publish(5 * MS)
-    estimator.shell.reset(START, clock_jumped=True)
-    assert estimator.shell.can_publish(5 * MS)
     assert estimator.add(toy(10)).rejection is None
-
-
-def test_invalid_is_due_at_once_before_the_first_output() -> None:
-    estimator, counts = Estimator(), []
-    for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
-        outcome = ToyOutcome()
-        estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
-        counts.append(len(outcome.estimates))
-    assert counts == [1, 0, 1]
 
 
 def test_the_window_closes_behind_the_lag_and_the_reach() -> None:

@@ -7,8 +7,7 @@ state. Therefore a bag gives the same events as the live messages.
 """
 
 import functools
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
+from ship_watch.angles import Angles
 from ship_watch.events import START_UP_NS, EventLog, alerts_from_message
 from ship_watch.history import History
 from ship_watch.history_recorder import HistoryRecorder
@@ -26,18 +26,17 @@ from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeRecord, OutputRecord, PointingRecord
 from ship_watch.overload import OverloadedNodes
 from ship_watch.published_state import PublishedState, published_state
-from ship_watch.safety import COUNTDOWN, AngleInputs, SafetyHysteresis, TimeOverLimit, angle_safety
-from ship_watch.sources import STAR_INNOVATION, SourceRecords, first_faulty_source, newest_age_s
+from ship_watch.safety import COUNTDOWN
+from ship_watch.sources import STAR_INNOVATION, SourceRecords, newest_age_s
 from ship_watch.suite_state import (
     ANGLES,
-    CAUSE_NODE,
     AlertEntry,
-    AngleState,
     Safety,
     SourceDetails,
     SourceState,
     SuiteState,
 )
+from ship_watch.suite_time import SuiteTime
 from ship_watch.topics import monitored_topic, reading_node, source_of_topic
 
 EVALUATION_PERIOD_NS = 100_000_000
@@ -49,24 +48,8 @@ MAX_GAP_NS = 120 * NS_PER_S
 Of a longer gap only the end is evaluated, because all ages are then over their limits.
 """
 
-CLOCK_TOLERANCE_NS = NS_PER_S // 10
-"""Maximum delay, behind the suite's time, of a stamp that confirms this time, ns.
-
-The stamp is that of an output or InputHealth.
-"""
-
-CLOCK_TIMEOUT_NS = 5 * NS_PER_S
-"""Time without a confirming stamp after which the suite's time is set again, ns."""
-
 TIME_JUMP_NS = NS_PER_S
 """Step back of an output's stamp that resets all except the alerts, ns, as when a bag is played in a loop."""
-
-_SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
-_POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
-_SHIP_REQUIRED = ("ins", "star", "reference")
-_POINTING_REQUIRED = ("encoder", "ship_attitude")
-"""``_SHIP_REQUIRED`` and ``_POINTING_REQUIRED`` are the kinds of sources that an output requires. Without a source of
-another kind only the quality is reduced."""
 
 
 class SuiteMonitor:
@@ -85,32 +68,28 @@ class SuiteMonitor:
         self._handlers: dict[str, Callable[[Any, int], None]] = {}
         self._alerts: tuple[AlertEntry, ...] | None = None
         self._published: PublishedState | None = None
-        self._clear()
+        self.reset()
 
     @property
     def history(self) -> History:
         """History for plots; a new object after a reset."""
         return self._recorder.history
 
-    def reset(self) -> None:
-        """Reset everything except the alerts, as when a bag is played in a loop."""
-        self._clear()
-
     def clear_alerts(self) -> None:
         """Clear alerts and published state after the end of the alert node."""
         self._alerts, self._published = None, None
 
-    def _clear(self) -> None:
+    def reset(self) -> None:
+        """Reset everything except the alerts, as when a bag is played in a loop."""
         self._recorder = self._make_recorder()
         self._handlers.clear()
         self._attitude, self._pointing = AttitudeRecord(self.limits), PointingRecord(self.limits)
         self._sources = SourceRecords(self.limits)
         self._overload = OverloadedNodes()
         self._mountings = MountingShifts()
-        self._safety = {name: SafetyHysteresis(self.limits.better_after_s) for name in ANGLES}
-        self._time_over_limit = {name: TimeOverLimit() for name in ANGLES}
+        self._angles = Angles(self.limits, self._attitude, self._pointing, self._sources, self._overload)
         self._events = EventLog()
-        self._newest_ns, self._utc_offset_ns, self._offset_confirmed_ns = 0, 0, 0
+        self._time = SuiteTime()
         self._published = None
         self._displayed_safety: dict[str, Safety] = {}
         self._start_ns: int | None = None
@@ -167,10 +146,10 @@ class SuiteMonitor:
     def _process_output(self, output: OutputRecord, message: Any, now_ns: int) -> None:
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.status != Status.INVALID and stamp_ns < output.stamp_ns - TIME_JUMP_NS:
-            self._clear()
+            self.reset()
             self._events.add("node", "time", "time went back: history cleared", stamp_ns)
             output = self._attitude if output.topic == self._attitude.topic else self._pointing
-        self._update_time_offset(stamp_ns, now_ns)
+        self._time.update(stamp_ns, now_ns)
         changes = output.record(message, stamp_ns, now_ns)
         for kind, text in changes:
             self._events.add(kind, output.topic, text, stamp_ns)
@@ -200,7 +179,7 @@ class SuiteMonitor:
         self._sources.record_integrity(topic, message, ns_from_stamp(message.header.stamp))
 
     def _process_health(self, message: Any, now_ns: int) -> None:
-        self._update_time_offset(ns_from_stamp(message.header.stamp), now_ns)
+        self._time.update(ns_from_stamp(message.header.stamp), now_ns)
         has_started = self._sources.record_health(message, now_ns)
         if has_started and self._start_ns is not None and now_ns - self._start_ns > START_UP_NS:
             self._events.add_node_start(reading_node(str(message.topic)), ns_from_stamp(message.header.stamp))
@@ -210,38 +189,22 @@ class SuiteMonitor:
         self._events.add_alert_changes(self._alerts or (), alerts, ns_from_stamp(message.header.stamp))
         self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
-    def _update_time_offset(self, stamp_ns: int, now_ns: int) -> None:
-        """Update the suite's time: stamp of the output or InputHealth with the least delay, plus the time since then.
-
-        If the stamps of all these messages stay behind this time for some seconds, that stamp was wrong or the clock
-        was set. The suite's time is then set again.
-        """
-        offset_ns = stamp_ns - now_ns
-        if (
-            offset_ns > self._utc_offset_ns
-            or not self._newest_ns
-            or now_ns - self._offset_confirmed_ns > CLOCK_TIMEOUT_NS
-        ):
-            self._utc_offset_ns, self._offset_confirmed_ns = offset_ns, now_ns
-        elif offset_ns > self._utc_offset_ns - CLOCK_TOLERANCE_NS:
-            self._offset_confirmed_ns = now_ns
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-
     # -- state ----------------------------------------------------------------------------------------------
 
     def current_state(self, now_ns: int) -> SuiteState:
         """Return the state at the caller's time; the state does not depend on the number of requests."""
         self._evaluate_until(now_ns)
-        utc_ns = now_ns + self._utc_offset_ns
+        utc_ns = self._time.utc_ns(now_ns)
         sources = [
             self._with_output_data(each, now_ns)
             for each in self._sources.source_details(self._source_states(now_ns), now_ns)
         ]
         angles = [
-            self._angle_state(name, inputs, now_ns) for name, inputs in self._angle_inputs(sources, now_ns).items()
+            self._angles.state(name, inputs, now_ns, self._time.utc_offset_ns)
+            for name, inputs in self._angles.inputs(sources, now_ns).items()
         ]
         suite_state = SuiteState(
-            utc_ns=utc_ns if self._newest_ns else 0,
+            utc_ns=utc_ns if self._time.is_known else 0,
             angles=tuple(angles),
             ages_s={
                 "stars": newest_age_s("star", sources, self._attitude.star_age_s(now_ns)),
@@ -268,7 +231,7 @@ class SuiteMonitor:
 
     def _with_output_data(self, source: SourceDetails, now_ns: int) -> SourceDetails:
         """Return a source with data from the outputs: its mounting shift, and the age of the INS."""
-        shift = self._mountings.shift_of(source.name, now_ns + self._utc_offset_ns)
+        shift = self._mountings.shift_of(source.name, self._time.utc_ns(now_ns))
         age_s = self._attitude.ins_age_s(source.age_s, now_ns) if source.name == "ins" else source.age_s
         return replace(source, mounting_shift=shift, age_s=age_s)
 
@@ -285,20 +248,13 @@ class SuiteMonitor:
             self._evaluate(self._evaluated_ns)
 
     def _source_states(self, now_ns: int) -> list[SourceState]:
-        return self._overload.with_causes(self._sources.source_states(now_ns, self._utc_offset_ns), now_ns)
+        return self._overload.with_causes(self._sources.source_states(now_ns, self._time.utc_offset_ns), now_ns)
 
     def _evaluate(self, now_ns: int) -> None:
         """Evaluate sources and angles, or take them from a current published state; record events and safety."""
-        sources, utc_ns = self._source_states(now_ns), now_ns + self._utc_offset_ns
-        safety_by_angle: dict[str, tuple[Safety, str]] = {}
-        for name, inputs in self._angle_inputs(sources, now_ns).items():
-            self._time_over_limit[name].update(inputs, now_ns)
-            if self._output(name).is_received:
-                now = angle_safety(inputs)
-                self._safety[name].update(now, now_ns)
-                displayed = self._safety[name].displayed_safety(now, now_ns)
-                safety_by_angle[name] = displayed.safety, displayed.reason(now, inputs.limit)
-        are_old = {name for name in ANGLES if self._output(name).is_old(now_ns)}
+        sources, utc_ns = self._source_states(now_ns), self._time.utc_ns(now_ns)
+        safety_by_angle = self._angles.update(sources, now_ns)
+        are_old = {name for name in ANGLES if self._angles.output(name).is_old(now_ns)}
         if (published := self._current_published_state(now_ns)) is not None:
             sources = list(published.sources)
             safety_by_angle = {angle.name: (angle.safety, angle.reason) for angle in published.angles if angle.stamp_ns}
@@ -313,75 +269,9 @@ class SuiteMonitor:
                 change = safety.name if before is None else f"{before.name} → {safety.name}"
                 why = reason.partition(COUNTDOWN)[0]
                 self._events.add("state", name, f"{name} {change}" + (f", {why}" if why else ""), utc_ns)
-        if self._newest_ns:
+        if self._time.is_known:
             recorded = {
                 name: None if name in are_old or name not in safety_by_angle else safety_by_angle[name][0]
                 for name in ANGLES
             }
             self._recorder.record_safety(utc_ns, recorded)
-
-    def _angle_inputs(self, sources: Sequence[SourceState], now_ns: int) -> dict[str, AngleInputs]:
-        """Return the data for the safety of each angle; angles of a theodolite only if the suite has one.
-
-        If an output is old and a node has stopped reporting, the node is the cause and no faulty source is given.
-        """
-        has_node_stopped = any(source.because_of == CAUSE_NODE for source in sources)
-        ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_available(now_ns) else _SHIP_REQUIRED)
-        inputs_by_angle = {name: self._inputs_of_angle(name, ship, now_ns) for name in ANGLES[:3]}
-        if self._pointing.is_received or self._sources.has_theodolite:
-            needed = _POINTING_SOURCES if self._pointing.is_available(now_ns) else _POINTING_REQUIRED
-            faulty_source = first_faulty_source(sources, needed) or ship
-            inputs_by_angle |= {name: self._inputs_of_angle(name, faulty_source, now_ns) for name in ANGLES[3:]}
-        if has_node_stopped:
-            inputs_by_angle = {
-                name: replace(inputs, faulty_source=None) if inputs.is_old else inputs
-                for name, inputs in inputs_by_angle.items()
-            }
-        return inputs_by_angle
-
-    def _inputs_of_angle(self, name: str, faulty_source: SourceState | None, now_ns: int) -> AngleInputs:
-        output, beacons = self._output(name), self._sources.beacon_count
-        behind = self._overload.overload_text(
-            now_ns, output is self._pointing, self._sources.is_reported(self._attitude.topic)
-        )
-        return AngleInputs(
-            topic=output.topic,
-            is_received=output.is_received,
-            is_old=output.is_old(now_ns),
-            value=output.values.get(name, math.nan),
-            accuracy_95=output.accuracies_95.get(name, math.nan),
-            limit=self.limits.angle_limit(name),
-            unsafe_factor=self.limits.unsafe_factor,
-            status=output.status,
-            diagnosis_hint=output.diagnosis_hint(now_ns, beacons),
-            has_reduced_input=output.has_reduced_input(beacons),
-            protection=output.protection(name, now_ns),
-            faulty_source=None if behind else faulty_source,
-            overload=behind,
-        )
-
-    def _angle_state(self, name: str, inputs: AngleInputs, now_ns: int) -> AngleState:
-        output, hysteresis, now = self._output(name), self._safety[name], angle_safety(inputs)
-        displayed = hysteresis.displayed_safety(now, now_ns)
-        safety, is_held = displayed.safety, hysteresis.safety is displayed.safety
-        return AngleState(
-            name=name,
-            value=inputs.value,
-            accuracy_95=inputs.accuracy_95,
-            limit=inputs.limit,
-            protection_level=inputs.protection.level,
-            safety=safety,
-            reason=displayed.reason(now, inputs.limit),
-            age_s=output.age_s(now_ns),
-            is_old=inputs.is_old,
-            stamp_ns=output.stamp_ns,
-            since_ns=(hysteresis.since_ns if is_held else now_ns) + self._utc_offset_ns if inputs.is_received else 0,
-            because_of=inputs.faulty_source.name
-            if inputs.faulty_source is not None and safety is not Safety.SAFE
-            else "",
-            over_limit_s=self._time_over_limit[name].duration_s(now_ns),
-            unheld_safety=(now.safety, now.reason),
-        )
-
-    def _output(self, name: str) -> OutputRecord:
-        return self._attitude if name in ANGLES[:3] else self._pointing

@@ -40,10 +40,11 @@ from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_estimation.checked_ins import CheckedInsSample
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.integrity.protection_levels import IntegrityReport
+from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.parameters.ins import InsChange, InsJump
-from ship_estimation.plausibility.ins_check import CheckedInsSample
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import RecoverableCore
@@ -114,6 +115,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self._estimator = TimeOrderedEstimator(
             model, self.filter.initial_state(), config.lag_s, self._max_gap_ns + self._stamp_reach_ns
         )
+        self._outputs = OutputSequence()
         self.reset()
 
     def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
@@ -131,7 +133,9 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
     def reset(self, clock_jumped: bool = False) -> None:
         """Discard all measurements; after a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
-        self._estimator.reset(initial, clock_jumped)
+        self._estimator.reset(initial)
+        if clock_jumped:
+            self._outputs.reset()
         if self._sky_model is not None:
             self._sky_model.reset()
         if self.vertical is not None:
@@ -152,7 +156,8 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
             # The stars may have been excluded for an error of UTC.
             state = self.filter.fault_detector.restart_subfilters(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
-        self._estimator.step_time_base(state, step_ns)
+        self._estimator.reset(state)
+        self._outputs.step_time_base(step_ns)
         if self._sky_model is not None:
             self._sky_model.step_time_base(step_ns)
         if self.vertical is not None:
@@ -209,7 +214,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
             return None
-        if not (newest.time_ns < first_ns and self._estimator.can_publish(first_ns)):
+        if not (newest.time_ns < first_ns and self._outputs.can_publish(first_ns)):
             return None
         # The batch ends before a gap, before an INS timeout, and before a sample that may be late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
@@ -246,7 +251,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
                 ]
             batch.commit(self._estimator.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(batch.arrivals_ns[end - 1])
-            self._estimator.record_output(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
+            self._outputs.record(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
@@ -293,10 +298,10 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
             self._ins_arrival_ns = arrival_ns
             if estimate:
 
-                def by_ins(state: FilterState) -> AttitudeEstimate:
-                    return self._estimate_by_newest_ins(state, time_ns)
+                def by_ins() -> AttitudeEstimate:
+                    return self._estimate_by_newest_ins(self._estimator.state_now, time_ns)
 
-                self._estimator.add_output(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
+                self._outputs.add(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -342,7 +347,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         outcome = AttitudeOutcome(self._plausibility.check(measurement, self._track))
         if outcome.rejection is not None or not self._estimator.add(measurement, outcome):
             return outcome
-        if self._estimator.can_publish(measurement.time_ns) and self._can_publish_from_stars(measurement.source):
+        if self._outputs.can_publish(measurement.time_ns) and self._can_publish_from_stars(measurement.source):
             self._newest_star = measurement, arrival_ns
         self._publish_from_star(outcome, arrival_ns)
         return outcome
@@ -360,7 +365,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         outcome = AttitudeOutcome()
         self._estimator.tick(now_ns, outcome)
         self._publish_from_star(outcome, waiting_ns)
-        self._estimator.report_invalid(outcome, waiting_ns, lambda: invalid_estimate(self.filter, self.state, now_ns))
+        self._outputs.report_invalid(outcome, waiting_ns, lambda: invalid_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
@@ -472,7 +477,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
     @property
     def excess_noise(self) -> str:
         """Text about INS attitude noise in excess of the stated noise; empty without excess noise."""
-        return self._plausibility.ins.excess_text
+        return self._plausibility.ins.comparison.excess_text
 
     # -- functions of the estimator model --------------------------------------------------------------------
 
@@ -570,14 +575,14 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         if waiting_ns - arrival_ns > SECOND_NS:
             return
 
-        def by_star(_state: FilterState) -> AttitudeEstimate | None:
+        def by_star() -> AttitudeEstimate | None:
             unmeasured_acceleration = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
             attitude = attitude_from_star(measurement, self._sky_model, float(unmeasured_acceleration))
             return None if attitude is None else estimate_from_star(
                 self.filter, self.state, attitude, self.config.horizon
             )
 
-        self._estimator.add_output(outcome, measurement.time_ns, waiting_ns, by_star)
+        self._outputs.add(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _is_ins_timed_out(self, waiting_ns: int) -> bool:
         """True without an INS sample, or if the last accepted sample arrived more than ``ins.silence_s`` ago."""

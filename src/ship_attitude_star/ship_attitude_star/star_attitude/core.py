@@ -25,13 +25,12 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_exposure,
 )
 from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, MotionBatch
+from ship_attitude_star.star_attitude.received_exposures import ReceivedExposures
 from ship_estimation.rejections import (
-    CONFLICT_HOLD_S,
     Reason,
     Rejection,
     StampConflicts,
     failure_rejection,
-    resolve_same_stamp,
 )
 from ship_estimation.time_order.time_ordered_estimator import LagWindow
 from ship_geometry.earth.time_scales import SECOND_NS
@@ -158,7 +157,8 @@ class StarCore:
         self._config = config
         self._sky_model = sky_model
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
-        self._stamp_conflicts = StampConflicts()
+        self._sources = frozenset(f"star.{id_}" for id_ in config.star_sensors)
+        self._received = ReceivedExposures(self._sources)
         self._ins_stamp_conflicts = StampConflicts()
         self.reset()
 
@@ -174,12 +174,10 @@ class StarCore:
 
     def _start_without_samples(self) -> None:
         self._plausibility = PlausibilityChecks(self._config.ins)
-        self._stamp_conflicts.reset()
+        self._received.reset()
         self._ins_stamp_conflicts.reset()
         self._ins = InsMotion(self._config.ins, self._plausibility, self._ins_stamp_conflicts)
-        self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
-        self._received_exposures: dict[tuple[str, int], StarExposure] = {}
-        self._pending: list[_PendingExposure] = []
+        self._pending: dict[tuple[str, int], _PendingExposure] = {}
         self._window = JointWindow(self._sources, self._config.joint)
         self._arrivals = LagWindow(self._config.lag_s)
         self.joined_by_ins = False
@@ -247,20 +245,30 @@ class StarCore:
             rejected_stars: stars of the message that cannot be used.
             arrival_ns: arrival time by the timeout clock; None if it equals the stamp.
         """
-        used, rejection = self._evaluate(exposure)
-        if not used:
+        rejection = self._arrivals.late_rejection(exposure.time_ns)
+        if rejection is not None:
             return StarOutcome(rejection)
-        self._received_exposures[exposure.source, exposure.time_ns] = exposure
+        known = self._received.get(exposure)
+        if known is None:
+            rejection = self._plausibility.check(exposure, self._ins.track)
+            if rejection is not None:
+                return StarOutcome(rejection)
+        else:
+            rejection = self._received.compare(known, exposure)
+            if rejection.reason is Reason.DUPLICATE:
+                return StarOutcome(rejection)
+        self._received.add(exposure)
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
-        self._wait(_PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
+        key = exposure.source, exposure.time_ns
+        self._pending[key] = _PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns)
         outcome = StarOutcome(rejection)
         self._advance(outcome)
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send data of one source; an empty text ends this state."""
-        contradictions = self._ins_stamp_conflicts if source == INS else self._stamp_conflicts
+        contradictions = self._ins_stamp_conflicts if source == INS else self._received.stamp_conflicts
         contradictions.set_duplicate_publishers(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
@@ -278,39 +286,6 @@ class StarCore:
         """Return the names of the air quantities that are taken from parameters at the newest time of the data."""
         return self._sky_model.surroundings.unmeasured_quantities(self._arrivals.newest_ns)
 
-    # -- checks ---------------------------------------------------------------------------------------------
-
-    def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
-        """Evaluate an exposure before its solution.
-
-        Returns:
-            True if the exposure gives a solution, which may be INVALID.
-            The rejection or a remark; None without either.
-        """
-        rejection = self._arrivals.late_rejection(exposure.time_ns)
-        if rejection is not None:
-            return False, rejection
-        known = self._received_exposures.get((exposure.source, exposure.time_ns))
-        if known is None:
-            rejection = self._plausibility.check(exposure, self._ins.track)
-            return rejection is None, rejection
-        conflict = resolve_same_stamp(known, exposure)[1]
-        if conflict.reason is Reason.DUPLICATE:
-            return False, conflict
-        # Neither exposure is solved; a solution that was already published is replaced by an INVALID solution.
-        self._stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
-        text = "the same stamp with different content: do two sensors publish on one topic?"
-        return True, replace(conflict, text=text)
-
-    def _wait(self, new: _PendingExposure) -> None:
-        """Add an exposure to the pending exposures, in place of one of the same sensor and stamp."""
-        key = new.exposure.source, new.exposure.time_ns
-        for index, old in enumerate(self._pending):
-            if (old.exposure.source, old.exposure.time_ns) == key:
-                self._pending[index] = new
-                return
-        self._pending.append(new)
-
     # -- solutions in time order ----------------------------------------------------------------------------
 
     def _advance(self, outcome: StarOutcome) -> None:
@@ -318,18 +293,15 @@ class StarCore:
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._sky_model.surroundings.drop_before(oldest_ns)
-        self._received_exposures = {
-            key: exposure for key, exposure in self._received_exposures.items() if exposure.time_ns >= oldest_ns
-        }
+        self._received.drop_before(oldest_ns)
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
-        still_waiting = []
-        for waiting in self._pending:
+        for key, waiting in list(self._pending.items()):
             overdue = waiting_ns is not None and waiting_ns - waiting.arrival_ns >= self._wait_ns
             if self._ins.is_awaited(waiting.exposure.time_ns, waiting.reach_ns) and not overdue:
-                still_waiting.append(waiting)
                 continue
+            del self._pending[key]
             try:
                 placed, solved = self._solve_one(waiting)
             except Exception as error:
@@ -340,7 +312,6 @@ class StarCore:
             outcome.solved.append(solved)
             if not self._window.add(placed, waiting.arrival_ns):
                 outcome.not_joined.append((placed.source, placed.time_ns))
-        self._pending = still_waiting
         for group in self._window.complete_groups(self._ins.is_turn_known, waiting_ns):
             try:
                 joint = self._joint(group)
@@ -352,7 +323,7 @@ class StarCore:
 
     def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, AttitudeSolution]:
         """Solve the attitude of a sensor from one exposure; a solved attitude becomes a motion reference of checks."""
-        contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
+        contradiction = self._received.contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
             return rejected_exposure(waiting.exposure, waiting.rejected_stars, contradiction)
         sensor = self._sensor(waiting.exposure.source)
@@ -379,7 +350,9 @@ class StarCore:
         time_ns = group[0].time_ns
         # A conflict of a sensor may have been detected after its exposure was solved.
         group = [
-            placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
+            placed
+            if self._received.contradiction(placed.source, placed.time_ns) is None
+            else replace(placed, stars=None)
             for placed in group
         ]
         # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.
@@ -391,18 +364,6 @@ class StarCore:
         prior = self._ins.deck_prior(time_ns)
         self.joined_by_ins = prior is not None
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
-
-    def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
-        """Return the rejection for conflicting data of the sensor, the position or the air; None without a conflict."""
-        contested = [
-            name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources
-        ]
-        if contested:
-            return Rejection(Reason.CONFLICT, self._stamp_conflicts.text(contested))
-        if source not in self._stamp_conflicts.active_at(time_ns):
-            return None
-        text = f"its stars are used again after {CONFLICT_HOLD_S:g} s without a contradiction"
-        return Rejection(Reason.CONFLICT, f"{self._stamp_conflicts.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

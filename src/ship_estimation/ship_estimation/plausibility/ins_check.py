@@ -9,11 +9,9 @@ rates were wrong is returned for the correction of the track.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
-from ship_estimation.fault_detection.rate_drift_detector import RateDriftDetector
+from ship_estimation.checked_ins import CheckedBlock, CheckedInsSample
 from ship_estimation.parameters.ins import CheckedInsConfig, InsJump, clock_step_s
-from ship_estimation.plausibility.excess_noise import ExcessNoise
 from ship_estimation.plausibility.ins_predictions import (
     FASTEST_RAD_PER_S,
     InsPredictions,
@@ -22,8 +20,7 @@ from ship_estimation.plausibility.ins_predictions import (
     extrapolate_back,
     seconds_between,
 )
-from ship_estimation.plausibility.ins_step_detector import InsStepDetector
-from ship_estimation.plausibility.integrated_rates import IntegratedRun, RateIntegrator, StampArray
+from ship_estimation.plausibility.integrated_rates import IntegratedRun
 from ship_estimation.plausibility.motion_check import MotionReference
 from ship_estimation.plausibility.rate_consistency import RateConsistencyCheck, RateStatus
 from ship_estimation.plausibility.value_checks import (
@@ -33,73 +30,12 @@ from ship_estimation.plausibility.value_checks import (
     StuckCheck,
     vector_length,
 )
+from ship_estimation.rate_comparison import RateComparison
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
+from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 
 _STUCK = Rejection(Reason.STUCK, "orientation is constant while other sources show a rotation")
-
-
-class CheckedInsSample(NamedTuple):
-    """Result of the checks of a sample.
-
-    Attributes:
-        sample: sample to use, without its rate if the rates are not usable.
-        rejection: reason not to use ``sample``, for example a step or drift detected with the sample; None if the
-            sample is to be used.
-        jumps: jump or drift of the attitude that is found with this sample; empty without one. A step against the rates
-            is given at each end of the interval in which the step may have happened.
-        rates_wrong_after_ns: stamp after which the rates of earlier samples were wrong; None without new information.
-        noise: excess noise of the samples as estimated with this sample; None without new information.
-    """
-
-    sample: AttitudeSample
-    rejection: Rejection | None = None
-    jumps: tuple[InsJump, ...] = ()
-    rates_wrong_after_ns: int | None = None
-    noise: ExtraNoise | None = None
-
-
-class CheckedBlock:
-    """The leading samples of a block that were checked together.
-
-    Attributes:
-        count: number of checked samples.
-        last: result for the last checked sample if it shows a drift, wrong rates or new excess noise; None otherwise.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.last: CheckedInsSample | None = None
-        self._pieces: list[_Piece] = []
-
-    @property
-    def accepted_count(self) -> int:
-        """Number of leading samples that are accepted unchanged."""
-        return self.count - (self.last is not None)
-
-    def add(self, times_ns: StampArray, rotations: FloatArray, drift_rad_per_s: float) -> None:
-        """Add checked stamps, attitudes by integrated rates, shape (N, 3, 3), and bound of the rate drift."""
-        self._pieces.append(_Piece(self.count, times_ns, rotations, drift_rad_per_s))
-        self.count += len(times_ns)
-
-    def by_rates(self, number: int) -> MotionReference:
-        """Return the attitude by integrated rates at a sample, as motion reference for the checks of other sources."""
-        piece = self._pieces[-1]
-        for piece in reversed(self._pieces):
-            if piece.start <= number:
-                break
-        place = number - piece.start
-        return MotionReference(int(piece.times_ns[place]), piece.rotations[place], 0.0, piece.drift_rad_per_s)
-
-
-class _Piece(NamedTuple):
-    """Samples from the number ``start`` on, with the arguments of :meth:`CheckedBlock.add`."""
-
-    start: int
-    times_ns: StampArray
-    rotations: FloatArray
-    drift_rad_per_s: float
 
 
 class InsCheck:
@@ -109,9 +45,9 @@ class InsCheck:
         config: noise of the INS, and number of rejected samples after which a jump is accepted.
 
     Attributes:
-        noise_rad: noise of an attitude about its worst axis, rounding included.
         by_rates: attitude by integrated rates at the last sample, as motion reference for the checks of other sources;
             None if the sample has no rate or the rates are not usable.
+        comparison: comparison of the attitudes with the integrated rates, which measures excess noise.
 
     >>> from ship_geometry.rotations import exp_rotation
     >>> guard, used = InsCheck(CheckedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
@@ -124,12 +60,8 @@ class InsCheck:
 
     def __init__(self, config: CheckedInsConfig) -> None:
         self._stuck_check, self._rate_check, self._jump_check = StuckCheck(), RateConsistencyCheck(), JumpCheck()
-        self._integrator, self._step_detector, self._predictions = (
-            RateIntegrator(),
-            InsStepDetector(ARCSEC, 0.0),
-            InsPredictions(self._stuck_check),
-        )
-        self._drift_detector = RateDriftDetector()
+        self._predictions = InsPredictions(self._stuck_check)
+        self.comparison = RateComparison(self._predictions, self._rate_check)
         self._previous: NumberedSample | None = None
         self._accepted: NumberedSample | None = None
         # First of the samples that are rejected before a jump is accepted.
@@ -138,40 +70,25 @@ class InsCheck:
         self._is_smooth_since_accepted = True
         # Difference between attitudes and rates for which the rates were found to be wrong, with its stamp.
         self._unresolved_jump: InsJump | None = None
-        # Number of estimates of the rates' drift.
-        self._drift_updates = 0
-        self._excess = ExcessNoise(ARCSEC)
-        # Excess noise that is estimated but not returned with a sample yet.
-        self._new_noise: ExtraNoise | None = None
         self.by_rates: MotionReference | None = None
         self.reconfigure(config)
 
     def reconfigure(self, config: CheckedInsConfig) -> None:
         """Set the noise and the other parameters of a new configuration; the noise is an arcsecond at least."""
-        self._stated_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
-        self._rate_sigma = config.rate_sigma_arcsec_per_s * ARCSEC
-        self._new_noise = self._excess.reconfigure(self._stated_rad) or self._new_noise
+        stated_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
+        self.comparison.reconfigure(stated_rad, config.rate_sigma_arcsec_per_s * ARCSEC)
         self._jump_check.samples = config.jump_samples
         self._predictions.drift.has_earth_rate = config.rate_has_earth_rate
-        self._set_sigma()
 
-    def _set_sigma(self) -> None:
-        """Set the noise of all checks to the stated noise or, if larger, to the measured noise."""
-        self._sigma_rad = self._excess.sigma_rad
-        self._predictions.rate_bound.sigma_rad = self._predictions.motion_bound.sigma_rad = self._sigma_rad
-        self._step_detector.reconfigure(self._sigma_rad, self._rate_sigma)
-        self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
+    @property
+    def noise_rad(self) -> float:
+        """Noise of an attitude about its worst axis, rounding included, rad."""
+        return math.hypot(self.comparison.sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
 
     @property
     def rate_status(self) -> RateStatus:
         """Status of the rates."""
         return self._rate_check.status
-
-    @property
-    def excess_text(self) -> str:
-        """Text of measured and stated noise of the samples; empty without excess noise."""
-        found = self._excess.found
-        return "" if found is None else found.text(self._stated_rad)
 
     def check(
         self,
@@ -199,7 +116,7 @@ class InsCheck:
                 sample, self._late_rejection(sample, accepted_track.last_before(sample.time_ns - 1))
             )
         else:
-            checked = self._with_noise(self._check_next(sample, previous, motion_references))
+            checked = self.comparison.with_noise(self._check_next(sample, previous, motion_references))
         if self._rate_check.is_usable or sample.rate_d is None:
             return checked
         return checked._replace(sample=replace(sample, rate_d=None))
@@ -207,7 +124,7 @@ class InsCheck:
     @property
     def least_step_rad(self) -> float:
         """Largest reported step, rad, that does not affect a check while :meth:`can_check_block` returns True."""
-        return self._step_detector.least_rad
+        return self.comparison.step_detector.least_rad
 
     def can_check_block(self, time_ns: int) -> bool:
         """True if a block may be checked from a stamp on: the rates are confirmed and no check is unresolved."""
@@ -215,12 +132,7 @@ class InsCheck:
         if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
-        return (
-            in_order
-            and self._unresolved_jump is None
-            and self._step_detector.is_ready
-            and not self._excess.is_collecting
-        )
+        return in_order and self._unresolved_jump is None and self.comparison.can_accept_block
 
     def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
@@ -240,7 +152,7 @@ class InsCheck:
         while followed.count < fresh and followed.last is None:
             start = followed.count
             rest = block.subset(slice(start, fresh))
-            integrated = self._integrator.integrate_all(rest.times_ns, rest.rates_d)
+            integrated = self.comparison.integrator.integrate_all(rest.times_ns, rest.rates_d)
             self._check_run(samples[start:fresh], rest, integrated, followed)
             if followed.count == start:
                 break
@@ -259,7 +171,6 @@ class InsCheck:
         by_rates = checked.by_rates(checked.count - 1)
         # The stuck check uses the rates as they were before their check with the last sample.
         self._stuck_check.accept_new_values(by_rates.time_ns, values, {**motion_references, "rate": by_rates})
-        self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
         self.by_rates = by_rates if self._rate_check.is_usable else None
         self._is_smooth_since_accepted = True
 
@@ -272,14 +183,14 @@ class InsCheck:
             # The rates are checked with the sample that reaches the due time.
             due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rate_check.due_ns))
             some = slice(start, min(due, joined))
-            times_ns, learnt = block.times_ns[some], self._drift_updates
+            times_ns, learnt = block.times_ns[some], self.comparison.drift_updates
             count, followed.last = self._check_line(
                 samples[some], block.subset(some), integrated.subset(some), due - start
             )
             if count:
                 followed.add(times_ns[:count], integrated.rotations[start : start + count], drift_rad_per_s)
             start += count
-            if not count or self._drift_updates != learnt:
+            if not count or self.comparison.drift_updates != learnt:
                 return
 
     def _check_line(
@@ -301,7 +212,7 @@ class InsCheck:
         taken = self._accepted
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
             return 0, None
-        count = self._step_detector.accept_block(
+        count = self.comparison.step_detector.accept_block(
             *block, integrated, self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad
         )
         if count == 0:
@@ -309,16 +220,18 @@ class InsCheck:
         last = samples[count - 1]
         previous, self._accepted = self._last_two(samples, integrated, taken, count)
         seen = self._accepted
-        self._integrator.resume_from(last.time_ns, block.rates_d[count - 1], integrated.sample(count - 1))
-        jumps = self._drift_jumps(last)
+        self.comparison.integrator.resume_from(last.time_ns, block.rates_d[count - 1], integrated.sample(count - 1))
+        jumps = self.comparison.drift_jumps(last)
         if jumps:
             self._accepted = seen._replace(before=None)
         self._previous = self._accepted
         wrong_after_ns = self._check_rates(previous, seen) if count == due else None
-        if not jumps and wrong_after_ns is None and self._new_noise is None:
+        if not jumps and wrong_after_ns is None and not self.comparison.has_new_noise:
             return count, None
         sample = last if self._rate_check.is_usable else replace(last, rate_d=None)
-        return count, self._with_noise(CheckedInsSample(sample, _step_rejection(jumps), jumps, wrong_after_ns))
+        return count, self.comparison.with_noise(
+            CheckedInsSample(sample, _step_rejection(jumps), jumps, wrong_after_ns)
+        )
 
     @staticmethod
     def _last_two(
@@ -335,7 +248,7 @@ class InsCheck:
         self, sample: AttitudeSample, previous: NumberedSample | None, motion_references: Mapping[str, MotionReference]
     ) -> CheckedInsSample:
         """Check a sample that is later than all samples before."""
-        integrated = self._integrator.integrate(sample.time_ns, sample.rate_d)
+        integrated = self.comparison.integrator.integrate(sample.time_ns, sample.rate_d)
         number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
         self._previous = seen = NumberedSample(sample, number, before, integrated)
         self.by_rates = None
@@ -344,15 +257,14 @@ class InsCheck:
                 sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s
             )
             motion_references = {**motion_references, "rate": self.by_rates}
-        stuck = self._stuck_check.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, motion_references)
-        self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
-        if stuck:
+        sigma_rad = self.comparison.sigma_rad
+        if self._stuck_check.observe(sample.time_ns, sample.rotation_nd, sigma_rad, motion_references):
             self._rate_check.restart()
-            self._step_detector.restart()
+            self.comparison.step_detector.restart()
             self._is_smooth_since_accepted = False
             return CheckedInsSample(sample, _STUCK)
         if self._accepted is None or previous is None:
-            self._excess.start_collecting(sample.time_ns, 0.0)
+            self.comparison.excess.start_collecting(sample.time_ns, 0.0)
             self._accept(seen, None)
             return CheckedInsSample(sample)
         return self._compare(self._accepted, previous, seen)
@@ -360,27 +272,19 @@ class InsCheck:
     def _compare(self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample) -> CheckedInsSample:
         """Check a sample against the last accepted sample and the previous sample."""
         sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
-        if measured and seen.integrated is not None:
-            if (
-                self._predictions.reported_step_rad
-                and self._predictions.reported_step_rad > self._step_detector.smallest_rad
-            ):
-                self._step_detector.restart()
-            errors_rad = self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad
-            on_line = self._step_detector.check(sample, seen.integrated, *errors_rad)
-            if on_line is False:
-                self._excess.start_collecting(sample.time_ns, self._predictions.rate_bound.typical_rad)
-        if seen.integrated is not None and self._excess.is_collecting:
-            self._new_noise = self._excess.observe(sample, seen.integrated, measured) or self._new_noise
+        if seen.integrated is not None:
+            on_line = self.comparison.check(sample, seen.integrated, self._stuck_check.coarseness_rad)
         if on_line and previous is taken:
             # Nearly all samples of a healthy INS take this branch.
-            jumps = self._keep_on_line(seen)
+            jumps = self.comparison.accept(seen.sample)
             self._accept(seen, None if jumps else taken)
             due = sample.time_ns >= self._rate_check.due_ns
             return CheckedInsSample(
                 sample, _step_rejection(jumps), jumps, self._check_rates(previous, seen) if due else None
             )
-        match = self._predictions.match(taken, seen, measured) if on_line is None else self._step_detector.match()
+        match = (
+            self._predictions.match(taken, seen, measured) if on_line is None else self.comparison.step_detector.match()
+        )
         step = match if previous is taken else self._predictions.match(previous, seen, measured)
         fits = match.fits
         if step is not match:
@@ -422,10 +326,10 @@ class InsCheck:
         elif jumped:
             jumps = (self._accepted_jump(match),)
         if not jumps and match.fits:
-            jumps = self._keep_on_line(seen)
+            jumps = self.comparison.accept(seen.sample)
             rejection = _step_rejection(jumps)
         else:
-            self._step_detector.restart()
+            self.comparison.step_detector.restart()
         self._accept(seen, None if jumps else taken)
         one = are_in_one_run(taken.integrated, seen.integrated)
         wrong_after_ns = self._check_rates(previous, seen)
@@ -436,7 +340,7 @@ class InsCheck:
             elif one:
                 self._predictions.rate_bound.learn(match.difference)
         if self._rate_check.status is RateStatus.WRONG_UNITS:
-            rejection = self._units_rejection()
+            rejection = _units_rejection(self._rate_check.slope)
         return CheckedInsSample(seen.sample, rejection, jumps, wrong_after_ns)
 
     def _accepted_jump(self, match: PredictionMatch) -> InsJump:
@@ -446,46 +350,12 @@ class InsCheck:
             clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
         return InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
-    def _keep_on_line(self, seen: NumberedSample) -> tuple[InsJump, ...]:
-        """Add a sample to the line by which the next samples are checked; return the jump that the sample shows."""
-        found = self._step_detector.accept()
-        if found is None:
-            return self._drift_jumps(seen.sample)
-        self._excess.start_collecting(seen.sample.time_ns, self._predictions.rate_bound.typical_rad)
-        self._rate_check.restart()
-        moments_ns = sorted({found.first_ns, found.last_ns})
-        return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
-
-    def _with_noise(self, checked: CheckedInsSample) -> CheckedInsSample:
-        """Return the result with new excess noise, if any; all checks then use this noise with new statistics."""
-        noise, self._new_noise = self._new_noise, None
-        if noise is None:
-            return checked
-        self._set_sigma()
-        self._step_detector.reset_statistics()
-        self._predictions.rate_bound.reset()
-        return checked._replace(noise=noise)
-
-    def _drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Update drift and noise from the samples on the line; return an unusually large drift as a jump."""
-        sums, self._step_detector.noise = self._step_detector.noise, None
-        if sums is not None:
-            self._new_noise = self._excess.add(sums) or self._new_noise
-        learnt, self._step_detector.line_statistics = self._step_detector.line_statistics, None
-        if learnt is None:
-            return ()
-        self._drift_updates += 1
-        self._integrator.set_drift(self._predictions.drift.update(learnt.drift_n, sample.rotation_nd))
-        self._predictions.rate_bound.set_typical(learnt.typical_rad)
-        drift = self._drift_detector.detect(learnt.drift_n, learnt.seconds, learnt.turning)
-        return () if drift is None else (InsJump(sample.time_ns - 1, drift.turn_n, drift.sigma_rad, is_drift=True),)
-
     def _late_rejection(self, sample: AttitudeSample, before: AttitudeSample | None) -> Rejection | None:
         """Return the rejection of a sample that arrives after later samples, from the accepted sample ``before``."""
         if self._stuck_check.is_frozen(sample.rotation_nd):
             return _STUCK
         if self._rate_check.status is RateStatus.WRONG_UNITS:
-            return self._units_rejection()
+            return _units_rejection(self._rate_check.slope)
         if before is None:
             return None
         match = self._predictions.match_by_two_rates(before, sample, self._rate_check.status is RateStatus.MEASURED)
@@ -511,10 +381,7 @@ class InsCheck:
             sample.time_ns, seen.number, sample.rotation_nd, integrated, self.noise_rad, rate_noise_rad
         )
         if wrong_after_ns is not None:
-            self._predictions.rate_bound.reset()
-            self._step_detector.reset_statistics()
-            self._drift_detector.reset()
-            self._excess.reset()
+            self.comparison.reset()
         # The status of the rates may have changed with this sample.
         if not self._rate_check.is_usable:
             self.by_rates = None
@@ -538,10 +405,11 @@ class InsCheck:
         if self._rate_check.is_usable and one:
             self._predictions.rate_bound.learn(self._predictions.match_by_rates(taken, seen).difference)
 
-    def _units_rejection(self) -> Rejection:
-        slope = self._rate_check.slope
-        text = f"angular velocity turns {slope:.3g} times as fast as the orientation: degrees instead of radians?"
-        return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
+
+def _units_rejection(slope: float) -> Rejection:
+    """Return the rejection of a sample whose rate turns ``slope`` times as fast as its attitude."""
+    text = f"angular velocity turns {slope:.3g} times as fast as the orientation: degrees instead of radians?"
+    return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
 
 
 def _gate_rejection(match: PredictionMatch) -> Rejection:

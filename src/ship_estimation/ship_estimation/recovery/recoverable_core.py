@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from typing import Any, Generic, Protocol, TypeVar
 
+from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
 from ship_geometry.rotations import FloatArray
@@ -29,13 +30,14 @@ AnyJump = TypeVar("AnyJump", bound=Jump)
 class RecoverableCore(ABC, Generic[State, AnyJump]):
     """An estimator with immutable states that a second estimator can replace.
 
-    A core has a configuration, a sky model or None, a time-ordered estimator, and the saved estimate from which it
-    starts. The first two are the arguments of its constructor.
+    A core has a configuration, a sky model or None, a time-ordered estimator, its sequence of outputs, and the saved
+    estimate from which it starts. The first two are the arguments of its constructor.
     """
 
     config: Any
     _sky_model: Any
     _estimator: TimeOrderedEstimator[State, Any, Any, Any, Any]
+    _outputs: OutputSequence
     _start: Any
 
     def _clear_jumps(self) -> None:
@@ -119,4 +121,4 @@ class RecoverableCore(ABC, Generic[State, AnyJump]):
 
     def take_over_outputs(self, live: Any) -> None:
         """Continue the sequence of outputs of another estimator."""
-        self._estimator.continue_outputs(live._estimator)
+        self._outputs.continue_from(live._outputs)

@@ -103,7 +103,7 @@ class Outcome(Generic[DecisionT, Estimate]):
             rejected now.
         decisions: decisions made now, about this input or about measurements that waited for this input.
         estimates: estimates to publish. The stamps of valid estimates strictly increase
-            (:meth:`ship_estimation.time_order.time_ordered_estimator.TimeOrderedEstimator.add_output`).
+            (:class:`ship_estimation.output_sequence.OutputSequence`).
         failures: stamp and rejection of each output that could not be computed because the software failed.
     """
 

@@ -1,4 +1,4 @@
-"""Time-ordered estimator, which puts measurements and outputs in order and rejects late and repeated data.
+"""Time-ordered estimator, which applies measurements in the order of their stamps and rejects late and repeated data.
 
 An estimator is an :class:`EstimatorModel` (state transition by a measurement) in a :class:`TimeOrderedEstimator`, which
 is independent of the kind of measurement. A measurement is processed as follows:
@@ -9,9 +9,9 @@ is independent of the kind of measurement. A measurement is processed as follows
 2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
    CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. A measurement is rejected as
    OVERFLOW if too many later measurements of its source are known.
-3. The measurement is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again. A
-   decision is published again as revised if it changes between accepted and rejected. The number of repetitions is
-   limited for each input and for each second; the other measurements stay pending.
+3. The measurement is inserted in the order of stamps (:class:`ship_estimation.time_ordered_log.TimeOrderedLog`). Later
+   measurements are applied again. A decision is published again as revised if it changes between accepted and rejected.
+   The number of repetitions is limited for each input and for each second; the other measurements stay pending.
 4. The measurement is pending, with all measurements after it, while the model lacks data that may still arrive within
    ``lag_s``.
 5. The model accepts or rejects the measurement. If the model raises an exception, the measurement is rejected as FAILED
@@ -20,14 +20,9 @@ is independent of the kind of measurement. A measurement is processed as follows
    measurement is committed, and the decision is final.
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
-measurements out of order than :data:`MOST_OVERTAKEN_PER_S`.
-
-Two clocks are used. Outputs are ordered by their stamps, the time of the data. Timeouts are measured by the timeout
-clock, which is monotonic; the node runtime passes the time of this clock (``waiting_ns``) with each input and tick. Old
-stamps, or a correction of the system clock, cause no timeout.
+measurements out of order than :data:`ship_estimation.time_ordered_log.MOST_OVERTAKEN_PER_S`.
 """
 
-import bisect
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -38,14 +33,13 @@ from numpy.typing import NDArray
 
 from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_estimation.time_order.outcome import DecisionT, Estimate, Measurement, Outcome
+from ship_estimation.time_ordered_log import MOST_OVERTAKEN_PER_S, TimeOrderedLog
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.tracks.sample_track import SampleTrack
+from ship_geometry.tracks.sample_track import OrderedSamples
 
 State = TypeVar("State")
 MeasurementT = TypeVar("MeasurementT", bound=Measurement)
 Jump = TypeVar("Jump")
-Item = TypeVar("Item")
-AnyDecision = TypeVar("AnyDecision")
 
 
 class LagWindow:
@@ -80,9 +74,7 @@ _MOST_AHEAD_NS = SECOND_NS // 10
 """Bound of the time by which an accepted stamp is ahead of its arrival, ns, with a factor of two as margin."""
 
 
-def is_within_lag(
-    times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float
-) -> NDArray[np.bool_]:
+def is_within_lag(times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float) -> NDArray[np.bool_]:
     """True for each of N data that cannot be late, whatever other data arrive earlier, shape (N,).
 
     Args:
@@ -96,204 +88,6 @@ def is_within_lag(
     """
     in_time: NDArray[np.bool_] = times_ns >= arrivals_ns + _MOST_AHEAD_NS - round(lag_s * SECOND_NS)
     return in_time
-
-
-MOST_REPEATS_PER_S = 400
-"""Maximum number of measurements applied again in a second.
-
-Ordinary data need ten repetitions in a second. Inputs of a ship that all arrive out of order by up to two seconds need
-two to three hundred repetitions. A flood of data out of order would need thousands, and delay the outputs."""
-MOST_REPEATS_AT_ONCE = 50
-"""Maximum number of measurements applied again for one input, which limits the delay of the next output."""
-MOST_OVERTAKEN_PER_S = 200
-"""Maximum number of pairs in a second. A pair is an arriving measurement and a measurement of the same source in the
-log with a later stamp. The number suffices for star exposures at 14 Hz in any order within two seconds, and for
-attitudes at 100 Hz late by up to 0.1 s."""
-
-
-class _RateLimit:
-    """Rate limit with a burst of one second.
-
-    Args:
-        per_s: permitted number of events in a second.
-    """
-
-    def __init__(self, per_s: int) -> None:
-        self._cost_ns = SECOND_NS // per_s
-        self._paid_until_ns = -SECOND_NS
-
-    def allows(self, count: int, now_ns: int) -> bool:
-        """True if ``count`` more events are permitted."""
-        return self._since_ns(now_ns) + count * self._cost_ns <= now_ns
-
-    def spend(self, count: int, now_ns: int) -> None:
-        """Use up ``count`` events, even if fewer events are permitted."""
-        self._paid_until_ns = self._since_ns(now_ns) + count * self._cost_ns
-
-    def _since_ns(self, now_ns: int) -> int:
-        """Return the time up to which the limit is used up, bounded to one second before and after ``now_ns``."""
-        return min(max(self._paid_until_ns, now_ns - SECOND_NS), now_ns + SECOND_NS)
-
-
-Key = tuple[int, Any]
-"""Key (time_ns, tie-breaker), which gives the order of application."""
-
-
-@dataclass
-class _Entry(Generic[State, Item, AnyDecision]):
-    key: Key
-    measurement: Item
-    decision: AnyDecision | None = None
-    state_after: State | None = None
-
-
-class TimeOrderedLog(Generic[State, Item, AnyDecision]):
-    """Committed state, and the uncommitted measurements in time order, each with the state after the measurement.
-
-    A measurement out of order is inserted, and the later measurements become pending and are applied again. A
-    measurement for which the step raises an exception changes no state and delays no other measurement.
-
-    Args:
-        state: the state before any measurement.
-
-    Attributes:
-        state: state after the last measurement applied by :meth:`apply`.
-        pending_count: number of measurements not applied yet.
-        oldest_ns: time of the first measurement that is not committed; None without measurements.
-    """
-
-    def __init__(self, state: State) -> None:
-        self._base = self.state = state
-        self._keys: list[Key] = []
-        self._entries: list[_Entry[State, Item, AnyDecision]] = []
-        self.pending_count = 0
-        self.oldest_ns: int | None = None
-        self._repeats = _RateLimit(MOST_REPEATS_PER_S)
-
-    @property
-    def base(self) -> State:
-        """The committed state, before the first measurement of the window."""
-        return self._base
-
-    @property
-    def is_behind(self) -> bool:
-        """True if the next measurement was applied before and is pending only because of the rate limits."""
-        return self.pending_count > 0 and self._entries[self._applied_count].decision is not None
-
-    def pending_measurements(self) -> list[Item]:
-        """Return the pending measurements, in order."""
-        return [entry.measurement for entry in self._entries[self._applied_count :]]
-
-    def get(self, key: Key) -> Item | None:
-        """Return the measurement with exactly this key, or None."""
-        index = bisect.bisect_left(self._keys, key)
-        found = index < len(self._keys) and self._keys[index] == key
-        return self._entries[index].measurement if found else None
-
-    def count_overtaken(self, key: Key) -> int:
-        """Return the number of measurements in the log with the same tie-breaker and a later time."""
-        return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
-
-    def insert(self, key: Key, measurement: Item) -> None:
-        """Insert or replace the measurement with a key; this measurement and all later measurements become pending."""
-        index = bisect.bisect_left(self._keys, key)
-        if index < len(self._keys) and self._keys[index] == key:
-            self._entries[index].measurement = measurement
-        else:
-            self._keys.insert(index, key)
-            self._entries.insert(index, _Entry(key, measurement))
-            self.oldest_ns = self._keys[0][0]
-            self.pending_count += 1
-        self.pending_count = max(self.pending_count, len(self._entries) - index)
-
-    def rewind_to_first(self, affected: Callable[[AnyDecision], bool]) -> None:
-        """Make the first measurement whose decision is affected, and all later measurements, pending again."""
-        for index in range(self._applied_count):
-            decision = self._entries[index].decision
-            if decision is not None and affected(decision):
-                self.pending_count = len(self._entries) - index
-                return
-
-    def apply(
-        self,
-        step: Callable[[State, Item], tuple[State, AnyDecision] | None],
-        failure_decision: Callable[[Item, Exception], AnyDecision],
-        window_ns: tuple[int, int] | None = None,
-    ) -> list[tuple[AnyDecision, AnyDecision | None]]:
-        """Apply pending measurements, in order, until ``step`` returns None because required data may still arrive.
-
-        Args:
-            step: function that returns state and decision after a measurement.
-            failure_decision: function that returns the decision about a measurement for which ``step`` raised an
-                exception; the state is kept.
-            window_ns: stamp before which no relevant data can arrive, and present time; None for no limit. At most
-                :data:`MOST_REPEATS_AT_ONCE` measurements are applied again, and :data:`MOST_REPEATS_PER_S` in a second.
-                The other measurements stay pending until a later call. Measurements before the stamp are applied again
-                without a limit. The limit does not change the final state.
-
-        Returns:
-            The decision about each applied measurement and the decision that it replaces, or None.
-        """
-        decisions: list[tuple[AnyDecision, AnyDecision | None]] = []
-        repeats = 0
-        while self.pending_count:
-            index = self._applied_count
-            entry, self.state = self._entries[index], self._state_before(index)
-            again = entry.decision is not None
-            if again and window_ns is not None and not self._may_repeat(entry.key, repeats, *window_ns):
-                break
-            result: tuple[State, AnyDecision] | None
-            try:
-                result = step(self.state, entry.measurement)
-            except Exception as error:
-                result = self.state, failure_decision(entry.measurement, error)
-            if result is None:
-                break
-            if again:
-                repeats += 1
-                if window_ns is not None:
-                    self._repeats.spend(1, window_ns[1])
-            previous = entry.decision
-            self.state, entry.decision = result
-            entry.state_after = self.state
-            decisions.append((entry.decision, previous))
-            self.pending_count -= 1
-        return decisions
-
-    def commit_before(self, time_ns: int) -> list[State]:
-        """Commit the applied measurements before a time; these measurements can then no longer be revised.
-
-        Returns:
-            The state after each committed measurement.
-        """
-        count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied_count)
-        closed = self.states(count)
-        if count:
-            self._base = closed[-1]
-            del self._keys[:count]
-            del self._entries[:count]
-            self.oldest_ns = self._keys[0][0] if self._keys else None
-        return closed
-
-    def states(self, count: int | None = None) -> list[State]:
-        """Return the states after the first ``count`` measurements of the window; None for all applied measurements."""
-        return [self._state_before(number + 1) for number in range(self._applied_count if count is None else count)]
-
-    @property
-    def _applied_count(self) -> int:
-        """Number of applied measurements, which are always the first measurements of the window."""
-        return len(self._entries) - self.pending_count
-
-    def _may_repeat(self, key: Key, repeats: int, closed_ns: int, now_ns: int) -> bool:
-        # Before the closed time no data can arrive, so one more repetition is final there.
-        return key[0] < closed_ns or (repeats < MOST_REPEATS_AT_ONCE and self._repeats.allows(1, now_ns))
-
-    def _state_before(self, index: int) -> State:
-        if index == 0:
-            return self._base
-        state = self._entries[index - 1].state_after
-        assert state is not None  # applied entries always have their state
-        return state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,7 +124,7 @@ class _CovarianceInflation(Generic[Jump]):
 
 
 class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimate]):
-    """An estimator with its measurements in time order, and the order of its outputs.
+    """An estimator with its measurements in time order.
 
     Args:
         model: the functions of the estimator.
@@ -350,30 +144,17 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         self._model = model
         self._lag_s, self._reach_ns = lag_s, reach_ns
         self.stamp_conflicts = StampConflicts()
-        self.reset(state, clock_jumped=True)
+        self.reset(state)
 
-    def reset(self, state: State, clock_jumped: bool = False) -> None:
-        """Drop all measurements and start from a state; after a clock jump, outputs may restart at earlier stamps."""
+    def reset(self, state: State) -> None:
+        """Drop all measurements and start from a state."""
         self.state = state
         self._has_inflation = False
         self.window = LagWindow(self._lag_s)
         self.stamp_conflicts.reset()
-        self._overtaking_limits: dict[str, _RateLimit] = {}
         self._log: TimeOrderedLog[
             State, MeasurementT | _CovarianceInflation[Jump], DecisionT | _CovarianceInflation[Jump]
         ] = TimeOrderedLog(state)
-        if clock_jumped:
-            self._last_output_ns: int | None = None
-            self._output_timeout_ns: int | None = None
-            self._invalid_reported_ns: int | None = None
-
-    def step_time_base(self, state: State, step_ns: int) -> None:
-        """Drop all measurements and continue from ``state``, because all clocks were stepped; outputs stay in order."""
-        self.reset(state)
-        if self._last_output_ns is not None:
-            self._last_output_ns += step_ns
-
-    # -- inputs ---------------------------------------------------------------------------------------------
 
     def add(self, measurement: MeasurementT, outcome: Outcome[DecisionT, Estimate]) -> bool:
         """Add a measurement that is not late; return False if the measurement is rejected."""
@@ -382,7 +163,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         if known is not None and not isinstance(known, _CovarianceInflation):
             taken, outcome.rejection = resolve_same_stamp(known, measurement)
             self.stamp_conflicts.record(measurement.source, measurement.time_ns, outcome.rejection)
-        if taken and not self._may_overtake(key):
+        if taken and not self._log.may_overtake(key, self.window.newest_ns):
             bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are accepted"
             text = f"too many measurements arrive after later ones of their source: {bound}"
             taken, outcome.rejection = False, Rejection(Reason.OVERFLOW, text)
@@ -392,7 +173,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         return taken
 
     def add_sample(
-        self, source: str, track: SampleTrack[Any], sample: Any, outcome: Outcome[DecisionT, Estimate]
+        self, source: str, track: OrderedSamples[Any], sample: Any, outcome: Outcome[DecisionT, Estimate]
     ) -> bool:
         """Add a sample that is not late to a track on which measurements depend; return False as :meth:`add` does.
 
@@ -419,7 +200,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         self.window.advance_to(time_ns)
         self._close()
 
-    def add_rejected(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
+    def add_rejected(self, source: str, track: OrderedSamples[Any], sample: Any) -> None:
         """Record a conflict for a rejected sample that is not late if the track has another sample with its stamp."""
         known = track.get(sample.time_ns)
         if known is not None and self.window.late_rejection(sample.time_ns) is None:
@@ -485,20 +266,6 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             elif not isinstance(previous, _CovarianceInflation) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
 
-    def _may_overtake(self, key: Key) -> bool:
-        """True if a measurement may be inserted before later ones of its source; the pairs then count for the limit."""
-        overtaken = self._log.count_overtaken(key)
-        if not overtaken:
-            return True
-        limit, now_ns = (
-            self._overtaking_limits.setdefault(key[1], _RateLimit(MOST_OVERTAKEN_PER_S)),
-            self.window.newest_ns,
-        )
-        if not limit.allows(overtaken, now_ns):
-            return False
-        limit.spend(overtaken, now_ns)
-        return True
-
     def _advance(self, time_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
         """Advance the window, apply pending measurements as far as possible, and commit."""
         self.window.advance_to(time_ns)
@@ -540,52 +307,6 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             else self._model.failure_decision(item, why)
         )
 
-    # -- outputs --------------------------------------------------------------------------------------------
-
-    def can_publish(self, time_ns: int) -> bool:
-        """True if an output with a stamp may be published, because the stamp is later than all stamps before."""
-        return self._last_output_ns is None or time_ns > self._last_output_ns
-
-    def add_output(
-        self,
-        outcome: Outcome[DecisionT, Estimate],
-        time_ns: int,
-        waiting_ns: int,
-        estimate: Callable[[State], Estimate | None],
-        timeout_ns: int = SECOND_NS,
-    ) -> None:
-        """Add the estimate of a stamp to the outcome if the stamp is later than all output stamps before.
-
-        If ``estimate`` raises an exception, a failure is reported; the next estimate is computed as usual.
-
-        Args:
-            outcome: receives the estimate.
-            time_ns: the stamp.
-            waiting_ns: time by the timeout clock.
-            estimate: function that computes the estimate from the current state; it may return None.
-            timeout_ns: time without a further output after which INVALID is reported; at least a second.
-        """
-        if not self.can_publish(time_ns):
-            return
-        try:
-            found = estimate(self.state_now)
-        except Exception as error:
-            outcome.failures.append((time_ns, failure_rejection(error)))
-            return
-        if found is not None:
-            outcome.estimates.append(found)
-            self.record_output(time_ns, waiting_ns, timeout_ns)
-
-    def record_output(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
-        """Record the stamp and time of a published estimate; arguments as for :meth:`add_output`."""
-        self._last_output_ns, self._invalid_reported_ns = time_ns, None
-        self._output_timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
-
-    def continue_outputs(self, before: "TimeOrderedEstimator[Any, Any, Any, Any, Any]") -> None:
-        """Continue the sequence of outputs of another estimator; own outputs so far were not published."""
-        self._last_output_ns, self._invalid_reported_ns = before._last_output_ns, before._invalid_reported_ns
-        self._output_timeout_ns = before._output_timeout_ns
-
     @property
     def state_now(self) -> State:
         """State for outputs: :attr:`state`, with the covariance inflated also for jumps that are still pending."""
@@ -593,18 +314,3 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             return self.state
         pending = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]
         return functools.reduce(lambda state, item: self._model.inflate(state, item.jump), pending, self.state)
-
-    def report_invalid(
-        self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, make_invalid: Callable[[], Estimate]
-    ) -> None:
-        """Add an INVALID output, at most once a second, if no estimate was published within the timeout or at all.
-
-        The INVALID output has the time of a tick. This output does not count for the order of outputs, so an older
-        valid estimate may follow.
-        """
-        if self._output_timeout_ns is not None and waiting_ns <= self._output_timeout_ns:
-            return
-        if self._invalid_reported_ns is not None and waiting_ns - self._invalid_reported_ns < SECOND_NS:
-            return
-        self._invalid_reported_ns = waiting_ns
-        outcome.estimates.append(make_invalid())

@@ -6,13 +6,13 @@ docs/explanation/interpolation.md states the interpolation error for a rolling s
 """
 
 import bisect
-import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_geometry.attitude_propagation import LARGEST_VARIANCE, propagate_by_differences, propagate_by_rates
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, as_covariance, polynomial_errors
@@ -27,14 +27,6 @@ With closer samples their noise dominates.
 
 MAX_RATES = 4
 """Maximum number of measured rates from which the angular acceleration and its change are computed."""
-
-_WORST_OF_DIFFERENCED = 0.0962
-"""Greatest value of s (1 - s) (1 - 2 s), 0 < s < 1.
-
-The error of a cubic with differenced rates is at most this value times step³ times the third divided difference."""
-
-_LARGEST_VARIANCE = np.pi**2
-"""Maximum variance of an estimated error, rad²; no attitude error exceeds half a turn."""
 
 
 @dataclass(frozen=True)
@@ -268,10 +260,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             ahead_s: time after the newest sample, s; negative for a time before the sample.
         """
         index = len(self._samples) - 1
-        if self._samples[index].rate_d is None:
-            moved = self._propagate_by_differences(index, ahead_s)
-        else:
-            moved = self._propagate_by_rates(index, ahead_s)
+        propagate = self._propagate_by_rates if self._has_rate(index) else self._propagate_by_differences
+        moved = propagate(index, ahead_s)
         return self._with_noise(moved, self._times[index]) if self._extra else moved
 
     def _with_noise(self, found: InterpolatedAttitude, time_ns: int) -> InterpolatedAttitude:
@@ -359,24 +349,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         rotations = np.array([self._samples[other].rotation_nd for other in recent])
         turns = log_rotation(sample.rotation_nd.T @ rotations)
         nodes_s = np.array([self._seconds(index, other) for other in recent])
-        to_nodes_s = ahead_s - nodes_s
-        if len(recent) == 2:
-            rate = turns[1] / nodes_s[1]
-            part = ahead_s / -nodes_s[1]
-            error = as_covariance([0.5 * ahead_s * rate], _LARGEST_VARIANCE)
-            return InterpolatedAttitude(
-                sample.rotation_nd @ exp_rotation(ahead_s * rate), rate, (1.0 + part) ** 2 + part**2, error
-            )
-        first = (turns[1:] - turns[:-1]) / (nodes_s[1:] - nodes_s[:-1])[:, None]
-        second = (first[1:] - first[:-1]) / (nodes_s[2:] - nodes_s[:-2])[:, None]
-        steady, bent = first[0], second[0]
-        vector = ahead_s * (steady + to_nodes_s[1] * bent)
-        rate = steady + (ahead_s + to_nodes_s[1]) * bent
-        weight1 = ahead_s * to_nodes_s[2] / (nodes_s[1] * (nodes_s[1] - nodes_s[2]))
-        weight2 = ahead_s * to_nodes_s[1] / (nodes_s[2] * (nodes_s[2] - nodes_s[1]))
-        gain = (1.0 - weight1 - weight2) ** 2 + weight1**2 + weight2**2
-        error = _error_by_differences(nodes_s, second, ahead_s)
-        return InterpolatedAttitude(sample.rotation_nd @ exp_rotation(vector), rate, float(gain), error)
+        return InterpolatedAttitude(*propagate_by_differences(sample.rotation_nd, turns, nodes_s, ahead_s))
 
     def _motion_samples(self, index: int) -> list[int]:
         """Return the indices of the samples from which the motion of the newest sample is estimated, newest first.
@@ -422,7 +395,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             at_before,
             NEXT_TERM_SHARE,
             ANY_DIRECTION,
-            _LARGEST_VARIANCE,
+            LARGEST_VARIANCE,
         )
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
@@ -436,7 +409,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         around = self._indices_around(left)
         values = np.array([self._turn(left, index) for index in around])
         errors = polynomial_errors(self._fractions(around, left), values, fraction, vector)
-        covariance_d, gain = as_covariance(errors, _LARGEST_VARIANCE), self._noise_gain(left, fraction)
+        covariance_d, gain = as_covariance(errors, LARGEST_VARIANCE), self._noise_gain(left, fraction)
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, errors)
 
     def _turn(self, first: int, second: int) -> FloatArray:
@@ -475,57 +448,3 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
         block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
     )
     return PropagatedBlock(moved_nd, rate_d, np.ones(count), error_d)
-
-
-def propagate_by_rates(
-    rotation_nd: FloatArray, rates_d: FloatArray, steps_s: FloatArray, ahead_s: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Propagate N samples by short times, with their rates and angular accelerations.
-
-    Args:
-        rotation_nd: attitudes of the samples, shape (N, 3, 3).
-        rates_d: rates of each sample and of the samples before it, newest first, rad/s, shape (N, k, 3), k at least 2.
-        steps_s: intervals between these samples, s, shape (N, k - 1).
-        ahead_s: time after each sample, s, negative for a time before the sample, shape (N,).
-
-    Returns:
-        Attitudes, rates (rad/s) and error covariances (rad²) as in :class:`InterpolatedAttitude`.
-
-    Example:
-        A sample propagated by 10 ms at a constant 0.1 rad/s:
-
-        >>> rates_d, steps_s = np.full((1, 4, 3), [0.1, 0.0, 0.0]), np.full((1, 3), 0.01)
-        >>> moved_nd, _, _ = propagate_by_rates(np.eye(3)[None], rates_d, steps_s, np.array([0.01]))
-        >>> print(log_rotation(moved_nd[0]).round(6))
-        [0.001 0.    0.   ]
-    """
-    found: tuple[FloatArray, FloatArray, FloatArray] = compiled_rotations.propagate_by_rates(
-        rotation_nd, rates_d, steps_s, ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
-    )
-    return found
-
-
-def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
-    """Return the covariance of two errors: of a parabola, and of a clock offset estimated with interpolated attitudes.
-
-    Both errors are computed from the root mean square of the third derivative of the motion over all samples, because
-    in a wave the third derivative is zero at some phases.
-
-    Without measured rates the interpolation error is proportional to the third derivative, which in a swell is
-    proportional to the rate. The effect of a clock offset is proportional to the rate too. A filter that estimates the
-    offset from interpolated attitudes cannot separate the two effects, so the estimated offset has the second error.
-
-    Args:
-        nodes_s: times of the samples relative to the newest sample, s, newest first, shape (n,).
-        second: second divided differences of the attitudes at these times, rad/s², shape (n - 2, 3).
-        ahead_s: time after the newest sample, s, to which the parabola through the first three samples is evaluated.
-    """
-    step_s = -float(nodes_s[1])
-    if len(nodes_s) == 3:
-        third, beyond_s = second / step_s, step_s
-    else:
-        third = (second[1:] - second[:-1]) / (nodes_s[3:] - nodes_s[:-3])[:, None]
-        third, beyond_s = third / math.sqrt(len(third)), ahead_s - float(nodes_s[2])
-    of_parabola = ahead_s * (ahead_s + step_s) * beyond_s
-    of_offset = _WORST_OF_DIFFERENCED * step_s**3
-    return as_covariance(math.hypot(of_parabola, of_offset) * third, _LARGEST_VARIANCE)

@@ -36,25 +36,11 @@ def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
     return (1 - s) ** 2 * (1 + 2 * s), s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)
 
 
-class SampleTrack(Generic[Sample]):
-    """Samples of one source, for cubic interpolation by a derived class.
-
-    The slopes of the cubic are measured rates, or differences of the neighbouring samples. Derived classes are
-    :class:`ship_geometry.tracks.attitude_track.AttitudeTrack` and
-    :class:`ship_geometry.tracks.vector_track.VectorTrack`.
+class OrderedSamples(Generic[Sample]):
+    """Samples of one source in the order of their stamps, with gaps and jumps between them.
 
     Args:
-        max_gap_ns: maximum interval between two samples for interpolation.
-
-    Example:
-        Samples arrive in any order:
-
-        >>> from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
-        >>> track = VectorTrack(max_gap_ns=2 * SECOND_NS)
-        >>> for second in (0, 2, 1, 3):
-        ...     _ = track.insert(VectorSample(second * SECOND_NS, np.array([second**2 * 1.0])))
-        >>> print(track.newest.time_ns // SECOND_NS, track.at(3 * SECOND_NS // 2).vector)
-        3 [2.25]
+        max_gap_ns: maximum interval between two samples without a gap.
     """
 
     history_ns = 0
@@ -103,7 +89,7 @@ class SampleTrack(Generic[Sample]):
 
         Returns:
             The stamp after which interpolated values may have changed. None if the sample is later than all
-            others: such a sample changes no value for which :meth:`is_final_at` was true.
+            others: such a sample changes no value for which :meth:`SampleTrack.is_final_at` was true.
         """
         if not self._times or sample.time_ns > self._times[-1]:
             self._times.append(sample.time_ns)
@@ -150,6 +136,48 @@ class SampleTrack(Generic[Sample]):
             del self._samples[:keep_from]
             self._cuts_ns = [cut_ns for cut_ns in self._cuts_ns if cut_ns > self._times[0]]
 
+    def _recent_from(self) -> int:
+        """Return the index of the oldest sample for the propagation of the newest one."""
+        if not self._times:
+            return 0
+        return max(
+            min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT_COUNT), 0
+        )
+
+    def _seconds(self, first: int, second: int) -> float:
+        """Return the time between two samples, s."""
+        return (self._times[second] - self._times[first]) / SECOND_NS
+
+    def _are_joined(self, left: int) -> bool:
+        start_ns, end_ns = self._times[left], self._times[left + 1]
+        return end_ns - start_ns <= self.max_gap_ns and not self._is_cut_between(start_ns, end_ns)
+
+    def _is_cut_between(self, start_ns: int, end_ns: int) -> bool:
+        """True if the quantity has jumped between two times."""
+        return bool(self._cuts_ns) and any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
+
+
+class SampleTrack(OrderedSamples[Sample]):
+    """Samples of one source, for cubic interpolation by a derived class.
+
+    The slopes of the cubic are measured rates, or differences of the neighbouring samples. Derived classes are
+    :class:`ship_geometry.tracks.attitude_track.AttitudeTrack` and
+    :class:`ship_geometry.tracks.vector_track.VectorTrack`.
+
+    Args:
+        max_gap_ns: maximum interval between two samples for interpolation.
+
+    Example:
+        Samples arrive in any order:
+
+        >>> from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
+        >>> track = VectorTrack(max_gap_ns=2 * SECOND_NS)
+        >>> for second in (0, 2, 1, 3):
+        ...     _ = track.insert(VectorSample(second * SECOND_NS, np.array([second**2 * 1.0])))
+        >>> print(track.newest.time_ns // SECOND_NS, track.at(3 * SECOND_NS // 2).vector)
+        3 [2.25]
+    """
+
     @property
     def final_until_ns(self) -> int | None:
         """Latest time at which the value is final if later samples arrive in order; None without such a time."""
@@ -166,14 +194,6 @@ class SampleTrack(Generic[Sample]):
     def _has_rate(self, index: int) -> bool:
         """True if sample ``index`` has a measured rate; a derived class with measured rates overrides this method."""
         return False
-
-    def _recent_from(self) -> int:
-        """Return the index of the oldest sample for the propagation of the newest one."""
-        if not self._times:
-            return 0
-        return max(
-            min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT_COUNT), 0
-        )
 
     def _indices_around(self, left: int) -> list[int]:
         """Return the indices of the samples for the error of a cubic without measured rates.
@@ -213,10 +233,6 @@ class SampleTrack(Generic[Sample]):
             return None
         return left, (time_ns - start_ns) / (end_ns - start_ns)
 
-    def _seconds(self, first: int, second: int) -> float:
-        """Return the time between two samples, s."""
-        return (self._times[second] - self._times[first]) / SECOND_NS
-
     def _neighbours(self, index: int) -> tuple[int, int]:
         """Return the indices of the two samples whose difference gives the rate at sample ``index``.
 
@@ -225,14 +241,6 @@ class SampleTrack(Generic[Sample]):
         before = index - 1 if index > 0 and self._are_joined(index - 1) else index
         after = index + 1 if index + 1 < len(self._samples) and self._are_joined(index) else index
         return before, after
-
-    def _are_joined(self, left: int) -> bool:
-        start_ns, end_ns = self._times[left], self._times[left + 1]
-        return end_ns - start_ns <= self.max_gap_ns and not self._is_cut_between(start_ns, end_ns)
-
-    def _is_cut_between(self, start_ns: int, end_ns: int) -> bool:
-        """True if the quantity has jumped between two times."""
-        return bool(self._cuts_ns) and any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
 
     def noise_gain_of_mean(self, times_and_weights: Iterable[tuple[int, float]]) -> float:
         """Return the variance of a weighted sum of interpolated values, divided by the variance of the samples' noise.

@@ -16,29 +16,24 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, qos_policy_name_from_kind
-from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
 from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
-from ship_node.live.active_publishers import ActivePublishers, duplicate_publishers_text, publisher_names
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.backlog import Backlog, OverloadChange, current_overload
+from ship_node.live.input_subscriptions import InputSubscriptions
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
-from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
+from ship_node.live.qos import check_overrides, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
-from ship_node.messages.topics import InputTopic, OutputTopic
+from ship_node.messages.topics import OutputTopic
 from ship_node.parameters.parameter_file import error_with_location, section_warnings
 from ship_node.saved_files.saved_document import RecordingFiles
 
@@ -79,19 +74,24 @@ class LiveNode:
         self._events = NodeEvents(context, self._guard, time.monotonic_ns)
         self._clock = NodeClock(self.node, time.monotonic_ns, self._events.note_event)
         self._context = context
-        self._factory = RosidlFactory()
+        factory = RosidlFactory()
         try:
             for warning in section_warnings(parameter_files, self._full_name):
                 self._log.warning(warning)
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
             files = RecordingFiles()
-            self.adapter = adapter_class(self._parameters.config, self._factory, files)
+            self.adapter = adapter_class(self._parameters.config, factory, files)
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
-            input_qos_profiles = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
-            self._active_publishers = {i.topic: ActivePublishers() for i in self.adapter.inputs}
-            self._duplicate_publishers: dict[str, str] = {}
-            self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in input_qos_profiles.items()}
-            self._readers = {i.topic: CdrReader(i.type_name, self._factory.definition) for i in self.adapter.inputs}
+            self._inputs = InputSubscriptions(
+                self.node,
+                self.adapter,
+                self._parameters,
+                factory,
+                self._guard,
+                self._log,
+                self._on_message,
+                self._events.note_event,
+            )
             self._black_box = self._open_black_box()
         except InputError as error:
             self.node.destroy_node()
@@ -102,7 +102,7 @@ class LiveNode:
         self._last_node_ns = self._last_ns = self._stepped_ns = 0
         self._status_log = StatusLog(self._log)
         valid_until_next = {i.topic for i in self.adapter.inputs if i.is_valid_until_next}
-        self._inbox = Inbox({i.topic: qos.depth for i, qos in input_qos_profiles.items()}, valid_until_next)
+        self._inbox = Inbox(self._inputs.depths, valid_until_next)
         self._backlog = Backlog(time.monotonic_ns)
         # Time by the running clock when no event was left; a message received later has arrived after this time.
         self._queue_empty_ns = 0
@@ -140,29 +140,6 @@ class LiveNode:
         kind, qos = message_class(output.type_name), output_qos(output)
         with check_overrides(self.node, output.topic):
             return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overriding_options())
-
-    def _create_subscription(self, input_topic: InputTopic, qos: QoSProfile) -> Subscription:
-        topic = input_topic.topic
-        name = self._parameters.topics.get(topic, topic)
-        events = SubscriptionEventCallbacks(
-            incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
-            message_lost=partial(self._guard.call, "QoS event", self._on_messages_lost, topic),
-        )
-        with check_overrides(self.node, name):
-            subscription = self.node.create_subscription(
-                message_class(input_topic.type_name),
-                name,
-                partial(self._guard.call, topic, self._on_message, topic),
-                qos,
-                event_callbacks=events,
-                qos_overriding_options=overriding_options(),
-                # The black box records the received bytes.
-                raw=True,
-            )
-        # rclpy would derive the callback type from the callback's signature, but rclpy's events executor calls with one
-        # argument: a tuple of the message and its information.
-        subscription._callback_type = Subscription.CallbackType.WithMessageInfo
-        return subscription
 
     def _open_black_box(self) -> "BlackBox | None":
         path, config = self._parameters.black_box, self._parameters.config
@@ -202,8 +179,7 @@ class LiveNode:
         now_ns, waiting_ns = self._clock.times()
         # The EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception, so queue_empty_ns stands for it.
         self._inbox.add(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
-        number, active = information["publication_sequence_number"], self._active_publishers[topic]
-        if active.add_message(number, time.monotonic_ns()) and topic not in self._duplicate_publishers:
+        if self._inputs.add_message(topic, information["publication_sequence_number"]):
             self._check_publishers(topic)
 
     def _check_backlog(self, running_ns: int, times: Callable[[], tuple[int, int]]) -> None:
@@ -227,25 +203,11 @@ class LiveNode:
         self._calls.overload(current_overload(waited_ns, self._inbox.take_overload_cuts()), now_ns, waiting_ns)
 
     def _check_publishers(self, topic: str) -> None:
-        """Report to the adapter whether two publishers send on a topic, by their messages and the graph."""
-        name = self._subscriptions[topic].topic_name
-        count, active, names = self.node.count_publishers(name), self._active_publishers[topic], []
-        if count > 1:
-            names = publisher_names(self.node.get_publishers_info_by_topic(name))
-        elif topic in self._duplicate_publishers:
-            active.keep_latest()
-        self.adapter.health.set_publisher_count(topic, count, names)
-        text = duplicate_publishers_text(topic, names) if active.has_two(time.monotonic_ns()) else ""
+        """Report to the adapter whether two publishers send on a topic."""
         now_ns, waiting_ns = self._clock.times()
-        if text == self._duplicate_publishers.get(topic, "") or not now_ns:
-            return
-        self._duplicate_publishers[topic] = text
-        if text:
-            self._log.error(text)
-        else:
-            del self._duplicate_publishers[topic]
-            self._log.info(f"one publisher sends on {topic}")
-        self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
+        text = self._inputs.check_publishers(topic, bool(now_ns))
+        if text is not None:
+            self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
         """Tick the adapter, then give it the next message; if no message waits, only tick up to the current time."""
@@ -278,10 +240,7 @@ class LiveNode:
             self._work()
 
     def _handle(self, topic: str, data: bytes, now_ns: int, waiting_ns: int) -> None:
-        message = self._readers[topic].message(data)
-        if message is None:
-            message = deserialize_message(data, self._subscriptions[topic].msg_type)
-        self._calls.handle(topic, data, message, now_ns, waiting_ns)
+        self._calls.handle(topic, data, self._inputs.message(topic, data), now_ns, waiting_ns)
 
     def _advance(self, now_ns: int, waiting_ns: int) -> None:
         """Tick up to the current time, then report failures and dropped messages.
@@ -328,21 +287,11 @@ class LiveNode:
         self._log.info(f"~/{name}: {'done' if response.success else 'failed'}: {response.message}")
         return response
 
-    def _on_incompatible_qos(self, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        text = f"a publisher of {topic} offers another {policy} than requested; none of its messages will arrive"
-        self.adapter.health.record_incompatible_qos(topic, text)
-        self._log.error(f"incompatible QoS: {text}")
-
-    def _on_messages_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
-        self._events.note_event()
-        self.adapter.health.record_lost(topic, event.total_count_change)
-
     def _watch(self) -> None:
         """Run the periodic checks that need no message, and publish the diagnostics of the node runtime."""
         self._events.note_event()
-        for topic in self._subscriptions:
-            self._check_publishers(topic)
+        for each in self.adapter.inputs:
+            self._check_publishers(each.topic)
         self.adapter.health.set_clock_unused(
             not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0
         )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.integrity.protection_levels import IntegrityReport
+from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.rejections import Reason, Rejection, StampConflicts
@@ -128,6 +129,7 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self._estimator: TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
         self._estimator = TimeOrderedEstimator(model, self.filter.initial_state(), config.lag_s, reach_ns)
+        self._outputs = OutputSequence()
         self.reset()
 
     def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
@@ -145,7 +147,9 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         remarks: list[str] = []
         if self._start is not None:
             initial, remarks = state_from_prior(self.filter, self.config, *self._start)
-        self._estimator.reset(initial, clock_jumped)
+        self._estimator.reset(initial)
+        if clock_jumped:
+            self._outputs.reset()
         if self._sky_model is not None:
             self._sky_model.reset()
         self._start_without_samples()
@@ -158,7 +162,8 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
             step_ns: step, ns.
             state: state before the step.
         """
-        self._estimator.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
+        self._estimator.reset(with_shifted_stamps(state, step_ns))
+        self._outputs.step_time_base(step_ns)
         if self._sky_model is not None:
             self._sky_model.step_time_base(step_ns)
         self._start_without_samples()
@@ -333,7 +338,7 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self._publish_from_stars(outcome, waiting_ns)
         is_timed_out = _is_timed_out(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self.config.ship.source}"
-        self._estimator.report_invalid(
+        self._outputs.report_invalid(
             outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing)
         )
         self._publish_targets(outcome, waiting_ns)
@@ -621,15 +626,13 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
     def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         """Publish or queue (:attr:`pending`) a pointing; skip the pointing if a later output has been published."""
         if self.pending is None:
-            follows = self._estimator.can_publish(pending.time_ns)
-            self._estimator.add_output(
-                outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending)
-            )
-            if not (follows and not self._estimator.can_publish(pending.time_ns)):
+            follows = self._outputs.can_publish(pending.time_ns)
+            self._outputs.add(outcome, pending.time_ns, waiting_ns, lambda: self._pointing.estimate(pending))
+            if not (follows and not self._outputs.can_publish(pending.time_ns)):
                 return
-        elif self._estimator.can_publish(pending.time_ns):
+        elif self._outputs.can_publish(pending.time_ns):
             self.pending.append(pending)
-            self._estimator.record_output(pending.time_ns, waiting_ns)
+            self._outputs.record(pending.time_ns, waiting_ns)
         else:
             return
         self._targets.record_output(pending, self._estimator.window.oldest_ns)
@@ -645,11 +648,13 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
             return
         text = f"by stars alone: no data from {' and '.join(timed_out)}"
 
-        def by_stars(state: CalibrationState) -> PointingEstimate | None:
+        def by_stars() -> PointingEstimate | None:
             assert self._sky_model is not None
-            return pointing_by_stars(exposure, self._sky_model, self.config, self.filter, state, text)
+            return pointing_by_stars(
+                exposure, self._sky_model, self.config, self.filter, self._estimator.state_now, text
+            )
 
-        self._estimator.add_output(outcome, exposure.time_ns, waiting_ns, by_stars)
+        self._outputs.add(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _check_repeated_time(self) -> None:
         """Apply exposures again if rejections show that encoders and ship both repeat a range of stamps."""
