@@ -7,11 +7,11 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import given, settings
 
-from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome
+from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, LagWindow, TimeOrderedEstimator
-from ship_estimation.time_ordered_log import MOST_OVERTAKEN_PER_S, MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S
+from ship_estimation.time_order.time_ordered_log import MOST_OVERTAKEN_PER_S, MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
 

@@ -9,7 +9,7 @@ import hypothesis.strategies as st
 from hypothesis import given, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from ship_estimation.time_ordered_log import MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S, Key, TimeOrderedLog
+from ship_estimation.time_order.time_ordered_log import MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S, Key, TimeOrderedLog
 
 # Fixed examples, nothing kept between runs.
 repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=200)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.checked_ins import CheckedInsSample
 from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.ins_check import InsCheck
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeTrack

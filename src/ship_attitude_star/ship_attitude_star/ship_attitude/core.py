@@ -40,16 +40,16 @@ from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.checked_ins import CheckedInsSample
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.integrity.protection_levels import IntegrityReport
-from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.parameters.ins import InsChange, InsJump
+from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.rejections import Rejection
 from ship_estimation.time_order.outcome import Measurement, Status
+from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator, is_within_lag
 from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -14,7 +14,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_estimates
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.checked_ins import CheckedBlock
+from ship_estimation.plausibility.checked_ins import CheckedBlock
 from ship_estimation.rejections import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.tracks.attitude_track import (

@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ship_estimation.checked_ins import CheckedBlock, CheckedInsSample
 from ship_estimation.parameters.ins import CheckedInsConfig, InsJump, clock_step_s
+from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample
 from ship_estimation.plausibility.ins_predictions import (
     FASTEST_RAD_PER_S,
     InsPredictions,
@@ -22,6 +22,7 @@ from ship_estimation.plausibility.ins_predictions import (
 )
 from ship_estimation.plausibility.integrated_rates import IntegratedRun
 from ship_estimation.plausibility.motion_check import MotionReference
+from ship_estimation.plausibility.rate_comparison import RateComparison
 from ship_estimation.plausibility.rate_consistency import RateConsistencyCheck, RateStatus
 from ship_estimation.plausibility.value_checks import (
     JumpCheck,
@@ -30,7 +31,6 @@ from ship_estimation.plausibility.value_checks import (
     StuckCheck,
     vector_length,
 )
-from ship_estimation.rate_comparison import RateComparison
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock

@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from typing import Any, Generic, Protocol, TypeVar
 
-from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.recovery.displacement import MemoryResidual
+from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
 from ship_geometry.rotations import FloatArray
 

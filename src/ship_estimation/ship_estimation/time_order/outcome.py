@@ -103,7 +103,7 @@ class Outcome(Generic[DecisionT, Estimate]):
             rejected now.
         decisions: decisions made now, about this input or about measurements that waited for this input.
         estimates: estimates to publish. The stamps of valid estimates strictly increase
-            (:class:`ship_estimation.output_sequence.OutputSequence`).
+            (:class:`ship_estimation.time_order.output_sequence.OutputSequence`).
         failures: stamp and rejection of each output that could not be computed because the software failed.
     """
 

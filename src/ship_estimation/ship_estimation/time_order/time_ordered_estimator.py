@@ -9,9 +9,10 @@ is independent of the kind of measurement. A measurement is processed as follows
 2. If another measurement has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as
    CONFLICT. Of two conflicting measurements the one whose bytes sort first is kept. A measurement is rejected as
    OVERFLOW if too many later measurements of its source are known.
-3. The measurement is inserted in the order of stamps (:class:`ship_estimation.time_ordered_log.TimeOrderedLog`). Later
-   measurements are applied again. A decision is published again as revised if it changes between accepted and rejected.
-   The number of repetitions is limited for each input and for each second; the other measurements stay pending.
+3. The measurement is inserted in the order of stamps
+   (:class:`ship_estimation.time_order.time_ordered_log.TimeOrderedLog`). Later measurements are applied again. A
+   decision is published again as revised if it changes between accepted and rejected. The number of repetitions is
+   limited for each input and for each second; the other measurements stay pending.
 4. The measurement is pending, with all measurements after it, while the model lacks data that may still arrive within
    ``lag_s``.
 5. The model accepts or rejects the measurement. If the model raises an exception, the measurement is rejected as FAILED
@@ -20,7 +21,7 @@ is independent of the kind of measurement. A measurement is processed as follows
    measurement is committed, and the decision is final.
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
-measurements out of order than :data:`ship_estimation.time_ordered_log.MOST_OVERTAKEN_PER_S`.
+measurements out of order than :data:`ship_estimation.time_order.time_ordered_log.MOST_OVERTAKEN_PER_S`.
 """
 
 import functools
@@ -33,7 +34,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_estimation.time_order.outcome import DecisionT, Estimate, Measurement, Outcome
-from ship_estimation.time_ordered_log import MOST_OVERTAKEN_PER_S, TimeOrderedLog
+from ship_estimation.time_order.time_ordered_log import MOST_OVERTAKEN_PER_S, TimeOrderedLog
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.sample_track import OrderedSamples
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.cdr_template import CdrRows
-from ship_estimation.checked_ins import CheckedBlock
 from ship_estimation.integrity.published_levels import PublishedLevels
+from ship_estimation.plausibility.checked_ins import CheckedBlock
 from ship_geometry.rotations import FloatArray
 from ship_node.messages.topics import OutputMessage
 

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.integrity.protection_levels import IntegrityReport
-from ship_estimation.output_sequence import OutputSequence
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.rejections import Reason, Rejection, StampConflicts
+from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
 from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.checked_ins import CheckedBlock, CheckedInsSample
 from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample
 from ship_estimation.plausibility.ins_check import InsCheck
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_geometry.earth.time_scales import SECOND_NS

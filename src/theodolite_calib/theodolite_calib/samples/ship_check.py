@@ -6,9 +6,9 @@ Attitudes and the rates in the same messages are checked against each other, bot
 
 from collections.abc import Sequence
 
-from ship_estimation.checked_ins import CheckedInsSample
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.rejections import resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS

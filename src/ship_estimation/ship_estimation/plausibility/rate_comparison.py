@@ -1,8 +1,8 @@
 """Comparison of an INS's attitudes with its integrated rates, which shows steps, drift and excess noise."""
 
-from ship_estimation.checked_ins import CheckedInsSample
 from ship_estimation.fault_detection.rate_drift_detector import RateDriftDetector
 from ship_estimation.parameters.ins import InsJump
+from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.excess_noise import ExcessNoise
 from ship_estimation.plausibility.ins_predictions import InsPredictions
 from ship_estimation.plausibility.ins_step_detector import InsStepDetector
