@@ -25,9 +25,10 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topic
 from ship_node.adapters.adapter import Adapter
+from ship_node.pages.figure_files import save_figure
 from ship_replay.evaluation.bounds import read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
-from ship_replay.evaluation.figures import attitude_error_figure, save_figure
+from ship_replay.evaluation.figures import attitude_error_figure
 from ship_replay.evaluation.tables import attitude_table
 from ship_testing.trials.live_run import LiveFailure, LiveRun
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation

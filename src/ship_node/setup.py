@@ -7,7 +7,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={package_name: ["py.typed"]},
+    package_data={package_name: ["py.typed", "pages/*.html.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
@@ -21,6 +21,8 @@ setup(
         "numpy",
         "PyYAML",
         "matplotlib",
+        "Jinja2",
+        "rich",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

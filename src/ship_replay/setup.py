@@ -28,7 +28,6 @@ setup(
         "PyYAML",
         "rich",
         "matplotlib",
-        "Jinja2",
         "mcap",
     ],
     extras_require={"test": ["pytest"]},

@@ -10,9 +10,10 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
+from ship_node.pages.console_tables import table_console
 from ship_replay.commands.evaluate import main
 from ship_replay.evaluation.evaluate import alignment_values, evaluate
-from ship_replay.evaluation.tables import estimate_table, innovation_table, table_console
+from ship_replay.evaluation.tables import estimate_table, innovation_table
 from ship_testing.hand_made_bags import FACTORY, START_NS, imu, innovation, ship_attitude, star_message
 
 SECOND_NS = 1_000_000_000

@@ -59,7 +59,7 @@ def test_page_and_tables_agree(study_folder: Path) -> None:
     joint = [row for row in read_rows(study_folder / "layout.csv") if row["sensor"] == "joint"]
     assert [row["layout"] for row in joint] == ["given", "recommended"]
     for row in joint:
-        assert f"<td>{float(row['heading_sigma_arcsec']):.2f}</td>" in page
+        assert f'<td class="r">{float(row["heading_sigma_arcsec"]):.2f}</td>' in page
     assert "<b>119°</b>" in page
     assert "physical: R(A0, E0, γ0)" in page
     assert "as computed in [Z14]: R(A0, E0, γ0)" in page

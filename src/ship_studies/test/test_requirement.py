@@ -219,7 +219,7 @@ class AnyFigure(dict[str, Path]):
 def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ship_studies.layout.figures.draw_figures", lambda _, folder: AnyFigure(folder))
+    monkeypatch.setattr("ship_node.pages.figure_files.write_figures", lambda _, folder: AnyFigure(folder))
     text = EXAMPLE.read_text(encoding="utf-8").replace("heading_arcsec: 3.2", "heading_arcsec: 2.0")
     layout = tmp_path / "layout.yaml"
     layout.write_text(text, encoding="utf-8")

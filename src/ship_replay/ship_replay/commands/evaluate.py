@@ -7,9 +7,10 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force_option, check_file, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
+from ship_node.pages.console_tables import table_console
 from ship_replay.evaluation.bounds import Bounds, check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
-from ship_replay.evaluation.tables import print_evaluation, table_console
+from ship_replay.evaluation.tables import print_evaluation
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,6 +68,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _draw(evaluation: Evaluation, title: str, path: Path) -> None:
     # Importing the figure libraries is slow.
-    from ship_replay.evaluation.figures import evaluation_figure, save_figure
+    from ship_node.pages.figure_files import save_figure
+    from ship_replay.evaluation.figures import evaluation_figure
 
     save_figure(evaluation_figure(evaluation, title), path)

@@ -13,8 +13,8 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
+from ship_node.pages.console_tables import console_table, table_console
 from ship_replay.evaluation.stanford import Epochs, Region, read_epochs
-from ship_replay.evaluation.tables import table_console
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE
 
 _LIMITED = {"alert_limit": SHIP_ATTITUDE, "pointing_alert_limit": POINTING}
@@ -92,30 +92,28 @@ def _limits(options: argparse.Namespace) -> dict[str, Sequence[float]]:
 
 def stanford_table(found: Sequence[Epochs]) -> Table:
     """Return the epochs of each angle by region, with availability, median level and the largest error/level."""
-    table = Table(title="Epochs by error and protection level")
-    for column in ("output", "angle"):
-        table.add_column(column)
-    shown = [region.label for region in Region]
-    for column in (*shown, "available", "median level [arcsec]", "worst error/level"):
-        table.add_column(column, justify="right")
+    groups = []
     for part in found:
         values = part.statistics()
-        for number, (channel, counts) in enumerate(part.counts().items()):
-            table.add_row(
+        groups.append([
+            [
                 part.orientation.label if number == 0 else "",
                 channel,
                 *(str(counts[region]) for region in Region),
                 f"{100.0 * values[f'{channel}.availability']:.2f} %",
                 _text(values[f"{channel}.median_level_arcsec"]),
                 _text(values[f"{channel}.worst_error_over_level"]),
-                end_section=number == 2,
-            )
-    return table
+            ]
+            for number, (channel, counts) in enumerate(part.counts().items())
+        ])
+    shown = [*(region.label for region in Region), "available", "median level [arcsec]", "worst error/level"]
+    columns = ["output", "angle", *(f">{column}" for column in shown)]
+    return console_table("Epochs by error and protection level", columns, groups)
 
 
 def _draw(found: Sequence[Epochs], bag_count: int, path: Path) -> None:
     # Importing the figure libraries is slow.
-    from ship_replay.evaluation.figures import save_figure
+    from ship_node.pages.figure_files import save_figure
     from ship_replay.evaluation.stanford_figure import stanford_figure
 
     title = f"Error against protection level, {bag_count} voyage{'s' if bag_count > 1 else ''}"

@@ -1,12 +1,6 @@
 """Figures of a run: attitude errors and residuals with their ±3σ."""
 
-import io
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-
-import matplotlib
-
-matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -14,32 +8,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_bags.errors import BadInput
-from ship_bags.output_files import write_atomically
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.pages.figure_files import MAX_ROWS, settled_slice, short_name
+from ship_node.pages.figure_files import COMMON_STYLE, MAX_ROWS, settled_slice, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name
 
-_STYLE = {
-    "text.parse_math": False,  # "$" in a name is printed literally
-    "font.size": 12,
-    "axes.titlesize": 14,
-    "axes.grid": True,
-    "grid.color": "0.85",
-    "axes.axisbelow": True,
-    "legend.framealpha": 0.95,
-    "legend.fontsize": 11,
-    "savefig.facecolor": "white",
-}
+_STYLE = {**COMMON_STYLE, "font.size": 12, "axes.titlesize": 14, "grid.color": "0.85", "legend.fontsize": 11}
 _BAND_COLOUR = "#bcd4ea"
 _LINE_COLOUR = "#0b3c6f"
 # Readable in print and with colour blindness (Okabe and Ito).
 _OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _MARGIN = 1.3
-# Metadata that would make the file depend on the date or the version.
-_DATE_METADATA = {".png": "Software", ".pdf": "CreationDate", ".svg": "Date"}
 
 
 def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
@@ -123,23 +104,6 @@ def innovation_figure(
         grid[-1, 0].set_xlabel("time [s]")
         _legend_below(grid[-1, 0], with_points=False)
     return figure
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure (.png, .pdf or .svg by the name) and close it; the same figure gives the same file.
-
-    Raises:
-        BadInput: the format is unknown or the file cannot be written.
-    """
-    metadata = {_DATE_METADATA[path.suffix.lower()]: None} if path.suffix.lower() in _DATE_METADATA else {}
-    content = io.BytesIO()
-    try:
-        figure.savefig(content, dpi=110, metadata=metadata, format=path.suffix[1:] or None)
-        write_atomically(path, content.getvalue())
-    except (ValueError, OSError) as problem:
-        raise BadInput(f"the figure cannot be written: {problem}", file=path) from problem
-    finally:
-        plt.close(figure)
 
 
 def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:

@@ -5,9 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,14 +15,16 @@ from numpy.typing import NDArray
 
 from ship_bags.errors import BadInput
 from ship_geometry.rotations import FloatArray
+from ship_node.pages.figure_files import COMMON_STYLE
 from ship_replay.evaluation.stanford import Epochs, Region
 from ship_watch.orientations import channel_name
 
 _STYLE = {
+    **COMMON_STYLE,
+    "axes.grid": False,
     "font.size": 13,
     "axes.titlesize": 15,
     "axes.labelsize": 14,
-    "savefig.facecolor": "white",
     "hatch.linewidth": 1.0,
     "hatch.color": "0.55",
 }

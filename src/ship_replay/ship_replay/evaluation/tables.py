@@ -5,7 +5,11 @@ import math
 from rich.console import Console
 from rich.table import Table
 
+from ship_node.pages.console_tables import console_table
 from ship_replay.evaluation.evaluate import AlignmentValue, Evaluation
+
+STATISTICS = ("rms_arcsec", "bias_arcsec", "sigma_arcsec", "rms_over_sigma")
+"""Statistics of a channel in tables of errors."""
 
 _SHOWN = {
     "arcsec": (1.0, 2, "arcsec"),
@@ -16,15 +20,6 @@ _SHOWN = {
     "1": (1e2, 4, "%"),
 }
 """Unit of a value → factor, decimals and unit in the table."""
-
-
-_WIDTH_WITHOUT_TERMINAL = 130
-
-
-def table_console() -> Console:
-    """Return the console for tables: as wide as the terminal; wide enough for all columns if there is no terminal."""
-    console = Console()
-    return console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL)
 
 
 def print_evaluation(evaluation: Evaluation, console: Console) -> None:
@@ -44,48 +39,40 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
 
 def attitude_table(evaluation: Evaluation) -> Table:
     """Return RMS, bias, predicted sigma and RMS/sigma by source and channel, and NEES by source."""
-    table = Table(title="Error against the truth, arcseconds")
-    for column in ("source", "angle"):
-        table.add_column(column)
-    for column in ("RMS", "bias", "predicted σ", "RMS/σ", "NEES (3)", "samples"):
-        table.add_column(column, justify="right")
+    groups = []
     for errors in evaluation.errors:
         values = errors.statistics()
-        for name in errors.channels:
-            first = name == errors.channels[0]
-            table.add_row(
-                errors.label if first else "",
+        of_source = _text(values["nees_mean"]), f"{values['samples']:.0f}"
+        groups.append([
+            [
+                errors.label if name == errors.channels[0] else "",
                 name,
-                _text(values[f"{name}.rms_arcsec"]),
-                _text(values[f"{name}.bias_arcsec"]),
-                _text(values[f"{name}.sigma_arcsec"]),
-                _text(values[f"{name}.rms_over_sigma"]),
-                _text(values["nees_mean"]) if first else "",
-                f"{values['samples']:.0f}" if first else "",
-                end_section=name == errors.channels[-1],
-            )
-    return table
+                *(_text(values[f"{name}.{what}"]) for what in STATISTICS),
+                *(of_source if name == errors.channels[0] else ()),
+            ]
+            for name in errors.channels
+        ])
+    columns = "source", "angle", ">RMS", ">bias", ">predicted σ", ">RMS/σ", ">NEES (3)", ">samples"
+    return console_table("Error against the truth, arcseconds", columns, groups)
 
 
 def target_table(evaluation: Evaluation) -> Table:
     """Return RMS errors of directions (per transverse axis) and positions, predicted sigmas and NEES, by target."""
-    table = Table(title="Targets against the truth")
-    table.add_column("target")
-    for what, unit, degrees in (("direction", "arcsec", 2), ("position", "m", 3)):
-        for column in (f"{what} RMS ({unit})", "predicted σ", f"NEES ({degrees})", "samples"):
-            table.add_column(column, justify="right")
+    rows = []
     for target_id, errors in evaluation.targets.items():
         values = errors.statistics()
         shown = [f"direction.{name}" for name in ("rms_arcsec", "sigma_arcsec", "nees_mean")]
         placed = [f"position.{name}" for name in ("rms_m", "sigma_m", "nees_mean")]
-        table.add_row(
+        rows.append([
             target_id,
             *(_text(values[name]) for name in shown),
             f"{values['samples']:.0f}",
             *(_text(values.get(name, math.nan)) for name in placed),
             f"{values.get('position.samples', 0.0):.0f}",
-        )
-    return table
+        ])
+    direction = ">direction RMS (arcsec)", ">predicted σ", ">NEES (2)", ">samples"
+    position = ">position RMS (m)", ">predicted σ", ">NEES (3)", ">samples"
+    return console_table("Targets against the truth", ["target", *direction, *position], [rows])
 
 
 def innovation_table(evaluation: Evaluation) -> Table:
@@ -93,12 +80,7 @@ def innovation_table(evaluation: Evaluation) -> Table:
 
     An accepted exposure counts as one measurement, but each of its excluded stars counts as one rejection.
     """
-    table = Table(title="Measurement - prediction, arcseconds")
-    for column in ("source", "component"):
-        table.add_column(column)
-    shown = "mean", "deviation", "predicted σ", "NIS (deg. of freedom)", "minutes with NIS in band"
-    for column in (*shown, "accepted (measurements)", "rejected (messages, stars)"):
-        table.add_column(column, justify="right")
+    groups = []
     for source, innovations in evaluation.innovations.items():
         values = innovations.statistics()
         reasons = ", ".join(f"{name} {count}" for name, count in sorted(innovations.rejected.items()))
@@ -110,30 +92,25 @@ def innovation_table(evaluation: Evaluation) -> Table:
             f"{values['refused']:.0f}" + (f" ({reasons})" if reasons else ""),
         ]
         names = [name for name in innovations.components() if f"{name}.std_arcsec" in values]
-        for number, name in enumerate(names):
-            table.add_row(
-                source if number == 0 else "",
-                name,
-                *(_text(values[f"{name}.{what}_arcsec"]) for what in ("mean", "std", "sigma")),
-                *(per_source if number == 0 else []),
-                end_section=number + 1 == len(names),
-            )
-        if not names:
-            table.add_row(source, "-", "-", "-", "-", *per_source, end_section=True)
-    return table
+        rows = [
+            ["", name, *(_text(values[f"{name}.{what}_arcsec"]) for what in ("mean", "std", "sigma"))] for name in names
+        ] or [["", "-", "-", "-", "-"]]
+        rows[0] = [source, *rows[0][1:], *per_source]
+        groups.append(rows)
+    columns = (
+        *("source", "component", ">mean", ">deviation", ">predicted σ", ">NIS (deg. of freedom)"),
+        *(">minutes with NIS in band", ">accepted (measurements)", ">rejected (messages, stars)"),
+    )
+    return console_table("Measurement - prediction, arcseconds", columns, groups)
 
 
 def estimate_table(kind: str, values: list[AlignmentValue]) -> Table:
     """Return the last estimates of a filter with their sigma."""
-    table = Table(title=f"{kind.capitalize()} at the end")
-    table.add_column("quantity")
-    for column in ("value", "σ"):
-        table.add_column(column, justify="right")
-    table.add_column("unit")
+    rows = []
     for item in values:
         scale, places, unit = _SHOWN[item.unit]
-        table.add_row(item.name, f"{item.value * scale:.{places}f}", f"{item.sigma * scale:.{places}f}", unit)
-    return table
+        rows.append([item.name, f"{item.value * scale:.{places}f}", f"{item.sigma * scale:.{places}f}", unit])
+    return console_table(f"{kind.capitalize()} at the end", ["quantity", ">value", ">σ", "unit"], [rows])
 
 
 def _text(value: float) -> str:

@@ -7,10 +7,7 @@ import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-
-import matplotlib
-
-matplotlib.use("Agg")
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -42,7 +39,7 @@ STATE_STYLES = {
 }
 """Fill colour and hatch of each safety state, distinguishable in black and white."""
 
-ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
+_ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
 """Tick values of a logarithmic axis."""
 
 MARK_ID_PREFIX = "mark-"
@@ -115,25 +112,12 @@ def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
         grid[0].set_yticks(range(len(shown)), shown)
         grid[0].invert_yaxis()
         grid[0].tick_params(length=0)
-        drawn = 0
-        for number, name in enumerate(shown):
-            accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
-            accuracy = accuracy[accuracy[:, 1] > 0.0]
-            drawn += len(accuracy)
-            kept = np.flatnonzero(decimation_mask(accuracy[:, 1:], MAX_POINTS))
-            time_ns, (value,) = with_gaps(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
-            grid[1].plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=_SERIES[number % 5], lw=1.0,
-                         ls=("-", "--", "-.", ":", "-")[number], label=name)
-        grid[1].set_yscale("log" if drawn else "linear")
+        lines = [
+            (recording, name, {"color": _SERIES[number % 5], "ls": ("-", "--", "-.", ":", "-")[number], "label": name})
+            for number, name in enumerate(shown)
+        ]
+        draw_accuracies(grid[1], lines, start_ns, {recording.limits.angle_limit(name) for name in shown})
         grid[1].set_ylabel("95 % [arcsec]")
-        for limit in sorted({recording.limits.angle_limit(name) / ARCSEC for name in shown}):
-            grid[1].axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
-            grid[1].annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
-                             textcoords="offset points", va="center", fontsize=8, color="#666666")
-        if drawn:
-            grid[1].yaxis.set_major_locator(FixedLocator(ROUND_NUMBERS))
-            grid[1].yaxis.set_minor_formatter(NullFormatter())
-        grid[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0))
         grid[1].set_xlim(0.0, (recording.end_ns - recording.start_ns) / NS_PER_S)
         style_axes(grid)
@@ -226,6 +210,36 @@ def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start
         fill, hatch = STATE_STYLES[word]
         bars = [(start - start_ns / NS_PER_S, length) for start, length in spans]
         axes.broken_barh(bars, (row - 0.4, 0.8), facecolor=fill, hatch=hatch, edgecolor="white", lw=0)
+
+
+def draw_accuracies(
+    axes: Axes, lines: Iterable[tuple[RecordedHistory, str, dict[str, Any]]], start_ns: int, limits: Iterable[float]
+) -> None:
+    """Draw 95 % accuracies on a logarithmic axis, arcsec, over seconds since `start_ns`.
+
+    Args:
+        axes: the axes.
+        lines: recording, angle, and look of the line.
+        start_ns: zero of the time axis, UTC.
+        limits: limits of the angles, rad.
+    """
+    drawn = 0
+    for recording, name, look in lines:
+        accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
+        accuracy = accuracy[accuracy[:, 1] > 0.0]  # zero if no covariance was given
+        drawn += len(accuracy)
+        kept = np.flatnonzero(decimation_mask(accuracy[:, 1:], MAX_POINTS))
+        time_ns, (value,) = with_gaps(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
+        axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, lw=1.0, **look)
+    axes.set_yscale("log" if drawn else "linear")
+    for limit in sorted(limit / ARCSEC for limit in limits):
+        axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
+        axes.annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
+                      textcoords="offset points", va="center", fontsize=8, color="#666666")
+    if drawn:
+        axes.yaxis.set_major_locator(FixedLocator(_ROUND_NUMBERS))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def decimation_mask(values: FloatArray, most: int) -> np.ndarray:

@@ -7,7 +7,8 @@ from pathlib import Path
 from ship_bags.mcap.folder import INFORMATION_FILE
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.input_error import InputError
-from ship_replay.report.page import page, render, versions
+from ship_node.pages.html_page import render
+from ship_replay.report.page import page, versions
 from ship_replay.report.report_data import ReportData
 from ship_replay.report.summary import summary, valid_shares, worst_source
 from ship_replay.report.tables import outages, root_outages
@@ -109,7 +110,7 @@ def index_page(folder: Path, rows: Sequence[SessionRow], reports: str) -> str:
     columns = list(dict.fromkeys(name for row in sessions for name in row.shares))
     before: list[SessionRow | None] = [None, *sessions[:-1]]
     return render(
-        "folder.html.j2",
+        Path(__file__).with_name("folder.html.j2"),
         title=folder.resolve().name,
         reports=reports,
         columns=columns,

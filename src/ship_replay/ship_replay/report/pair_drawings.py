@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.integrity.protection_levels import NORMAL_95
@@ -14,11 +13,11 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.pages.figure_files import MAX_ROWS, short_name
 from ship_replay.report.drawings import (
     MAX_POINTS,
-    ROUND_NUMBERS,
     SVG_STYLE,
     decimate_errors,
     decimate_innovations,
     decimation_mask,
+    draw_accuracies,
     draw_ribbon,
     style_axes,
     svg,
@@ -59,7 +58,13 @@ def states_svg(pair: Pair) -> str:
         top.set_ylim(ribbons - 0.5, -0.5)
         top.tick_params(length=0)
         for axes, name in zip(others, shown, strict=True):
-            _draw_accuracies(axes, pair, name, start_ns)
+            lines = [
+                (recording, name, {"color": colour, "ls": dash, "label": letter})
+                for letter, recording, (colour, dash) in zip("AB", pair.recordings, (_A, _B), strict=True)
+            ]
+            draw_accuracies(axes, lines, start_ns, [pair.a.recording.limits.angle_limit(name)])
+            axes.tick_params(axis="y", labelsize=8)
+            axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
         for axes in others[:1]:
             axes.legend(ncols=2, fontsize=8, frameon=False, loc="upper right")
         top.set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
@@ -151,28 +156,6 @@ def sides_svg(pair: Pair) -> str:
             utc_axis(axes, start_ns, 3)
             axes.tick_params(axis="x", labelsize=8)
     return svg(figure, "sides")
-
-
-def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
-    drawn = 0
-    for letter, recording, (colour, dash) in zip("AB", pair.recordings, (_A, _B), strict=True):
-        accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
-        accuracy = accuracy[accuracy[:, 1] > 0.0]  # zero if no covariance was given
-        kept = np.flatnonzero(decimation_mask(accuracy[:, 1:], MAX_POINTS))
-        drawn += len(kept)
-        time_ns, (value,) = with_gaps(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
-        axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=colour, ls=dash, lw=1.0, label=letter)
-    limit = pair.a.recording.limits.angle_limit(name) / ARCSEC
-    axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
-    axes.annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
-                  textcoords="offset points", va="center", fontsize=8, color="#666666")
-    axes.set_yscale("log" if drawn else "linear")
-    if drawn:
-        axes.yaxis.set_major_locator(FixedLocator(ROUND_NUMBERS))
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.tick_params(axis="y", labelsize=8)
-    axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
 
 
 def _errors(report_data: ReportData) -> dict[str, _Series]:

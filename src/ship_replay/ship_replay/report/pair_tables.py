@@ -108,23 +108,12 @@ def difference_rows(differences: Iterable[OutputDifference]) -> list[dict[str, s
     return rows
 
 
-@dataclass(frozen=True)
-class BudgetTable:
-    """Square roots of mean variances in A and B, arcsec, as texts.
+def budget_tables(pair: Pair) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Return topic, columns and rows of each error budget.
 
-    Attributes:
-        topic: topic of the budget.
-        angles: columns.
-        rows: source of error, and the values of A and B for each angle; the largest source first.
+    A row has a source of error, and for each angle the square roots of its mean variances in A and in B, arcsec. The
+    largest source is first.
     """
-
-    topic: str
-    angles: list[str]
-    rows: list[tuple[str, list[tuple[str, str]]]]
-
-
-def budget_tables(pair: Pair) -> list[BudgetTable]:
-    """Return the error budgets: square root of the mean variance of each source of error over the run."""
     tables = []
     for topic in sorted({topic for recording in pair.recordings for topic in recording.budgets}):
         a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.recordings)
@@ -134,46 +123,21 @@ def budget_tables(pair: Pair) -> list[BudgetTable]:
             for name, variance in by_source.items():
                 weights[name] = max(variance, weights.get(name, 0.0))
         names = sorted((name for name in weights if weights[name] > 0.0), key=lambda name: -weights[name])
+        columns = ["source of error, σ [″]", *(text for angle in angles for text in (f">{angle} A", ">B"))]
         rows = [
-            (name, [(_sigma_text(a.get(angle, {}).get(name)), _sigma_text(b.get(angle, {}).get(name)))
-                    for angle in angles])
-            for name in names
+            [name, *(_sigma_text(run.get(angle, {}).get(name)) for angle in angles for run in (a, b))] for name in names
         ]
         if rows:
-            tables.append(BudgetTable(topic, angles, rows))
+            tables.append((topic, columns, rows))
     return tables
 
 
-@dataclass(frozen=True)
-class SigmaFitPair:
-    """Consistency test of a source's sigma in A and in B; None for a run without this source.
-
-    Attributes:
-        kind: ``NEES`` or ``NIS``.
-        name: name of the source.
-        a: result in A.
-        b: result in B.
-    """
-
-    kind: str
-    name: str
-    a: SigmaFit | None
-    b: SigmaFit | None
-
-    @property
-    def differs(self) -> bool:
-        """True if the texts of the results differ in more than their numbers, or if only one run has the source."""
-        words = {_DIGITS.sub("#", fit.words) if fit else "" for fit in (self.a, self.b)}
-        return len(words) > 1
-
-
-def consistency_rows(pair: Pair) -> list[SigmaFitPair]:
-    """Return a row for each NEES test, then for each NIS test."""
+def consistency_rows(pair: Pair) -> list[dict[str, str]]:
+    """Return a row for each NEES test, then for each NIS test; `differs` is not empty if more than numbers differ."""
     a, b = (
         {(fit.kind, fit.name): fit for fit in consistency(report_data.evaluation)} for report_data in (pair.a, pair.b)
     )
-    keys = sorted({**a, **b}, key=lambda key: key[0])
-    return [SigmaFitPair(*key, a.get(key), b.get(key)) for key in keys]
+    return [_consistency_row(a.get(key), b.get(key)) for key in sorted({**a, **b}, key=lambda key: key[0])]
 
 
 def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
@@ -262,6 +226,16 @@ def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]
 
 def _sigma_text(variance: float | None) -> str:
     return "–" if variance is None else number(math.sqrt(max(variance, 0.0)) / ARCSEC)
+
+
+def _consistency_row(a: SigmaFit | None, b: SigmaFit | None) -> dict[str, str]:
+    known = [fit for fit in (a, b) if fit is not None]
+    row = {"kind": known[0].kind, "name": known[0].name, "degrees": number(known[0].degrees)}
+    for side, fit in (("a", a), ("b", b)):
+        row[f"mean_{side}"] = "–" if fit is None else number(fit.mean)
+        row[f"words_{side}"] = "no data" if fit is None else fit.words
+    is_equal = len(known) == 2 and len({_DIGITS.sub("#", fit.words) for fit in known}) == 1
+    return {**row, "differs": "" if is_equal else "differs"}
 
 
 def _alignment_row(

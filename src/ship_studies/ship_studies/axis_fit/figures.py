@@ -1,7 +1,7 @@
 """Figures of a fit. Only the command imports this module, because matplotlib takes longer to load than the fit."""
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.pages.figure_files import write_figures
+from ship_node.pages.figure_files import legend_below
 from ship_studies.axis_fit.robust_fit import AxisFit, rms
 from ship_studies.axis_fit.sightings import Sightings, azimuth_and_elevation
 
@@ -25,17 +25,14 @@ _STEEP = 20.0
 """Ratio above which residuals without and with the model get separate scales, and a term's value lies off the scale."""
 _ARROW = 0.05
 """Length of the arrow for a residual as large as ``AxisFit.scale``, in radii of the sky."""
+_ARROW_LOOK: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.003, "zorder": 3}
 _CORRELATION_COLOURS = "RdBu_r"
 _DARK_CELL = 0.6
 """Correlation above which a cell is dark, so that its number is white."""
 
 
-def draw_figures(fit: AxisFit, sightings: Sightings, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into an existing folder, and return the files by name of the figure."""
-    return write_figures(_figures(fit, sightings), folder)
-
-
-def _figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]:
+def fit_figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]:
+    """Yield name and figure of every figure of the fit."""
     yield "residuals", _before_and_after(fit, sightings)
     yield "over_angles", _over_angles(fit, sightings)
     yield "sky", _sky(fit, sightings)
@@ -62,8 +59,7 @@ def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
         axes.axvline(0.0, color="0.6", lw=0.8, zorder=1)
         _name_outliers(axes, residuals / ARCSEC, fit.outliers, sightings.labels)
     panels[0].set_ylabel(f"{_SIDES[1]} [″]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    legend_below(figure, panels[0])
     figure.suptitle("True direction minus the model's, on the sky")
     return figure
 
@@ -86,8 +82,7 @@ def _over_angles(fit: AxisFit, sightings: Sightings) -> Figure:
         row[0].set_ylabel(f"{_SIDES[side]} [″]")
     for axes, (_, words, _) in zip(grid[-1], angles, strict=True):
         axes.set_xlabel(words)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    legend_below(figure, grid[0, 0])
     figure.suptitle("Residuals of the fitted model")
     return figure
 
@@ -103,21 +98,10 @@ def _sky(fit: AxisFit, sightings: Sightings) -> Figure:
     place = ((90.0 - np.rad2deg(elevation)) / (90.0 - lowest_deg))[:, None] * outward
     arrow = (fit.residuals[:, :1] * clockwise - fit.residuals[:, 1:] * outward) * _ARROW / fit.scale
     for part, colour in ((~fit.outliers, _GOOD), (fit.outliers, _OUTLIER)):
-        axes.quiver(
-            *place[part].T,
-            *arrow[part].T,
-            color=colour,
-            angles="xy",
-            scale_units="xy",
-            scale=1.0,
-            width=0.003,
-            zorder=3,
-        )
+        axes.quiver(*place[part].T, *arrow[part].T, color=colour, **_ARROW_LOOK)
     _draw_points(axes, place[:, 0], place[:, 1], fit.outliers)
     _name_outliers(axes, place + arrow, fit.outliers, sightings.labels)
-    axes.quiver(
-        -1.1, -1.12, 3.0 * _ARROW, 0.0, color="0.25", angles="xy", scale_units="xy", scale=1.0, width=0.003, zorder=3
-    )
+    axes.quiver(-1.1, -1.12, 3.0 * _ARROW, 0.0, color="0.25", **_ARROW_LOOK)
     axes.text(-1.1 + 3.4 * _ARROW, -1.12, f"{3.0 * fit.scale / ARCSEC:.0f}″ (3σ)", va="center")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
     axes.axis("off")

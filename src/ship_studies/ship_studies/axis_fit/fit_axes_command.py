@@ -10,11 +10,12 @@ import numpy as np
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.output_files import add_force_option, check_folder
+from ship_bags.output_files import add_force_option, check_folder, write_atomically
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.pages.study_files import write_tables
 from ship_studies.axis_fit.diagnostics import table_warnings
-from ship_studies.axis_fit.report import MEANINGS, summary, write_tables
+from ship_studies.axis_fit.report import MEANINGS, fit_tables, summary, yaml_text
 from ship_studies.axis_fit.robust_fit import AxisFit, fit
 from ship_studies.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
 from ship_studies.axis_fit.sightings import MAX_SIGHTINGS, Sightings
@@ -60,7 +61,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("sightings", type=Path, metavar="SIGHTINGS", help="table of sightings, .csv or .yaml [deg]")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder, created if absent")
     parser.add_argument(
         "--fix",
         type=_fixed_term,
@@ -100,14 +101,15 @@ def _run(options: argparse.Namespace) -> int:
     check_folder(options.out, OUTPUT_NAMES, options.force)
     sightings = read_sightings(options.sightings)
     result = _fit_sightings(options.sightings, sightings, fixed)
-    options.out.mkdir(parents=True, exist_ok=True)
     warnings = table_warnings(sightings, fixed)
-    write_tables(result, sightings, warnings, options.out)
+    write_tables(options.out, fit_tables(result, sightings))
+    write_atomically(options.out / "axes.yaml", yaml_text(result, sightings, warnings))
     saved = _calibration(result, sightings, warnings, options)
     # Imported here, because loading the figures' library takes longer than the fit.
-    from ship_studies.axis_fit.figures import draw_figures
+    from ship_node.pages.figure_files import write_figures
+    from ship_studies.axis_fit.figures import fit_figures
 
-    draw_figures(result, sightings, options.out)
+    write_figures(fit_figures(result, sightings), options.out)
     sys.stdout.write(f"{summary(result, sightings, warnings)}\n{saved}\nwritten: {options.out}\n")
     return EXIT_DONE
 

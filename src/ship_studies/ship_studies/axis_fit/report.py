@@ -1,15 +1,14 @@
 """Results of a fit as text for the terminal, as YAML for programs, and as CSV for further evaluation."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from ship_bags.output_files import write_atomically, write_csv
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.pages.study_files import Table
 from ship_studies.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from ship_studies.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
 from ship_studies.axis_fit.sightings import Sightings, azimuth_and_elevation, coverage
@@ -138,29 +137,25 @@ VERSION = 1
 _RESIDUALS = ("before", "after", "left_out")
 
 
-def write_tables(fit: AxisFit, sightings: Sightings, table_warnings: list[str], folder: Path) -> list[Path]:
-    """Write every table into an existing folder, and return the files.
+def fit_tables(fit: AxisFit, sightings: Sightings) -> dict[str, Table]:
+    """Return header and rows of each CSV table."""
+    names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
+    directions = ("observation", "true_azimuth_deg", "true_elevation_deg")
+    return {
+        "axes.csv": (("term", "value_arcsec", "sigma_arcsec", "fitted"), _term_rows(fit)),
+        "correlation.csv": (("term", *fit.fitted), _correlation_rows(fit)),
+        "residuals.csv": ((*directions, *names, "after_arcsec", "weight", "outlier"), _residual_rows(fit, sightings)),
+    }
+
+
+def yaml_text(fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> str:
+    """Return the fit as YAML.
 
     Args:
         fit: the fit.
         sightings: sightings of the fit.
         table_warnings: warnings about the table that was read.
-        folder: folder for the tables.
     """
-    names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
-    return [
-        _write_yaml(folder / "axes.yaml", fit, sightings, table_warnings),
-        write_csv(folder / "axes.csv", ("term", "value_arcsec", "sigma_arcsec", "fitted"), _term_rows(fit)),
-        write_csv(folder / "correlation.csv", ("term", *fit.fitted), _correlation_rows(fit)),
-        write_csv(
-            folder / "residuals.csv",
-            ("observation", "true_azimuth_deg", "true_elevation_deg", *names, "after_arcsec", "weight", "outlier"),
-            _residual_rows(fit, sightings),
-        ),
-    ]
-
-
-def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> Path:
     values = fit.errors.vector() / ARCSEC
     open_combinations = unobservable(fit)
     document = {
@@ -184,8 +179,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: 
         "rms_after_arcsec": rms(fit.residuals) / ARCSEC,
         "rms_left_out_arcsec": rms(fit.leave_one_out) / ARCSEC,
     }
-    write_atomically(path, yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None))
-    return path
+    return yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None)
 
 
 def _term_rows(fit: AxisFit) -> Iterator[tuple[Any, ...]]:

@@ -11,7 +11,7 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_atomically
 from ship_bags.progress import with_count
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.evaluation.tables import table_console
+from ship_node.pages.console_tables import table_console
 from ship_studies.campaign.cluster import run_in_cluster
 from ship_studies.campaign.items import Item, campaign_items, parse_seeds
 from ship_studies.campaign.one_item import Result, run_item

@@ -1,18 +1,16 @@
 """``design_study``: accuracy of the pointing from beacons on drones, as one page and tables."""
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force_option, check_folder, write_atomically, write_csv
-from ship_bags.parameter_yaml import read_nested_parameters
-from ship_estimation.parameters.schema import ParameterError
+from ship_bags.output_files import check_folder
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_node.pages.study_files import Table, add_study_arguments, study_of_file, write_study
 from ship_studies.design.config import W18, study_config
-from ship_studies.design.study import DesignStudy, study
+from ship_studies.design.study import DesignStudy, compute_study
 
 PAGE = "design_study.html"
 TABLES = ("places.csv", "error_budget.csv", "sweeps.csv")
@@ -45,46 +43,24 @@ def _parser() -> CommandParser:
         "usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "design",
-        type=Path,
-        nargs="?",
-        metavar="DESIGN.yaml",
-        help="theodolite, drones and limits (default: the values of [W18])",
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
-    add_force_option(parser)
+    add_study_arguments(parser, "DESIGN.yaml", "theodolite, drones and limits (default: the values of [W18])")
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    computed = _study(options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_tables(computed, options.out)
+    def checked_study(values: Mapping[str, Any]) -> DesignStudy:
+        config = study_config(values)
+        check_folder(options.out, output_names(), options.force)
+        return compute_study(config)
+
+    study = study_of_file(options.file, W18, checked_study)
     # Imported here, so that bad input is reported before the figures' library is loaded.
-    from ship_studies.design.figures import draw_figures
+    from ship_studies.design.figures import study_figures
     from ship_studies.design.page import page_text
 
-    page = options.out / PAGE
-    title = _DEFAULT_TITLE if options.design is None else options.design.name
-    write_atomically(page, page_text(computed, draw_figures(computed, options.out), title))
-    sys.stdout.write(_summary(computed, page))
-    return EXIT_DONE if computed.meets_requirement else EXIT_BOUND_NOT_MET
-
-
-def _study(options: argparse.Namespace) -> DesignStudy:
-    """Return the study of the given file, or of the values of [W18] without a file.
-
-    Raises:
-        BadInput: a value is wrong, or a file cannot be written; names the place and what was expected.
-    """
-    file = None if options.design is None else read_nested_parameters(options.design)
-    try:
-        config = study_config(W18 if file is None else file.values)
-        check_folder(options.out, output_names(), options.force)
-        return study(config)
-    except ParameterError as error:
-        raise error if file is None else file.error(error) from error
+    page = partial(page_text, study, title=_DEFAULT_TITLE if options.file is None else options.file.name)
+    write_study(options.out / PAGE, study_tables(study), study_figures(study), page, _summary(study))
+    return EXIT_DONE if study.meets_requirement else EXIT_BOUND_NOT_MET
 
 
 def output_names() -> list[str]:
@@ -92,7 +68,7 @@ def output_names() -> list[str]:
     return [PAGE, *TABLES, *(f"{figure}.png" for figure in FIGURES)]
 
 
-def _summary(computed: DesignStudy, page: Path) -> str:
+def _summary(computed: DesignStudy) -> list[str]:
     lines = [f"{'':28}{'azimuth cos E':>14}{'elevation':>12}{'on the sky':>12}   [arcsec, 1 sigma]"]
     for words, sigmas in (("given lights", computed.given_arcsec), ("best positions", computed.advised_arcsec)):
         azimuth, elevation, on_sky = sigmas
@@ -103,21 +79,20 @@ def _summary(computed: DesignStudy, page: Path) -> str:
         lines.append(f"limits reached: {'; '.join(reached)}")
     if not computed.meets_requirement:
         lines.append(f"required {computed.config.required_arcsec:g} arcsec on the sky: not met")
-    return "\n".join([*lines, f"page: {page}"]) + "\n"
+    return lines
 
 
 _SIGMAS = ("azimuth_cos_elevation_arcsec", "elevation_arcsec", "on_sky_arcsec")
 
 
-def write_tables(study: DesignStudy, folder: Path) -> list[Path]:
-    """Write every table into an existing folder, and return the files."""
+def study_tables(study: DesignStudy) -> dict[str, Table]:
+    """Return header and rows of each CSV table."""
     place = ("right_deg", "up_deg", "distance_m", "east_m", "north_m", "up_m")
-    tables = {
+    return {
         "places.csv": (("places", "beacon", *place, "limits_reached"), _places(study)),
         "error_budget.csv": (("places", "source", *_SIGMAS), _budget(study)),
         "sweeps.csv": (("quantity", "value", "unit", "as_given_arcsec", "best_places_arcsec"), _sweeps(study)),
     }
-    return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
 
 
 def _places(study: DesignStudy) -> Iterator[tuple[Any, ...]]:

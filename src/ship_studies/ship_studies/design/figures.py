@@ -1,7 +1,6 @@
 """Figures of a design study. Only the command imports this module, because matplotlib takes long to load."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -9,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
-from ship_node.pages.figure_files import write_figures
+from ship_node.pages.figure_files import legend_below
 from ship_studies.design.study import DesignStudy, Sweep
 
 _GIVEN, _BEST = "#0b3c6f", "#c1440e"
@@ -20,12 +19,8 @@ _HIGHEST = 8.0
 """Largest upper end of the error axis, as a multiple of the given design's error."""
 
 
-def draw_figures(study: DesignStudy, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into an existing folder, and return the files by name of the figure."""
-    return write_figures(_figures(study), folder)
-
-
-def _figures(study: DesignStudy) -> Iterator[tuple[str, Figure]]:
+def study_figures(study: DesignStudy) -> Iterator[tuple[str, Figure]]:
+    """Yield name and figure of every figure of the study."""
     yield "field", _field_figure(study)
     yield "sweeps", _sweeps_figure(study)
 
@@ -53,7 +48,7 @@ def _field_figure(study: DesignStudy) -> Figure:
     axes.set(
         aspect="equal", xlabel="to the right of the axis [°]", ylabel="above the axis [°]", title="Lights in the field"
     )
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    legend_below(figure, axes)
     return figure
 
 
@@ -64,7 +59,7 @@ def _sweeps_figure(study: DesignStudy) -> Figure:
         axes.set_axis_off()
     for sweep, axes in zip(study.sweeps, grid.ravel(), strict=False):
         _draw_sweep(axes, sweep, study)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    legend_below(figure, grid[0, 0], 4)
     return figure
 
 

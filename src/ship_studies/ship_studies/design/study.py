@@ -98,7 +98,7 @@ class DesignStudy:
         return required_arcsec == 0.0 or bool(self.given_arcsec[2] <= required_arcsec)
 
 
-def study(config: DesignStudyConfig) -> DesignStudy:
+def compute_study(config: DesignStudyConfig) -> DesignStudy:
     """Return all results of a study."""
     design = _Design(config, config.optical_axis)
     given_n = design.beacon_positions_n(config.direction_tangents(), config.distances_m())

@@ -11,7 +11,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.evaluation.tables import table_console
+from ship_node.pages.console_tables import table_console
 from ship_studies.installation.result import InstallationCalibration, calibrate
 from ship_studies.installation.session import run_session
 from ship_studies.installation.tables import json_text, print_calibration
@@ -83,9 +83,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _report(calibration: InstallationCalibration, folder: Path) -> None:
-    from ship_studies.installation.figure import draw_history
+    from ship_node.pages.figure_files import write_figures
+    from ship_studies.installation.figure import calibration_figures
 
     folder.mkdir(parents=True, exist_ok=True)
     values = folder / "installation.json"
     write_atomically(values, json_text(calibration))
-    sys.stdout.write(f"report: {draw_history(calibration, folder)}, {values}\n")
+    (figure,) = write_figures(calibration_figures(calibration), folder).values()
+    sys.stdout.write(f"report: {figure}, {values}\n")

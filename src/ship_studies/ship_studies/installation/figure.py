@@ -1,7 +1,6 @@
 """Figure of the installation angles over a session. The import of matplotlib takes longer than many sessions."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -9,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_node.pages.figure_files import settled_slice, write_figures
+from ship_node.pages.figure_files import legend_below, settled_slice
 from ship_studies.installation.result import InstallationCalibration, InstalledAngle
 
 _BAND_COLOUR = "#bcd4ea"
@@ -18,12 +17,8 @@ _CONFIGURED_COLOUR = "#d55e00"
 _MARGIN = 1.15
 
 
-def draw_history(calibration: InstallationCalibration, folder: Path) -> Path:
-    """Write ``installation.png`` into a folder that exists."""
-    return write_figures(_figures(calibration), folder)["installation"]
-
-
-def _figures(calibration: InstallationCalibration) -> Iterator[tuple[str, Figure]]:
+def calibration_figures(calibration: InstallationCalibration) -> Iterator[tuple[str, Figure]]:
+    """Yield name and figure of the only figure."""
     yield "installation", _history_figure(calibration)
 
 
@@ -38,8 +33,7 @@ def _history_figure(calibration: InstallationCalibration) -> Figure:
         axes.set_xlabel("time [s]")
     for sensor, axes in zip(calibration.sensors, grid[:, 0], strict=True):
         axes.set_ylabel(f"{sensor} [arcsec]")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    legend_below(figure, grid[0, 0])
     return figure
 
 

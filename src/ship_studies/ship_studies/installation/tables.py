@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_node.pages.console_tables import console_table
 from ship_studies.installation.result import InstallationCalibration, JointRotation
 
 _JOINT_ROTATION_TEXTS = {
@@ -83,15 +84,8 @@ def json_text(calibration: InstallationCalibration) -> str:
 
 
 def _angle_table(calibration: InstallationCalibration) -> Table:
-    table = Table(title="Installation angles, 1σ")
-    for column in ("sensor", "angle"):
-        table.add_column(column)
-    for column in ("configured [deg]", "installed [deg]", "correction [″]", "σ before [″]", "σ [″]"):
-        table.add_column(column, justify="right")
-    for column in ("observed", "unobserved in"):
-        table.add_column(column)
-    for number, angle in enumerate(calibration.angles):
-        table.add_row(
+    rows = [
+        [
             angle.sensor if number % 3 == 0 else "",
             angle.angle,
             f"{_wrapped_deg(angle.configured):.5f}",
@@ -101,29 +95,29 @@ def _angle_table(calibration: InstallationCalibration) -> Table:
             _text(angle.sigma / ARCSEC),
             angle.observability or "-",
             " ".join(angle.unresolved_in),
-            end_section=number % 3 == 2,
-        )
-    return table
+        ]
+        for number, angle in enumerate(calibration.angles)
+    ]
+    numbers = ">configured [deg]", ">installed [deg]", ">correction [″]", ">σ before [″]", ">σ [″]"
+    columns = ["sensor", "angle", *numbers, "observed", "unobserved in"]
+    return console_table("Installation angles, 1σ", columns, [rows[at : at + 3] for at in range(0, len(rows), 3)])
 
 
 def _combination_table(calibration: InstallationCalibration) -> Table:
-    table = Table(title="Combinations, 1σ; before: from the configuration and one observation at constant heading")
-    table.add_column("")
-    table.add_column("combination")
-    for column in ("before [″]", "after [″]"):
-        table.add_column(column, justify="right")
-    table.add_column("observed")
-    table.add_column("largest remaining error")
-    for label, combination in calibration.combinations.items():
-        table.add_row(
+    rows = [
+        [
             label,
             combination_text(combination, calibration.sensors),
             _text(combination.sigma_before / ARCSEC),
             _text(combination.sigma / ARCSEC),
             combination.observability,
             largest_error_text(calibration, combination),
-        )
-    return table
+        ]
+        for label, combination in calibration.combinations.items()
+    ]
+    title = "Combinations, 1σ; before: from the configuration and one observation at constant heading"
+    columns = "", "combination", ">before [″]", ">after [″]", "observed", "largest remaining error"
+    return console_table(title, columns, [rows])
 
 
 def _wrapped_deg(angle: float) -> float:

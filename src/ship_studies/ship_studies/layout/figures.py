@@ -1,7 +1,6 @@
 """Figures of a layout study; the command imports this module only when it draws, because matplotlib loads slowly."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,10 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, ScalarFormatter
 
 from ship_geometry.rotations import FloatArray
-from ship_node.pages.figure_files import write_figures
+from ship_node.pages.figure_files import legend_below
 from ship_studies.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, InstallationConvention, Sweep
 from ship_studies.layout.joint_error import ErrorMap, Layout, total_arcsec
 from ship_studies.layout.requirement_figures import (
+    ANGLE_STYLES,
     BEST,
     GIVEN,
     admissible_figure,
@@ -24,8 +24,6 @@ from ship_studies.layout.requirement_figures import (
 )
 from ship_studies.layout.study import AzimuthScan, LayoutStudy
 
-# Readable in print and for the colour-blind (Okabe and Ito, 2008).
-_PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
 _ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
 _FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
 _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
@@ -33,12 +31,8 @@ _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
 _STEEP_RATIO = 25.0
 
 
-def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into an existing folder; return name of the figure → file."""
-    return write_figures(_figures(study), folder)
-
-
-def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
+def study_figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
+    """Yield name and figure of every figure of the study."""
     yield "layout", plan_figure(study.layout, study.best)
     yield "azimuth", _scan_figure(study)
     for number, moved in enumerate(study.maps):
@@ -86,7 +80,7 @@ def plan_figure(given: Layout, best: Layout) -> Figure:
         azimuth_deg, elevation_deg = np.rad2deg(given.angles[number - 1, :2])
         turned = f", recommended {np.rad2deg(best.angles[number - 1, 0]) % 360.0:.0f}°" if moved else ""
         axes.plot([], [], ls="", label=f"{number} {name}: {azimuth_deg:.0f}°, {elevation_deg:.0f}° up{turned}")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=1)
+    legend_below(figure, axes, 1)
     return figure
 
 
@@ -130,15 +124,14 @@ def _scan_figure(study: LayoutStudy) -> Figure:
         _draw_scan(axes, turned, study)
     if len(study.layout.names) > 1:
         figure.suptitle(f"Sensor “{study.layout.names[0]}” keeps its azimuth")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    legend_below(figure, grid[0, 0])
     return figure
 
 
 def _draw_scan(axes: Axes, turned: AzimuthScan, study: LayoutStudy) -> None:
     number = study.layout.names.index(turned.sensor)
     own_deg, best_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.layout, study.best))
-    for column, (colour, line) in enumerate(_PART_STYLES):
+    for column, (colour, line) in enumerate(ANGLE_STYLES):
         sigmas_arcsec = turned.sigmas_arcsec[:, column]
         axes.plot(turned.azimuths_deg, sigmas_arcsec, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[column])
     axes.plot(turned.azimuths_deg, total_arcsec(turned.sigmas_arcsec), color="black", lw=2.6, label="total")
@@ -195,8 +188,7 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
     figure.suptitle(
         f"Mounting sensor “{moved.sensor}” anywhere" + (", the others as given" if len(layout.names) > 1 else "")
     )
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    legend_below(figure, grid[0, 0])
     return figure
 
 
@@ -233,9 +225,8 @@ def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:
         axes.set_xlabel(f"{sweep.symbol}, {sweep.meaning} [°]")
     errors = "all six errors, added with their signs" if sweep.all_errors else "error of the sensor's roll γs only"
     figure.suptitle(f"Figure {sweep.number} of [Z14]: {errors}, over {sweep.symbol}")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    if len(labels) > 1:
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    if len(curves) > len(InstallationConvention):
+        legend_below(figure, grid[0, 0])
     return figure
 
 

@@ -1,18 +1,17 @@
 """``layout_study``: study of star sensor mounting as one page, figures and CSV tables, with the figures of [Z14]."""
 
 import argparse
-import sys
 import textwrap
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force_option, check_folder, write_atomically, write_csv
-from ship_bags.parameter_yaml import read_nested_parameters
-from ship_estimation.parameters.schema import ParameterError, describe
+from ship_bags.output_files import check_folder
+from ship_estimation.parameters.schema import describe
+from ship_node.pages.study_files import Table, add_study_arguments, study_of_file, write_study
 from ship_studies.layout.config import LayoutStudyConfig, study_config
 from ship_studies.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
@@ -68,49 +67,26 @@ def _parser() -> CommandParser:
         "exit code: 0 written; 1 written, no layout meets the requirement; 2 bad input or usage; 130 interrupted",
         formatter_class=_WrappedDescription,
     )
-    parser.add_argument(
-        "layout",
-        type=Path,
-        nargs="?",
-        metavar="LAYOUT.yaml",
-        help="sensors, angles [deg] and errors [arcsec] (default: two sensors with the values of [Z14])",
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder, created if absent")
-    add_force_option(parser)
+    words = "sensors, angles [deg] and errors [arcsec] (default: two sensors with the values of [Z14])"
+    add_study_arguments(parser, "LAYOUT.yaml", words)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    computed = _study(options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_tables(computed, options.out)
-    # The import of matplotlib takes longer than the study, so bad input is reported first.
-    from ship_studies.layout.figures import draw_figures
-    from ship_studies.layout.page import page_text
-
-    page = options.out / PAGE
-    title = _DEFAULT_TITLE if options.layout is None else options.layout.name
-    write_atomically(page, page_text(computed, draw_figures(computed, options.out), title))
-    sys.stdout.write(_summary(computed, page))
-    return (
-        EXIT_DONE if computed.requirement_result is None or computed.requirement_result.is_met else EXIT_BOUND_NOT_MET
-    )
-
-
-def _study(options: argparse.Namespace) -> LayoutStudy:
-    """Return the study of the given file, or of the sensors of [Z14].
-
-    Raises:
-        BadInput: the input is invalid, and the text gives file, line, parameter and expected value; or a file of the
-            study cannot be written.
-    """
-    file = None if options.layout is None else read_nested_parameters(options.layout)
-    try:
-        config = study_config({} if file is None else file.values)
+    def checked_study(values: Mapping[str, Any]) -> LayoutStudy:
+        config = study_config(values)
         check_folder(options.out, output_names(config), options.force)
         return compute_study(config)
-    except ParameterError as error:
-        raise error if file is None else file.error(error) from error
+
+    study = study_of_file(options.file, {}, checked_study)
+    # The import of matplotlib takes longer than the study, so bad input is reported first.
+    from ship_studies.layout.figures import study_figures
+    from ship_studies.layout.page import page_text
+
+    title = _DEFAULT_TITLE if options.file is None else options.file.name
+    page = partial(page_text, study, title=title)
+    write_study(options.out / PAGE, study_tables(study), study_figures(study), page, _summary(study))
+    return EXIT_DONE if study.requirement_result is None or study.requirement_result.is_met else EXIT_BOUND_NOT_MET
 
 
 def output_names(config: LayoutStudyConfig) -> list[str]:
@@ -124,7 +100,7 @@ def output_names(config: LayoutStudyConfig) -> list[str]:
     return [PAGE, *tables, *(f"{figure}.png" for figure in figures)]
 
 
-def _summary(computed: LayoutStudy, page: Path) -> str:
+def _summary(computed: LayoutStudy) -> list[str]:
     lines = [f"{'':24}{'heading':>10}{'pitch':>10}{'roll':>10}{'total':>10}   [arcsec, 1 sigma]"]
     several = len(computed.layout.names) > 1
     alone = [f"{name} alone" for name in computed.layout.names]
@@ -148,7 +124,7 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
         )
     if computed.requirement_result is not None:
         lines += requirement_lines(computed.requirement_result)
-    return "\n".join([*lines, f"page: {page}"]) + "\n"
+    return lines
 
 
 _ERRORS = ("heading_arcsec", "pitch_arcsec", "roll_arcsec")
@@ -163,10 +139,10 @@ OPTICS_TABLE = "optics.csv"
 """Name of the table of a study with optics."""
 
 
-def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
-    """Write every table into an existing folder; return the files."""
+def study_tables(study: LayoutStudy) -> dict[str, Table]:
+    """Return header and rows of each CSV table."""
     direction = ("azimuth_deg", "elevation_deg")
-    tables = {
+    tables: dict[str, Table] = {
         "layout.csv": (("layout", "sensor", *direction, *_SIGMAS, "total_arcsec"), _layouts(study)),
         "error_budget.csv": (("sensor", "source", "sigma_arcsec", *_ERRORS), _budget(study)),
         "error_map.csv": (("sensor_moved", *direction, *_SIGMAS, "total_arcsec"), _maps(study)),
@@ -184,7 +160,7 @@ def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
         tables[OPTICS_TABLE] = (_OPTICS, _optics(study))
     if study.requirement_result is not None:
         tables |= requirement_tables(study, study.requirement_result)
-    return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
+    return tables
 
 
 def _layouts(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:

@@ -1,18 +1,16 @@
 """The layout study as one self-contained HTML page for the naval architect: text, tables, embedded figures."""
 
-from collections.abc import Mapping
-from html import escape
-from importlib import resources
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from string import Template
+from typing import Any
 
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_node.pages.html_page import STYLE, arcsec_texts, collapsible, image, table, table_body
+from ship_node.pages.html_page import decimal_text, render
+from ship_studies.layout.config import LayoutSensor
 from ship_studies.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
-    SHIP_ANGLES,
     SOURCES,
     SWEEPS,
     InstallationConvention,
@@ -20,7 +18,7 @@ from ship_studies.layout.installation_model import (
 )
 from ship_studies.layout.joint_error import total_arcsec
 from ship_studies.layout.optics import PERCENTILES
-from ship_studies.layout.requirement_page import required_section
+from ship_studies.layout.requirement_page import requirement_values
 from ship_studies.layout.study import AzimuthScan, LayoutStudy
 
 _READING_NAMES = {
@@ -37,94 +35,60 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
         figures: PNG files by name, which the page embeds.
         title: title of the study, for the heading.
     """
-    template = Template(resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
-    config = study.config
-    return template.substitute(
-        title=escape(title),
-        style=STYLE,
+    given_deg, best_deg = (np.rad2deg(layout.angles[:, 0]) % 360.0 for layout in (study.layout, study.best))
+    return render(
+        Path(__file__).with_name("page.html.j2"),
+        title=title,
+        study=study,
+        figures=figures,
         result=_result(study),
-        advice=_advice(study),
+        joined=len(study.layout.names),
+        given_deg=given_deg,
+        best_deg=best_deg,
+        tolerance=_tolerance_text,
+        gain=_gain_text(float(total_arcsec(study.joint_arcsec)), float(total_arcsec(study.best_arcsec))),
         rule_in_numbers=_rule_in_numbers(study),
-        ship="The ship is level."
-        if config.ship_pitch_deg == config.ship_roll_deg == 0.0
-        else f"The ship has pitch {config.ship_pitch_deg:g}°, roll {config.ship_roll_deg:g}°.",
-        required=required_section(study, figures),
-        layout_table=_layout_table(study),
-        layout_figure=image(figures["layout"], "Boresights seen from above", "small"),
-        azimuth_figure=image(figures["azimuth"], "Joint error over the azimuth of a sensor"),
-        maps="\n".join(
-            collapsible(name, image(figures[f"map_{name}"], f"Joint error over {name}"), is_open=number == 0)
-            for number, name in enumerate(study.layout.names)
-        ),
-        sensor_table=_sensor_table(study),
-        optics=_optics_text(study),
-        budget_table=_budget_table(study),
+        layouts=list(_layouts(study)),
+        sensors=[
+            [name, _triple_text(sensor, ""), _triple_text(sensor, "installation_")]
+            for name, sensor in study.config.sensors.items()
+        ],
+        percentiles=[f">in {percent} %" for percent in PERCENTILES],
+        optics=list(_optics(study)),
+        budget=[
+            *([one.sensor, one.source, f"{one.sigma_arcsec:g}", *one.errors_arcsec] for one in study.budget),
+            ["all", "root sum of squares", "", *study.joint_arcsec],
+        ],
         point=_operating_point(study),
-        source_tables="\n".join(_source_table(study, reading) for reading in InstallationConvention),
-        sweeps="\n".join(image(figures[f"figure_{s.number}"], f"Figure {s.number} of [Z14]") for s in SWEEPS),
+        azimuths=[(f"A0 = {azimuth_deg:g}°", 3) for azimuth_deg in CURVE_AZIMUTHS_DEG],
+        sources=[(words, _sources(study, reading)) for reading, words in _READING_NAMES.items()],
+        sweeps=[sweep.number for sweep in SWEEPS],
+        required=study.requirement_result,
+        **({} if study.requirement_result is None else requirement_values(study.requirement_result)),
     )
 
 
-def _layout_table(study: LayoutStudy) -> str:
-    rows = []
+def _layouts(study: LayoutStudy) -> Iterator[list[Any]]:
     for name, angles, sigmas in zip(study.layout.names, study.layout.angles, study.alone_arcsec, strict=True):
         azimuth_deg, elevation_deg, _ = np.rad2deg(angles)
         where = [f"{azimuth_deg % 360.0:g}°", f"{elevation_deg:g}°"]
-        rows.append([f"{name} alone", *where, *arcsec_texts(sigmas), *arcsec_texts(total_arcsec(sigmas[None]))])
-    joint = [("all, as given", study.joint_arcsec)]
+        yield [f"{name} alone", *where, *sigmas, total_arcsec(sigmas)]
+    yield ["all, as given", "", "", *study.joint_arcsec, total_arcsec(study.joint_arcsec)]
     if len(study.layout.names) > 1:
-        joint.append(("all, at the recommended azimuths", study.best_arcsec))
-    rows += [
-        [words, "", "", *arcsec_texts(sigmas), *arcsec_texts(total_arcsec(sigmas[None]))] for words, sigmas in joint
-    ]
-    header = ["sensors", "azimuth", "elevation", *(f"{angle} [″]" for angle in SHIP_ANGLES), "total [″]"]
-    return table(header, rows, last_is_sum=True)
+        yield ["all, at the recommended azimuths", "", "", *study.best_arcsec, total_arcsec(study.best_arcsec)]
 
 
-def _sensor_table(study: LayoutStudy) -> str:
-    header = ["sensor", "noise about boresight / up / right [″]", "installation about boresight / up / right [″]"]
-    rows = []
-    for name, sensor in study.config.sensors.items():
-        noise = (sensor.sigma_forward_arcsec, sensor.sigma_up_arcsec, sensor.sigma_right_arcsec)
-        installation = (
-            sensor.installation_sigma_forward_arcsec,
-            sensor.installation_sigma_up_arcsec,
-            sensor.installation_sigma_right_arcsec,
-        )
-        rows.append([name, *(" / ".join(f"{sigma:g}" for sigma in sigmas) for sigmas in (noise, installation))])
-    return table(header, rows)
+def _triple_text(sensor: LayoutSensor, kind: str) -> str:
+    return " / ".join(f"{getattr(sensor, f'{kind}sigma_{axis}_arcsec'):g}" for axis in ("forward", "up", "right"))
 
 
-def _optics_text(study: LayoutStudy) -> str:
-    """Return text and table of the noise from the sensors' optics, with Liebe's values; empty without optics."""
-    if not study.optics:
-        return ""
-    rows = []
+def _optics(study: LayoutStudy) -> Iterator[list[Any]]:
     for name, found in study.optics.items():
-        stars = [f"{count:.0f}" for count in found.star_count_percentiles().values()]
         field = f"{found.field_deg[0]:.1f}° × {found.field_deg[1]:.1f}°"
-        sigmas = [" / ".join(arcsec_texts(triple)) for triple in (found.quantile_arcsec, found.liebe_arcsec)]
+        stars = [f"{found.stars.mean():.1f}", *(f"{count:.0f}" for count in found.star_count_percentiles().values())]
         share = f"{100.0 * study.config.optics[name].sky_share:g} %"
-        star = f"{found.star_sigma_arcsec:.2f}"
-        rows.append([name, field, star, f"{found.stars.mean():.1f}", *stars, share, *sigmas])
-    header = ["sensor", "field", "one star [″]", "stars, mean", *(f"in {percent} %" for percent in PERCENTILES)]
-    header += ["share of sky", "about boresight / up / right [″]", "by Liebe [″]"]
-    return (
-        "<p>The noise of these sensors follows from their optics and the Hipparcos-2 stars in the field. The table "
-        "gives the mean number of stars and its percentiles over the sky, the noise not exceeded in the required share "
-        "of the sky, and the noise by Liebe's formulas with the mean number of stars (C. C. Liebe, Accuracy "
-        "performance of star trackers, 2002). The magnitude limit is as given. Lens errors are not included.</p>"
-        f'<div class="table">{table(header, rows)}</div>'
-    )
-
-
-def _budget_table(study: LayoutStudy) -> str:
-    rows = [
-        [source.sensor, source.source, f"{source.sigma_arcsec:g}", *arcsec_texts(source.errors_arcsec)]
-        for source in study.budget
-    ]
-    rows.append(["all", "root sum of squares", "", *arcsec_texts(study.joint_arcsec)])
-    return table(["sensor", "source", "1σ [″]", "dK [″]", "dψ [″]", "dθ [″]"], rows, True, style="words")
+        sigmas = [" / ".join(map(decimal_text, triple)) for triple in (found.quantile_arcsec, found.liebe_arcsec)]
+        yield [name, field, float(found.star_sigma_arcsec), *stars, share, *sigmas]
 
 
 def _operating_point(study: LayoutStudy) -> str:
@@ -137,20 +101,16 @@ def _operating_point(study: LayoutStudy) -> str:
     )
 
 
-def _source_table(study: LayoutStudy, reading: InstallationConvention) -> str:
+def _sources(study: LayoutStudy, reading: InstallationConvention) -> list[list[Any]]:
     point = study.config.figures
-    by_azimuth = [source_errors_arcsec(point, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
+    errors = np.concatenate(
+        [source_errors_arcsec(point, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG], axis=1
+    )
     sizes = [*point.star_errors_arcsec(), *point.installation_errors_arcsec()]
-    rows = [
-        [f"{source} = {size:g}″", *arcsec_texts(np.concatenate([errors[number] for errors in by_azimuth]))]
-        for number, (source, size) in enumerate(zip(SOURCES, sizes, strict=True))
+    rows: list[list[Any]] = [
+        [f"{source} = {size:g}″", *row] for source, size, row in zip(SOURCES, sizes, errors, strict=True)
     ]
-    rows.append(["all, with signs", *arcsec_texts(np.concatenate([errors.sum(axis=0) for errors in by_azimuth]))])
-    groups = "".join(f'<th colspan="3">A0 = {azimuth_deg:g}°</th>' for azimuth_deg in CURVE_AZIMUTHS_DEG)
-    symbols = "<th>dK</th><th>dψ</th><th>dθ</th>" * len(CURVE_AZIMUTHS_DEG)
-    head = f"<thead><tr><th>[″]</th>{groups}</tr><tr><th>source</th>{symbols}</tr></thead>"
-    of_reading = f'<table class="groups">{head}{table_body(rows, last_is_sum=True)}</table>'
-    return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{of_reading}"
+    return [*rows, ["all, with signs", *errors.sum(axis=0)]]
 
 
 # -- texts, with every number computed from the layout ---------------------------------------------------------
@@ -173,27 +133,6 @@ def _result(study: LayoutStudy) -> str:
         f"“{study.layout.names[best]}”, gives {_errors(study.alone_arcsec[best])}: the total error of all sensors "
         f"is {totals[best] / joint:.3g} times smaller."
     )
-
-
-def _advice(study: LayoutStudy) -> str:
-    """Return the recommended azimuths with their tolerances; for a single sensor, the effect of its azimuth."""
-    if len(study.layout.names) == 1:
-        return (
-            "<p>With one sensor the total error is the same at every azimuth: rotating the sensor only moves the error "
-            "from roll to pitch. Mount it along the keel if pitch matters, abeam if roll matters. For both, and for "
-            "heading, add a second sensor at about a right angle to it.</p>"
-        )
-    given, best = (float(total_arcsec(sigmas)) for sigmas in (study.joint_arcsec, study.best_arcsec))
-    first_deg = np.rad2deg(study.best.angles[0, 0]) % 360.0
-    items = [f"<li>“{study.best.names[0]}”: {first_deg:g}° from the bow (fixed; the others are rotated)</li>"]
-    for number, turned in enumerate(study.scans, start=1):
-        best_deg, given_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.best, study.layout))
-        items.append(
-            f"<li>“{escape(turned.sensor)}”: <b>{best_deg:.0f}°</b> from the bow (given: {given_deg:g}°); "
-            f"{_tolerance_text(turned)}</li>"
-        )
-    total = f"Total error at these azimuths {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}"
-    return f"<ul>{''.join(items)}</ul><p>{total}</p>"
 
 
 def _rule_in_numbers(study: LayoutStudy) -> str:
@@ -226,7 +165,9 @@ def _tolerance_text(turned: AzimuthScan) -> str:
 def _gain_text(given: float, best: float) -> str:
     gain = 1.0 - best / given
     if gain < 1e-6:
-        return "The layout as given is the best one in azimuth."
-    if gain < _WORTH_MOVING:
-        return f"The gain of {100.0 * gain:.1f} % is small: other needs of the ship may decide."
-    return f"The recommended azimuths reduce the total error by {100.0 * gain:.0f} %."
+        advice = "The layout as given is the best one in azimuth."
+    elif gain < _WORTH_MOVING:
+        advice = f"The gain of {100.0 * gain:.1f} % is small: other needs of the ship may decide."
+    else:
+        advice = f"The recommended azimuths reduce the total error by {100.0 * gain:.0f} %."
+    return f"Total error at these azimuths {best:.2f}″, as given {given:.2f}″. {advice}"

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MultipleLocator
 
 from ship_geometry.rotations import FloatArray
+from ship_node.pages.figure_files import legend_below
 from ship_stars.sky.deck_masks import DeckMasks
 from ship_studies.layout.allocation import requirement_use
 from ship_studies.layout.installation_model import SHIP_ANGLES
@@ -23,7 +24,7 @@ from ship_studies.layout.study import LayoutStudy
 
 GIVEN, BEST = "#0b3c6f", "#c1440e"
 # Readable in print and for the colour-blind (Okabe and Ito, 2008).
-_ANGLE_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
+ANGLE_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
 _ADMISSIBLE, _TOO_NEAR, _MASK = "#a6dcc4", "#d9d9d9", "0.35"
 _USES = (0.5, 0.7, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
 _MAX_USE = 3.0
@@ -80,7 +81,7 @@ def elevation_figure(required: RequirementResult) -> Figure:
     sigmas = np.array([one.candidate.sigmas_arcsec for one in required.trade])
     refraction = np.array([one.refraction_arcsec for one in required.trade])
     for angle in np.flatnonzero(np.isfinite(required.limits_arcsec)):
-        colour, line = _ANGLE_STYLES[angle]
+        colour, line = ANGLE_STYLES[angle]
         use = sigmas[:, angle] / required.limits_arcsec[angle]
         axes.plot(elevations_deg, use, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[angle])
     by_refraction = requirement_use(refraction, required.limits_arcsec)
@@ -94,8 +95,7 @@ def elevation_figure(required: RequirementResult) -> Figure:
         ylabel="requirement use: 1σ / requirement",
         title="All sensors at one elevation, at their best azimuths",
     )
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    legend_below(figure, axes, 3)
     return figure
 
 

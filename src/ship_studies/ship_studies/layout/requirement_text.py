@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from ship_node.pages.study_files import Table
 from ship_studies.layout.allocation import Allocation, binding_angle
 from ship_studies.layout.installation_model import SHIP_ANGLES
 from ship_studies.layout.joint_error import Layout
 from ship_studies.layout.requirement import Candidate, RequirementResult
 from ship_studies.layout.study import LayoutStudy
-
-Table = tuple[tuple[str, ...], Iterator[tuple[Any, ...]]]
 
 REQUIREMENT_TABLES = ("ranking.csv", "allocation.csv", "elevation_trade.csv", "admissible_map.csv")
 """Names of the tables of a study with a requirement."""
@@ -21,12 +20,7 @@ _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
 
 def requirement_lines(required: RequirementResult) -> list[str]:
     """Return the ranking, the dominant errors and, if no layout meets the requirement, the nearest miss."""
-    limits = [
-        f"{name} {limit:g}"
-        for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
-        if np.isfinite(limit)
-    ]
-    lines = [f"required [arcsec, 1 sigma]: {', '.join(limits)}"]
+    lines = [f"required [arcsec, 1 sigma]: {limits_text(required)}"]
     for place, one in enumerate(required.ranking, start=1):
         result = "meets it" if one.is_admissible else "does not"
         lines.append(f"{place:3d} {one.name:24}{result}: {candidate_text(one, required)}")
@@ -35,6 +29,12 @@ def requirement_lines(required: RequirementResult) -> list[str]:
     for name, allocations in required.allocations.items():
         lines.append(f"{name}: {binding_error_text(allocations)}")
     return lines
+
+
+def limits_text(required: RequirementResult, unit: str = "") -> str:
+    """Return the required errors, arcsec, each followed by the text of the unit."""
+    limits = zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
+    return ", ".join(f"{name} {limit:g}{unit}" for name, limit in limits if np.isfinite(limit))
 
 
 def candidate_text(one: Candidate, required: RequirementResult) -> str:
