@@ -6,7 +6,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from tools import draw_frames
+from tools import architecture, draw_frames
 from tools.reference_pages import FOLDER, texts
 
 ROOT = Path(__file__).parents[1]
@@ -23,6 +23,23 @@ def test_the_reference_pages_are_current() -> None:
     current = {name: (FOLDER / name).read_text(encoding="utf-8") for name in names if (FOLDER / name).exists()}
     differing = [name for name in sorted(names) if expected.get(name) != current.get(name)]
     assert differing == [], "run tools/reference_pages.py; delete those that it does not write"
+
+
+def test_the_architecture_page_has_the_packages_and_rooms_of_the_code() -> None:
+    text = architecture.PAGE.read_text(encoding="utf-8")
+    assert text.startswith(architecture.fixed_part()), "run tools/architecture.py"
+
+
+@pytest.mark.slow
+def test_the_architecture_page_has_the_ways_of_a_sample_of_the_code() -> None:
+    text = architecture.PAGE.read_text(encoding="utf-8")
+    assert text.endswith("".join(architecture.ways())), "run tools/architecture.py"
+
+
+def test_only_arrows_that_follow_from_no_others_are_drawn() -> None:
+    imports = {"top": {"middle", "bottom"}, "middle": {"bottom"}, "bottom": set()}
+    assert architecture.reduced(imports) == {"top": {"middle"}, "middle": {"bottom"}, "bottom": set()}
+    assert architecture.from_top(imports) == ["top", "middle", "bottom"]
 
 
 def anchors(path: Path) -> set[str]:

@@ -1,0 +1,105 @@
+"""Way of one message through the code: the functions called and the files visited while a node processes it.
+
+Replays a bag in this process, one message at a time, until a node has processed the nth message of a topic, and records
+the calls of the functions in ``src/``. Functions of ``ship_kernels`` are compiled: their calls are not recorded.
+
+Example:
+    python tools/walk_message.py bags/demo.mcap ins/imu --list
+"""
+
+import argparse
+import contextlib
+import sys
+import tempfile
+from collections import Counter
+from itertools import groupby
+from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple
+from unittest import mock
+
+from ship_node.adapters.reporting_adapter import ReportingAdapter
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import replay
+
+ENTRY = "handle"
+"""Method of an adapter that processes messages."""
+DEFAULT_NTH = 200
+_SOURCES = "/src/"
+_GEOMETRY = "ship_geometry/"
+
+
+class Stop(NamedTuple):
+    """A call: the file, relative to ``src/``, and the name of the function."""
+
+    path: str
+    function: str
+
+
+class _Processed(Exception):
+    """The message is processed: the replay can end."""
+
+
+def is_only_message(arguments: tuple[Any, ...], topic: str) -> bool:
+    """Return True if a call of :data:`ENTRY` with these arguments processes one message, of this topic."""
+    return bool(arguments[0] == topic)
+
+
+def walk(bag: Path, topic: str, nth: int = DEFAULT_NTH) -> list[Stop]:
+    """Return the calls with which a node processes the nth message of a topic; empty if the bag has fewer messages.
+
+    If several nodes receive the topic, the calls are those of the first node.
+    """
+    stops: list[Stop] = []
+    counts: Counter[str] = Counter()
+    process = getattr(ReportingAdapter, ENTRY)
+
+    def record(frame: FrameType, event: str, _argument: object) -> None:
+        _, found, path = frame.f_code.co_filename.rpartition(_SOURCES)
+        if event == "call" and found:
+            stops.append(Stop(path, frame.f_code.co_name))
+
+    def entry(adapter: ReportingAdapter, *arguments: Any) -> Any:
+        if is_only_message(arguments, topic):
+            counts[adapter.node_name] += 1
+            if counts[adapter.node_name] == nth:
+                sys.setprofile(record)
+                try:
+                    process(adapter, *arguments)
+                finally:
+                    sys.setprofile(None)
+                raise _Processed
+        return process(adapter, *arguments)
+
+    replacement = mock.patch.object(ReportingAdapter, ENTRY, entry)
+    with tempfile.TemporaryDirectory() as folder, replacement, contextlib.suppress(_Processed):
+        replay(bag, Path(folder) / "replayed.mcap", ADAPTERS, one_by_one=True)
+    return stops
+
+
+def main() -> int:
+    """Print the way of one message; return the exit code, 2 if there is no such message."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("topic", help="as the node names it, for example ins/imu")
+    parser.add_argument("--nth", type=int, default=DEFAULT_NTH, help=f"number of the message ({DEFAULT_NTH})")
+    parser.add_argument("--list", action="store_true", help="print each file with the first function called there")
+    arguments = parser.parse_args()
+    stops = walk(arguments.bag, arguments.topic, arguments.nth)
+    if not stops:
+        print(f"no node received message {arguments.nth} of {arguments.topic}")
+        return 2
+    visits = [next(visit) for _, visit in groupby(stops, key=lambda stop: stop.path)]
+    if arguments.list:
+        print("\n".join(f"  {stop.path}: {stop.function}" for stop in visits))
+    files = {stop.path for stop in stops}
+    outside = sum(not path.startswith(_GEOMETRY) for path in files)
+    print(
+        f"{arguments.topic}: {len(stops)} calls, {len(files)} files ({outside} outside ship_geometry), "
+        f"{len(visits) - 1} moves between files"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
