@@ -38,7 +38,7 @@ def test_the_architecture_page_has_the_ways_of_a_sample_of_the_code() -> None:
 
 def test_only_arrows_that_follow_from_no_others_are_drawn() -> None:
     imports = {"top": {"middle", "bottom"}, "middle": {"bottom"}, "bottom": set()}
-    assert architecture.reduced(imports) == {"top": {"middle"}, "middle": {"bottom"}, "bottom": set()}
+    assert architecture.transitive_reduction(imports) == {"top": {"middle"}, "middle": {"bottom"}, "bottom": set()}
     assert architecture.from_top(imports) == ["top", "middle", "bottom"]
 
 

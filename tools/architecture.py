@@ -70,7 +70,7 @@ class Way:
 
 
 WAYS = (
-    Way("INS sample → `ship/attitude`", "demo", "ins/imu", 300),
+    Way("INS sample → `ship/attitude`", "demo", "ins/imu", 500),
     Way("Star exposure → ship filter", "paper_stars", "star/fore/observations", 20),
     Way("Encoder reading → track of the theodolite", "theodolite", "theodolite/encoder", 200),
     Way("Ship attitude → pointing", "theodolite", "ship/attitude", 100),
@@ -86,7 +86,7 @@ def page() -> str:
 
 def fixed_part() -> str:
     """Return the page up to the ways, which is made without a replay."""
-    arrows = reduced(package_imports())
+    arrows = transitive_reduction(package_imports())
     return HEAD + _drawing(arrows) + ROOMS_HEAD + "".join(map(_rooms, from_top(arrows))) + WAYS_HEAD
 
 
@@ -100,7 +100,7 @@ def package_imports() -> dict[str, set[str]]:
     return {package: set(imported) for package, imported in imports.items()}
 
 
-def reduced(imports: dict[str, set[str]]) -> dict[str, set[str]]:
+def transitive_reduction(imports: dict[str, set[str]]) -> dict[str, set[str]]:
     """Return the arrows that do not follow from others (transitive reduction).
 
     Args:

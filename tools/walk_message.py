@@ -18,6 +18,8 @@ from types import FrameType
 from typing import Any, NamedTuple
 from unittest import mock
 
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
 from ship_node.adapters.reporting_adapter import ReportingAdapter
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
@@ -79,27 +81,29 @@ def walk(bag: Path, topic: str, nth: int = DEFAULT_NTH) -> list[Stop]:
 
 def main() -> int:
     """Print the way of one message; return the exit code, 2 if there is no such message."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = CommandParser(prog="walk_message", description=__doc__.splitlines()[0])
     parser.add_argument("bag", type=Path)
     parser.add_argument("topic", help="as the node names it, for example ins/imu")
     parser.add_argument("--nth", type=int, default=DEFAULT_NTH, help=f"number of the message ({DEFAULT_NTH})")
-    parser.add_argument("--list", action="store_true", help="print each file with the first function called there")
-    arguments = parser.parse_args()
-    stops = walk(arguments.bag, arguments.topic, arguments.nth)
+    parser.add_argument("--list", action="store_true", help="print each visit of a file, with the function called")
+    return run_command(parser, _print_way, None)
+
+
+def _print_way(options: argparse.Namespace) -> int:
+    stops = walk(options.bag, options.topic, options.nth)
     if not stops:
-        print(f"no node received message {arguments.nth} of {arguments.topic}")
-        return 2
+        raise BadInput(f"no node received message {options.nth} of {options.topic}", file=options.bag)
     visits = [next(visit) for _, visit in groupby(stops, key=lambda stop: stop.path)]
-    if arguments.list:
+    if options.list:
         print("\n".join(f"  {stop.path}: {stop.function}" for stop in visits))
     files = {stop.path for stop in stops}
     outside = sum(not path.startswith(_GEOMETRY) for path in files)
     print(
-        f"{arguments.topic}: {len(stops)} calls, {len(files)} files ({outside} outside ship_geometry), "
+        f"{options.topic}: {len(stops)} calls, {len(files)} files ({outside} outside ship_geometry), "
         f"{len(visits) - 1} moves between files"
     )
-    return 0
+    return EXIT_DONE
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())
