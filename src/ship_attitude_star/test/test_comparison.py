@@ -35,7 +35,7 @@ CONFIG = build(
 )
 FILTER = ShipFilter(CONFIG)
 MODEL = FILTER.model
-DEVICES = CONFIG.devices()
+DEVICES = CONFIG.devices
 STEP = 1e-6
 
 

@@ -178,7 +178,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     @property
     def source_timeouts_s(self) -> Mapping[str, float]:
         """See :class:`RecoveringAdapter`."""
-        return {"ins": 3.0, **dict.fromkeys(self.config.sensors, 10.0)}
+        return {"ins": 3.0, **dict.fromkeys(self.config.devices, 10.0)}
 
     def accepts_batches(self, topic: str) -> bool:
         """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
@@ -445,7 +445,7 @@ def installed_frames(
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
     """Return texts about missing parts of a configuration, for the log at the start and the diagnostics."""
-    if config.sensors:
+    if config.devices:
         return ()
     lacking = "no star_sensors, no references and no ship_baseline are configured"
     return (f"{lacking}: the attitude is that of the INS alone, DEGRADED, horizon GRAVITY",)

@@ -17,7 +17,7 @@ class CheckedMeasurement(Measurement, Protocol):
 
     @property
     def stuck_value(self) -> StuckValue:
-        """Value that varies while the ship rotates; see :class:`StuckValue`."""
+        """Value that varies while the ship rotates; see :data:`StuckValue`."""
         ...
 
 

@@ -97,7 +97,7 @@ def current_alignment(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fi
     add_time_offset("ins.time_offset", config.ins.time_offset_s)
     for device in filter_.devices.values():
         angles, jacobian = _installation(filter_, state, device.name)
-        for name, index in device.angles.items():
+        for name, index in device.angles:
             angle = float(wrap_pi(angles[index])) if device.are_angles_signed else angles[index]
             add(f"{device.name}.{name}", angle, "rad", jacobian[index])
         if device.time_offset_s is not None:

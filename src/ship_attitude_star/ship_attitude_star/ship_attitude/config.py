@@ -68,8 +68,11 @@ class ShipAttitudeConfig(ShipSensors):
     alignment_file: str = parameter("", doc="file of the saved alignment, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
     alignment_max_age_d: float = parameter(
-        30.0, doc="age above which the configured uncertainty is added to a saved alignment",
-        unit="d", minimum=0.0, maximum=36500.0,
+        30.0,
+        doc="age above which the configured uncertainty is added to a saved alignment",
+        unit="d",
+        minimum=0.0,
+        maximum=36500.0,
     )
 
     @property

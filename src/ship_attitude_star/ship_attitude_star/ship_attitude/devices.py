@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from ship_attitude_star.ship_attitude.measurements.attitude import ReferenceDevi
 from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE, BaselineDevice
 from ship_attitude_star.ship_attitude.measurements.kind import Device
 from ship_attitude_star.ship_attitude.measurements.stars import StarCameraDevice
-from ship_estimation.kalman.kalman_filter import StateBlock, block
+from ship_estimation.kalman.kalman_filter import block
 from ship_estimation.parameters.fields import accept_unset_covariance, arcsec, mapping_of, parameter, section
 from ship_estimation.parameters.ins import StarInsConfig
 from ship_estimation.parameters.ins_errors import InsCorrelationTimes, InsErrorModel
@@ -63,23 +62,6 @@ class InsConfig(InsErrorModel, InsCorrelationTimes, StarInsConfig):
     )
 
 
-class SensorConfig(Protocol):
-    """Parameters of a sensor, with the device, states and noise sources that follow from them."""
-
-    @property
-    def noise_sources(self) -> tuple[str, ...]:
-        """Error sources of the noise of its measurements."""
-        ...
-
-    def blocks(self, source: str) -> list[StateBlock]:
-        """Return the states of its errors; the names of their blocks begin with the source name."""
-        ...
-
-    def device(self, source: str, ins: InsConfig) -> Device:
-        """Return its device, with the model of its measurements."""
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class StarSensorConfig(StarSensorErrors, MountingConfig):
     """Parameters of a star sensor: mounting, uncertainty of the mounting, noise and clock."""
@@ -120,14 +102,9 @@ class StarSensorConfig(StarSensorErrors, MountingConfig):
         """True if the messages of the sensor are used with the sky model."""
         return self.shared_error == SHARED_BY_SKY
 
-    @property
-    def noise_sources(self) -> tuple[str, ...]:
-        """Error sources of the noise; see :class:`SensorConfig`."""
-        has_pixel_errors = self.input == "observations" and self.camera.pixel_spatial_sigma_px > 0.0
-        return (SOURCE_STAR_NOISE, SOURCE_PIXEL) if has_pixel_errors else (SOURCE_STAR_NOISE,)
-
-    def blocks(self, source: str) -> list[StateBlock]:
-        """Return the states of the sensor; see :class:`SensorConfig`."""
+    def device(self, id_: str, ins: InsConfig) -> Device:
+        """Return the sensor as a device."""
+        source, time_states = f"star.{id_}", [("ins.time_offset", -1.0)]
         walk = [
             self.installation_walk_forward_arcsec_per_sqrt_h,
             self.installation_walk_up_arcsec_per_sqrt_h,
@@ -141,28 +118,26 @@ class StarSensorConfig(StarSensorErrors, MountingConfig):
         ]
         if self.time_offset_sigma_s > 0.0:
             blocks.append(block(f"{source}.time_offset", [self.time_offset_sigma_s], SOURCE_STAR_TIME))
+            time_states.append((f"{source}.time_offset", 1.0))
         if self.flexure_sigma_arcsec > 0.0:
             sigma_flexure = [self.flexure_sigma_arcsec * ARCSEC] * 3
             blocks.append(block(f"{source}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=self.flexure_time_s))
+        kind: type[Device] = TrackerDevice
+        noise_sources: tuple[str, ...] = (SOURCE_STAR_NOISE,)
         if self.input == "observations":
+            kind = StarCameraDevice
             blocks += camera_blocks(source, self.camera)
-        return blocks
-
-    def device(self, source: str, ins: InsConfig) -> Device:
-        """Return the sensor as a device; see :class:`SensorConfig`."""
-        time_states = [("ins.time_offset", -1.0)]
-        if self.time_offset_sigma_s > 0.0:
-            time_states.append((f"{source}.time_offset", 1.0))
-        kind = StarCameraDevice if self.input == "observations" else TrackerDevice
-        parameters = f"star_sensors.{source.removeprefix('star.')}"
+            if self.camera.pixel_spatial_sigma_px > 0.0:
+                noise_sources += (SOURCE_PIXEL,)
         return kind(
             name=source,
-            parameters=parameters,
-            heading_parameter=f"{parameters}.azimuth_deg",
+            parameters=f"star_sensors.{id_}",
+            heading_parameter=f"star_sensors.{id_}.azimuth_deg",
             rotation_dv0=self.rotation_ds,
             ins_time_s=self.time_offset_s - ins.time_offset_s,
             ins_time_states=tuple(time_states),
-            noise_source=SOURCE_STAR_NOISE,
+            noise_sources=noise_sources,
+            blocks=tuple(blocks),
             time_offset_s=self.time_offset_s,
         )
 
@@ -181,20 +156,14 @@ class ReferenceConfig(ReferenceErrors):
     )
     slow_sigma_roll_arcsec: float = arcsec(0.0, doc="correlated error in roll")
     slow_sigma_pitch_arcsec: float = arcsec(0.0, doc="correlated error in pitch")
-    slow_sigma_heading_arcsec: float = arcsec(
-        0.0, doc="correlated error in heading; 0 for all three: not modelled"
-    )
+    slow_sigma_heading_arcsec: float = arcsec(0.0, doc="correlated error in heading; 0 for all three: not modelled")
     slow_time_s: float = parameter(
         300.0, doc="correlation time of the correlated error", unit="s", minimum=0.1, maximum=1e7
     )
 
-    @property
-    def noise_sources(self) -> tuple[str, ...]:
-        """Error sources of the noise; see :class:`SensorConfig`."""
-        return (SOURCE_REFERENCE_NOISE,)
-
-    def blocks(self, source: str) -> list[StateBlock]:
-        """Return the states of the system; see :class:`SensorConfig`."""
+    def device(self, name: str) -> Device:
+        """Return the system as a device."""
+        source = f"reference.{name}"
         walk = self.installation_walk_arcsec_per_sqrt_h * ARCSEC / _SQRT_HOUR
         blocks = [
             block(f"{source}.installation", self.installation_sigma_r, SOURCE_REFERENCE, walk=walk),
@@ -204,19 +173,15 @@ class ReferenceConfig(ReferenceErrors):
         if any(slow):
             slow_sigma = np.array(slow) * ARCSEC
             blocks.append(block(f"{source}.slow", slow_sigma, SOURCE_REFERENCE_SLOW, time_s=self.slow_time_s))
-        return blocks
-
-    def device(self, source: str, ins: InsConfig) -> Device:
-        """Return the system as a device; see :class:`SensorConfig`."""
-        parameters = f"references.{source.removeprefix('reference.')}"
         return ReferenceDevice(
             name=source,
-            parameters=parameters,
-            heading_parameter=f"{parameters}.heading_deg",
+            parameters=f"references.{name}",
+            heading_parameter=f"references.{name}.heading_deg",
             rotation_dv0=self.rotation_dr,
             ins_time_s=-self.time_offset_s,
             ins_time_states=((f"{source}.time_offset", -1.0),),
-            noise_source=SOURCE_REFERENCE_NOISE,
+            noise_sources=(SOURCE_REFERENCE_NOISE,),
+            blocks=tuple(blocks),
             time_offset_s=self.time_offset_s,
         )
 
@@ -258,31 +223,23 @@ class ShipBaselineConfig(BaselineSurvey):
             text = f"the baseline is {self.length_m:.3g} m long: expected at least {_MIN_BASELINE_M:g} m"
             raise ParameterError(f"parameter '{name}': {text}", name, value=self.forward_m)
 
-    @property
-    def noise_sources(self) -> tuple[str, ...]:
-        """Error sources of the noise; see :class:`SensorConfig`."""
-        return (SOURCE_BASELINE_NOISE,)
-
-    def blocks(self, source: str) -> list[StateBlock]:
-        """Return the states of the baseline; see :class:`SensorConfig`."""
+    def device(self, ins: InsConfig) -> Device:
+        """Return the baseline as a device, with stamps in satellite time."""
         # A rotation about the baseline itself is not observable.
         across = self.sigma_m / self.length_m
-        blocks = [block(f"{source}.installation", [0.0, across, across], SOURCE_BASELINE)]
+        blocks = [block(f"{BASELINE}.installation", [0.0, across, across], SOURCE_BASELINE)]
         if self.bias_sigma_m > 0.0:
             sigma = [self.bias_sigma_m / self.length_m] * 3
-            blocks.append(block(f"{source}.common", sigma, SOURCE_BASELINE_COMMON, time_s=self.bias_time_s))
-        return blocks
-
-    def device(self, source: str, ins: InsConfig) -> Device:
-        """Return the baseline as a device, with stamps in satellite time; see :class:`SensorConfig`."""
+            blocks.append(block(f"{BASELINE}.common", sigma, SOURCE_BASELINE_COMMON, time_s=self.bias_time_s))
         return BaselineDevice(
-            name=source,
+            name=BASELINE,
             parameters="ship_baseline",
             heading_parameter="ship_baseline.forward_m and right_m",
             rotation_dv0=self.rotation_dv,
             ins_time_s=-ins.time_offset_s,
             ins_time_states=(("ins.time_offset", -1.0),),
-            noise_source=SOURCE_BASELINE_NOISE,
+            noise_sources=(SOURCE_BASELINE_NOISE,),
+            blocks=tuple(blocks),
             length_m=self.length_m,
             length_sigma_m=math.hypot(self.sigma_m, self.bias_sigma_m),
         )
@@ -298,14 +255,10 @@ class ShipSensors(StarSensorsById):
     ship_baseline: ShipBaselineConfig = section(ShipBaselineConfig)
 
     @cached_property
-    def sensors(self) -> dict[str, SensorConfig]:
-        """Sensors by source name, the star sensors first."""
-        return {
-            **{f"star.{id_}": star for id_, star in self.star_sensors.items()},
-            **{f"reference.{name}": reference for name, reference in self.references.items()},
-            **({BASELINE: self.ship_baseline} if self.ship_baseline.is_aboard else {}),
-        }
-
     def devices(self) -> dict[str, Device]:
-        """Return the devices of all sensors by source name."""
-        return {source: sensor.device(source, self.ins) for source, sensor in self.sensors.items()}
+        """Devices of all sensors by source name, the star sensors first."""
+        found = [star.device(id_, self.ins) for id_, star in self.star_sensors.items()]
+        found += [reference.device(name) for name, reference in self.references.items()]
+        if self.ship_baseline.is_aboard:
+            found.append(self.ship_baseline.device(self.ins))
+        return {device.name: device for device in found}

@@ -52,7 +52,7 @@ class ShipFilter:
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
-        self.devices = config.devices()
+        self.devices = config.devices
         deflection_track = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, deflection_track)
         self.fault_detector = ShipFaultDetector(config, self.model, self.devices)

@@ -237,9 +237,7 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
 def _root(information: FloatArray, ins_white: float, count: float) -> FloatArray:
     """Return a root, shape (3, 3); rootᵀ root is the information of ``count`` measurements with INS noise (rad)."""
     if ins_white > 0.0:
-        information = information - information @ np.linalg.solve(
-            information + np.eye(3) / ins_white**2, information
-        )
+        information = information - information @ np.linalg.solve(information + np.eye(3) / ins_white**2, information)
     values, vectors = np.linalg.eigh(count * information)
     root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     return root

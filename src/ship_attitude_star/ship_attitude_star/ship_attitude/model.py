@@ -105,7 +105,7 @@ class ShipStateModel(StateModel):
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
-        blocks, devices = _ins_blocks(config.ins), config.devices()
+        blocks, devices = _ins_blocks(config.ins), config.devices.values()
         self.ins_attitude_block, self.ins_process = blocks[0], _ins_process(config, blocks[0])
         if self.ins_process is not None:
             # The process propagates these states; as a block they are constant.
@@ -114,23 +114,21 @@ class ShipStateModel(StateModel):
             blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
         if config.ins.model == SCHULER:
             blocks += _schuler_blocks(config.ins.schuler)
-        for source, sensor in config.sensors.items():
-            if devices[source].is_star:
-                blocks += sensor.blocks(source)
+        for device in devices:
+            blocks += device.blocks if device.is_star else ()
         if any(star.needs_sky for star in config.star_sensors.values()):
             blocks += sky_blocks(config.sky)
         sharing = [star for star in config.star_sensors.values() if star.shared_error == SHARED_BY_MESSAGES]
         if sharing:
             time_s = max(star.common_time_s for star in sharing)
             blocks.append(block("sky.common", [1.0] * 3, SOURCE_STAR_COMMON, time_s=time_s))
-        for source, sensor in config.sensors.items():
-            if not devices[source].is_star:
-                blocks += sensor.blocks(source)
-        noise_sources = [name for sensor in config.sensors.values() for name in sensor.noise_sources]
+        for device in devices:
+            blocks += () if device.is_star else device.blocks
+        noise_sources = [name for device in devices for name in device.noise_sources]
         super().__init__(blocks, [SOURCE_INTERPOLATION, *noise_sources, SOURCE_SAVED_ALIGNMENT])
         process_blocks = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
         self.process_indices = np.concatenate([self.state_indices(name) for name in process_blocks])
-        self.rotation_chains = {name: self._rotation_chain(device) for name, device in devices.items()}
+        self.rotation_chains = {device.name: self._rotation_chain(device) for device in devices}
 
     def _rotation_chain(self, device: Device) -> RotationChain:
         """Return the chain of rotations of a device, from the device outwards."""

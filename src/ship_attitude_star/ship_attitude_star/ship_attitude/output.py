@@ -89,9 +89,9 @@ def estimate_from_star(
         rotation_nd = exp_rotation(-by_deflection @ state.mean[deflection]) @ rotation_nd
         rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -by_deflection])
     covariance_by_source = jacobian @ state.covariance_by_source[:, rows[:, None], rows] @ jacobian.T
-    covariance_by_source[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
-    common = model.blocks[f"{device.name}.common"].source
-    covariance_by_source[model.sources.index(common)] += measurement.common_n
+    white, common = device.noise_sources[0], model.blocks[f"{device.name}.common"].source
+    covariance_by_source[model.source_indices[white]] += to_horizon @ measurement.noise_v @ to_horizon.T
+    covariance_by_source[model.source_indices[common]] += measurement.common_n
     covariance_n = covariance_by_source.sum(axis=0)
     return AttitudeEstimate(
         time_ns=measurement.time_ns,

@@ -46,18 +46,8 @@ _STEPS = 64
 """Number of the last changes of the value; the smallest of them is the resolution."""
 
 
-class StuckValue(NamedTuple):
-    """Value of a measurement that must not stay constant.
-
-    Attributes:
-        value: value, of any shape.
-        sigma_rad: largest standard deviation of its noise, rad.
-        rejection_text: text of the rejection of a constant value.
-    """
-
-    value: FloatArray
-    sigma_rad: float
-    rejection_text: str
+StuckValue = tuple[FloatArray, float, str]
+"""Value that must not stay constant, the largest standard deviation of its noise, rad, and a text for a rejection."""
 
 
 def largest_sigma(covariance: FloatArray) -> float:

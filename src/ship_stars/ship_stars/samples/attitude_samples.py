@@ -70,7 +70,7 @@ class AttitudeMeasurement:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant while the ship rotates."""
-        return StuckValue(self.rotation_nv, largest_sigma(self.noise_v), "attitude is constant")
+        return self.rotation_nv, largest_sigma(self.noise_v), "attitude is constant"
 
     @property
     def correlated_n(self) -> FloatArray:
@@ -197,39 +197,17 @@ class AttitudeSeries:
 
     def subset(self, indices: slice) -> "AttitudeSeries":
         """Return a slice of the series."""
-        return AttitudeSeries(
-            time_ns=self.time_ns[indices],
-            rotation_nd=self.rotation_nd[indices],
-            covariance_by_source_n=self.covariance_by_source_n[indices],
-            covariance_n=self.covariance_n[indices],
-            covariance_without_separation_n=self.covariance_without_separation_n[indices],
-            rate_d=self.rate_d[indices],
-            status=self.status[indices],
-            horizon=self.horizon[indices],
-            sources=self.sources[indices],
-            star_age_s=self.star_age_s[indices],
-            state=self.state,
-            text=self.text[indices],
-        )
+        return AttitudeSeries(**self._fields_at(indices))
 
     def estimate(self, index: int) -> AttitudeEstimate:
         """Return one attitude of the series."""
-        return AttitudeEstimate(
-            time_ns=int(self.time_ns[index]),
-            rotation_nd=self.rotation_nd[index],
-            covariance_by_source_n=self.covariance_by_source_n[index],
-            covariance_n=self.covariance_n[index],
-            covariance_without_separation_n=self.covariance_without_separation_n[index],
-            rate_d=self.rate_d[index],
-            status=self.status[index],
-            horizon=Horizon(self.horizon[index]),
-            sources=self.sources[index],
-            star_age_s=float(self.star_age_s[index]),
-            state=self.state,
-            text=self.text[index],
-        )
+        at = self._fields_at(index)
+        at |= {"time_ns": int(at["time_ns"]), "horizon": Horizon(at["horizon"]), "star_age_s": float(at["star_age_s"])}
+        return AttitudeEstimate(**at)
+
+    def _fields_at(self, which: int | slice) -> dict[str, Any]:
+        return {name: value if name == "state" else value[which] for name, value in vars(self).items()}
 
 
 AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]
 """Outcome of one input of the core."""
-

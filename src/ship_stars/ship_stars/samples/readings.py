@@ -56,7 +56,7 @@ class InertialAttitude:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant; a ship at rest rotates relative to the stars."""
-        return StuckValue(self.rotation_cs, largest_sigma(self.noise_s), "attitude relative to the stars is constant")
+        return self.rotation_cs, largest_sigma(self.noise_s), "attitude relative to the stars is constant"
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ class StarExposure:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant while the ship rotates."""
-        return StuckValue(self.directions_s, float(self.sigma.max(initial=0.0)), "stars do not move on the detector")
+        return self.directions_s, float(self.sigma.max(initial=0.0)), "stars do not move on the detector"
 
     @property
     def is_identified(self) -> NDArray[np.bool_]:

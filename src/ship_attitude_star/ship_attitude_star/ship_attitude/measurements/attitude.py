@@ -1,10 +1,7 @@
 """Measured attitudes relative to the horizon: star sensors that solve their attitude, and other attitude systems."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
-from typing import ClassVar
 
 import numpy as np
 
@@ -58,11 +55,9 @@ class AttitudeDevice(Device):
         """
         residual, jacobian = _residual(measurement, at)
         index, noise = at.model.source_indices, measurement.noise_v
-        noise_by_source = {
-            index[self.noise_source]: noise, index[SOURCE_INTERPOLATION]: at.predicted.interpolation_v
-        }  # fmt: skip
+        between, interpolation = index[SOURCE_INTERPOLATION], at.predicted.interpolation_v
         return ComparedMeasurement(
-            linear=LinearMeasurement(residual, jacobian, noise_by_source),
+            LinearMeasurement(residual, jacobian, {index[self.noise_sources[0]]: noise, between: interpolation}),
             rotation_jacobian=_IDENTITY,
             components=ATTITUDE_COMPONENTS,
             rotation_nv=measurement.rotation_nv,
@@ -97,7 +92,7 @@ class TrackerDevice(AttitudeDevice):
 class ReferenceDevice(AttitudeDevice):
     """Another attitude system, which is levelled by gravity as the INS is."""
 
-    angles: ClassVar[Mapping[str, int]] = MappingProxyType({"roll": 2, "pitch": 1, "heading": 0})
+    angles = (("roll", 2), ("pitch", 1), ("heading", 0))
     are_angles_signed = True
 
     def convert(self, measurement: AttitudeMeasurement, match: InsMatch) -> tuple[Measurement, InterpolatedAttitude]:

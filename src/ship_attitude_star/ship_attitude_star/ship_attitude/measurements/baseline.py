@@ -1,10 +1,7 @@
 """Measured baseline between two antennas aboard: a direction of the ship in the horizon, measured by RTK."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import ClassVar
 
 import numpy as np
 
@@ -59,7 +56,7 @@ class BaselineMeasurement:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant while the ship rotates."""
-        return StuckValue(self.direction_n, largest_sigma(self.noise_n) / self.length_m, "baseline is constant")
+        return self.direction_n, largest_sigma(self.noise_n) / self.length_m, "baseline is constant"
 
     @property
     def direction_n(self) -> FloatArray:
@@ -82,7 +79,7 @@ class BaselineDevice(Device):
         length_sigma_m: standard deviation of the correlated error of a measured length, m.
     """
 
-    angles: ClassVar[Mapping[str, int]] = MappingProxyType({"azimuth": 0, "elevation": 1})
+    angles = (("azimuth", 0), ("elevation", 1))
 
     length_m: float
     length_sigma_m: float
@@ -107,7 +104,7 @@ class BaselineDevice(Device):
         rotation_v = np.array([0.0, -direction_v[2], direction_v[1]]) / direction_v[0]
         index, interpolation_v = at.model.source_indices, at.predicted.interpolation_v
         noise_by_source = {
-            index[self.noise_source]: noise_v[1:, 1:],
+            index[self.noise_sources[0]]: noise_v[1:, 1:],
             index[SOURCE_INTERPOLATION]: _UP_RIGHT_BY_ROTATION @ interpolation_v @ _UP_RIGHT_BY_ROTATION.T,
         }
         return ComparedMeasurement(
@@ -118,7 +115,6 @@ class BaselineDevice(Device):
             components=BASELINE_COMPONENTS,
             rotation_nv=at.predicted.rotation_nv @ exp_rotation(rotation_v),
             predicted_nv=at.predicted.rotation_nv,
-            attitude_noise_v=np.zeros((3, 3)),
         )
 
     def information(self, measurement: BaselineMeasurement) -> FloatArray:

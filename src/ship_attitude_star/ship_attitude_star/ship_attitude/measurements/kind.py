@@ -1,13 +1,13 @@
 """Base class of the devices of all kinds of measurement, and the terms in which a measurement is linearised."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel
+from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateBlock, StateModel
 from ship_estimation.rejections import Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray
@@ -89,7 +89,7 @@ class ComparedMeasurement(NamedTuple):
             are consistent with it.
         predicted_nv: predicted attitude, horizon from device, shape (3, 3).
         attitude_noise_v: noise of a measured attitude, rotation vector in the device frame, rad², shape (3, 3); zero
-            for single stars and baselines.
+            for other measurements.
         rejected_stars: rejected stars by name.
     """
 
@@ -98,7 +98,7 @@ class ComparedMeasurement(NamedTuple):
     components: tuple[str, ...]
     rotation_nv: FloatArray
     predicted_nv: FloatArray
-    attitude_noise_v: FloatArray
+    attitude_noise_v: FloatArray = np.zeros((3, 3))
     rejected_stars: tuple[tuple[str, Rejection], ...] = ()
 
     @property
@@ -119,10 +119,11 @@ class Device(ABC):
         rotation_dv0: configured mounting, deck from device, shape (3, 3).
         ins_time_s: configured part of (stamp of the INS - stamp of the device) for the same attitude, s.
         ins_time_states: states that add to ``ins_time_s``, with their signs.
-        noise_source: error source of its white noise.
+        noise_sources: error sources of its noise, the white noise first.
+        blocks: states of its errors.
         time_offset_s: configured offset of its own clock, s; None if the stamps need no offset.
         is_star: True for star sensors, which alone measure the full attitude relative to the geodetic horizon.
-        angles: name → index of the estimated mounting angles (azimuth, elevation, roll) of the alignment.
+        angles: name and index of the estimated mounting angles (azimuth, elevation, roll) of the alignment.
         are_angles_signed: True if these angles are differences, wrapped to [-pi, pi).
     """
 
@@ -132,10 +133,11 @@ class Device(ABC):
     rotation_dv0: FloatArray
     ins_time_s: float
     ins_time_states: tuple[tuple[str, float], ...]
-    noise_source: str
+    noise_sources: tuple[str, ...]
+    blocks: tuple[StateBlock, ...]
     time_offset_s: float | None = None
     is_star: ClassVar[bool] = False
-    angles: ClassVar[Mapping[str, int]] = MappingProxyType({"azimuth": 0, "elevation": 1, "roll": 2})
+    angles: ClassVar[tuple[tuple[str, int], ...]] = (("azimuth", 0), ("elevation", 1), ("roll", 2))
     are_angles_signed: ClassVar[bool] = False
 
     def convert(self, measurement: Any, match: InsMatch) -> tuple[Measurement, InterpolatedAttitude] | Rejection:

@@ -159,20 +159,12 @@ def predict_attitude(
     rotates J_left(v) dv into the device frame.
     """
     chain = model.rotation_chains[device.name]
-    result = compiled_rotations.composed_attitude(
-        mean,
-        chain.links,
-        chain.fixed,
-        chain.hull_link,
-        chain.noise_link,
-        math.sqrt(ins.noise_gain),
-        chain.clock_states,
-        chain.clock_signs,
-        ins.rotation_nd,
-        ins.rate_d,
-        ins.error_covariance_d,
+    links, clocks = (chain.links, chain.fixed, chain.hull_link), (chain.clock_states, chain.clock_signs)
+    of_ins = ins.rotation_nd, ins.rate_d, ins.error_covariance_d
+    noise_gain = math.sqrt(ins.noise_gain)
+    return PredictedAttitude(
+        *compiled_rotations.composed_attitude(mean, *links, chain.noise_link, noise_gain, *clocks, *of_ins)
     )
-    return PredictedAttitude(*result)
 
 
 class Linearisation:

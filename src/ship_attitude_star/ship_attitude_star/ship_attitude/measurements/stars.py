@@ -42,12 +42,8 @@ class StarCameraDevice(Device):
         motion = exposure_motion(match.track, match.ins_time_ns, measurement.length.nodes)
         if motion is None:
             return measurement.length.coverage_rejection
-        ins = replace(
-            match.ins,
-            rate_d=motion.rate,
-            noise_gain=motion.noise_gain,
-            error_covariance_d=motion.error_covariance,
-        )
+        rate_d, gain, covariance_d = motion.rate, motion.noise_gain, motion.error_covariance
+        ins = replace(match.ins, rate_d=rate_d, noise_gain=gain, error_covariance_d=covariance_d)
         return reduce_to_mid_exposure(measurement, motion.in_device_frame(self.rotation_dv0).turns), ins
 
     def initial_attitude(self, measurement: StarExposure, at: LinearisationPoint) -> FloatArray | None:
@@ -85,7 +81,6 @@ class StarCameraDevice(Device):
             components=stars.components,
             rotation_nv=rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
             predicted_nv=rotation_nv,
-            attitude_noise_v=np.zeros((3, 3)),
             rejected_stars=stars.rejected,
         )
 
