@@ -14,6 +14,7 @@ from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, AdapterRun, Arrival, stamp_of
 from ship_testing.every_input import NODES, Voyage, fault_free_run, voyage
 from ship_testing.garbage import paths, put_garbage
+from ship_testing.one_message import process_message
 
 MESSAGES = int(os.environ.get("FUZZED_MESSAGES", "5000")) // len(NODES)
 
@@ -29,9 +30,9 @@ def test_no_message_raises_or_has_an_effect_after_a_reset(node: str) -> None:
         adapter.clock_jumped_back(start_ns)
         # Valid messages continue in between, so that the bad messages arrive at a node in operation.
         for arrival in everything.arrivals:
-            published = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
+            published = process_message(adapter, arrival.topic, arrival.message, arrival.receive_ns)
             for bad in garbage(arrival, per_arrival, rng):
-                published += adapter.handle(arrival.topic, bad, arrival.receive_ns)
+                published += process_message(adapter, arrival.topic, bad, arrival.receive_ns)
                 tried += 1
             published += adapter.tick(arrival.receive_ns)
             for _, message in published:

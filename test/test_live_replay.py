@@ -27,6 +27,7 @@ from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.bounds import check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import evaluate
+from ship_testing.one_message import process_message
 from ship_testing.trials.live_run import LiveRun
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
@@ -136,7 +137,7 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
         for record in bag.records(topics):
             for tick_ns in grid.ticks_until(record.log_time_ns):
                 published += adapter.tick(tick_ns)
-            published += adapter.handle(record.topic, record.decode(), record.log_time_ns)
+            published += process_message(adapter, record.topic, record.decode(), record.log_time_ns)
     result = adapter.service("save_alignment", record.log_time_ns)
     assert result.success, result.message
     attitudes = [message for topic, message in published if topic == node.topic]

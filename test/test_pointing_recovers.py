@@ -18,8 +18,8 @@ from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
 from ship_node.saved_files.saved_document import READ_ONLY
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_config
-from ship_replay.offline.block_run import BlockRun
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
 from ship_stars.sky.sky_model import SkyModel
@@ -53,6 +53,7 @@ class _Sink(VoyageSink):
 
     def __init__(self, truths: dict[str, Truth]) -> None:
         super().__init__(truths)
+        self.topics |= {DIAGNOSTICS_TOPIC}
         self.statuses: list[tuple[int, int]] = []
         self.stamps: list[tuple[int, int]] = []
         self.texts: set[str] = set()
@@ -84,7 +85,7 @@ class ReplayResult:
 
 
 def replay_with_faults(
-    run_class: type[ReplayRun],
+    batch_size: int,
     path: Path,
     faults: Sequence[Fault],
     sink: object,
@@ -96,7 +97,7 @@ def replay_with_faults(
         config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
     adapter = node(replace_nested(config, **changes), RosbagsFactory(), READ_ONLY)
     chain = AdapterChain([adapter])
-    run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
+    run = ReplayRun(chain, sink, ReplaySummary(), set(), batch_size)
     taken = {topic.topic for topic in chain.inputs}
     with read_bag(path) as bag:
         for record in Injection(path, {f"f{number}": one for number, one in enumerate(faults)}, 1).records(bag):
@@ -117,7 +118,7 @@ def read_result(path: Path, *faults: Fault, **changes: object) -> ReplayResult:
             for record in bag.records({orientation.truth_topic}):
                 truths[orientation.topic].add(record.decode())
     sink = _Sink(truths)
-    adapter = replay_with_faults(ReplayRun, path, faults, sink, **changes)
+    adapter = replay_with_faults(1, path, faults, sink, **changes)
     times_s, statuses = (np.array(column) for column in zip(*sink.statuses, strict=True))
     times_s = (times_s - start_ns) / NS_PER_S
     begins = np.flatnonzero(np.diff(statuses != 0, prepend=0))
@@ -171,8 +172,8 @@ def test_a_moved_antenna_of_the_ship_is_not_adopted(session):
 
 def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_without_recovery(session):
     with_recovery, without = MemorySink(), MemorySink()
-    adapter = replay_with_faults(BlockRun, session, [], with_recovery)
-    replay_with_faults(BlockRun, session, [], without, recovery__after_s=NEVER_S)
+    adapter = replay_with_faults(LARGEST_BATCH, session, [], with_recovery)
+    replay_with_faults(LARGEST_BATCH, session, [], without, recovery__after_s=NEVER_S)
     assert adapter.recovery.started == 0
     assert with_recovery.published == without.published
 
@@ -181,8 +182,8 @@ def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_
 def test_blocks_publish_the_same_as_messages_one_by_one(session, faults):
     by_blocks, one_by_one = MemorySink(), MemorySink()
     adapters = [
-        replay_with_faults(BlockRun, session, faults, by_blocks),
-        replay_with_faults(ReplayRun, session, faults, one_by_one),
+        replay_with_faults(LARGEST_BATCH, session, faults, by_blocks),
+        replay_with_faults(1, session, faults, one_by_one),
     ]
     assert [adapter.recovery.started for adapter in adapters] in ([1, 1], [2, 2])
     assert [adapter.recovery.adopted for adapter in adapters] == [int(faults is CLOCKS)] * 2
@@ -190,7 +191,7 @@ def test_blocks_publish_the_same_as_messages_one_by_one(session, faults):
 
 
 def test_pointings_above_the_alert_limit_are_no_trouble(session):
-    adapter = replay_with_faults(ReplayRun, session, [], MemorySink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
+    adapter = replay_with_faults(1, session, [], MemorySink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
     assert adapter.latest.status is Status.DEGRADED
     assert adapter.recovery.started == 0
 
@@ -202,7 +203,7 @@ class _Smoothing(OpticalAxisAdapter):
 
 def test_smoothing_has_the_pointings_of_both_estimators(session):
     sink = _Sink({})
-    adapter = replay_with_faults(ReplayRun, session, CLOCKS, sink, _Smoothing)
+    adapter = replay_with_faults(1, session, CLOCKS, sink, _Smoothing)
     assert adapter.recovery.adopted == 1
     smoothed_ns = [estimate.time_ns for estimate in adapter.core.smooth_remaining()]
     assert smoothed_ns == [stamp_ns for stamp_ns, status in sink.stamps if status != Status.INVALID]

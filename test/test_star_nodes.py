@@ -32,6 +32,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
 from ship_testing import small_voyage, star_voyage
+from ship_testing.one_message import process_message
 from ship_testing.trials.live_run import LiveRun
 
 ROOT = Path(__file__).parents[1]
@@ -188,7 +189,7 @@ def joint_nees(seeds: int, exposure_s: float = 0.0, configured_psf_px: float | N
                 rotation_nd = rotation_from_angles(message.heading, message.pitch, message.roll)
                 truth[ns_from_stamp(message.header.stamp)] = rotation_nd
             elif topic in topics:
-                given = adapter.handle(topic, message, log_time_ns)
+                given = process_message(adapter, topic, message, log_time_ns)
                 joint += [solved for name, solved in given if name == "star/joint/solution"]
         last = joint[-1]
         error = log_rotation(truth[ns_from_stamp(last.header.stamp)] @ star_voyage.solution_rotation(last).T)

@@ -22,6 +22,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_estimation.parameters.schema import build
 from ship_node.live.adapter_calls import message_bytes
 from ship_node.live.node_clock import TickGrid
+from ship_node.messages.batch import Batch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
@@ -89,7 +90,7 @@ def _waits_ms(scenario: Scenario, records: list[BagRecord]) -> list[float]:
         message = readers[record.topic].message(record.data)
         if message is None:
             message = deserialize_message(record.data, message_class(types[record.topic]))
-        for _, output in adapter.handle(record.topic, message, record.log_time_ns):
+        for _, output in adapter.process(Batch.of_message(record.topic, message, record.log_time_ns)).output_messages():
             message_bytes(output)
         taken_s = time.perf_counter() - begin_s
         if record.topic.startswith(f"star/{_SENSOR}/"):

@@ -20,12 +20,12 @@ from unittest import mock
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_node.adapters.reporting_adapter import ReportingAdapter
+from ship_node.adapters.node_adapter import NodeAdapter
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 
-ENTRY = "handle"
-"""Method of an adapter that processes messages."""
+ENTRY = "process"
+"""Method of an adapter that processes a batch of messages."""
 DEFAULT_NTH = 200
 _SOURCES = "/src/"
 _GEOMETRY = "ship_geometry/"
@@ -44,7 +44,8 @@ class _Processed(Exception):
 
 def is_only_message(arguments: tuple[Any, ...], topic: str) -> bool:
     """Return True if a call of :data:`ENTRY` with these arguments processes one message, of this topic."""
-    return bool(arguments[0] == topic)
+    (batch,) = arguments
+    return [arrival.topic for arrival in batch.arrivals if not arrival.is_empty] == [topic]
 
 
 def walk(bag: Path, topic: str, nth: int = DEFAULT_NTH) -> list[Stop]:
@@ -54,14 +55,14 @@ def walk(bag: Path, topic: str, nth: int = DEFAULT_NTH) -> list[Stop]:
     """
     stops: list[Stop] = []
     counts: Counter[str] = Counter()
-    process = getattr(ReportingAdapter, ENTRY)
+    process = getattr(NodeAdapter, ENTRY)
 
     def record(frame: FrameType, event: str, _argument: object) -> None:
         _, found, path = frame.f_code.co_filename.rpartition(_SOURCES)
         if event == "call" and found:
             stops.append(Stop(path, frame.f_code.co_name))
 
-    def entry(adapter: ReportingAdapter, *arguments: Any) -> Any:
+    def entry(adapter: NodeAdapter, *arguments: Any) -> Any:
         if is_only_message(arguments, topic):
             counts[adapter.node_name] += 1
             if counts[adapter.node_name] == nth:
@@ -73,7 +74,7 @@ def walk(bag: Path, topic: str, nth: int = DEFAULT_NTH) -> list[Stop]:
                 raise _Processed
         return process(adapter, *arguments)
 
-    replacement = mock.patch.object(ReportingAdapter, ENTRY, entry)
+    replacement = mock.patch.object(NodeAdapter, ENTRY, entry)
     with tempfile.TemporaryDirectory() as folder, replacement, contextlib.suppress(_Processed):
         replay(bag, Path(folder) / "replayed.mcap", ADAPTERS, one_by_one=True)
     return stops

@@ -18,6 +18,7 @@ from ship_estimation.rejections import Reason
 from ship_estimation.time_order.time_ordered_log import MOST_REPEATS_PER_S
 from ship_node.adapters.adapter import Adapter
 from ship_node.live.node_clock import TickGrid
+from ship_testing.one_message import process_message
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
@@ -207,7 +208,7 @@ def hand_over(
     for arrival in arrivals:
         waiting_ns = arrival.receive_ns
         _tick(run, grid, waiting_ns, node_ns)
-        published = run.adapter.handle(arrival.topic, arrival.message, node_ns(waiting_ns), waiting_ns)
+        published = process_message(run.adapter, arrival.topic, arrival.message, node_ns(waiting_ns), waiting_ns)
         run.published += [(waiting_ns, *item) for item in published]
     _tick(run, grid, max(until_ns, run.now_ns), node_ns)
 

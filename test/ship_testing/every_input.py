@@ -22,7 +22,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_node.adapters.reporting_adapter import ReportingAdapter
+from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.parameters.parameter_file import load_config
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
@@ -52,7 +52,7 @@ class Voyage:
         truth: the true attitude or pointing by stamp, as a message.
     """
 
-    new_adapter: Callable[[], ReportingAdapter]
+    new_adapter: Callable[[], NodeAdapter]
     arrivals: Arrivals
     truth: dict[int, Any]
 
@@ -89,7 +89,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
     if node.endswith("by ins"):
         config = replace_nested(config, escort__enabled=True, escort__period_s=1.0)
 
-    def new_adapter() -> ReportingAdapter:
+    def new_adapter() -> NodeAdapter:
         return adapter_class(config, FACTORY)
 
     input_topics = {feed.topic for feed in new_adapter().inputs}

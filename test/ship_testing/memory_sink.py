@@ -2,11 +2,8 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-
-from ship_bags.message_store import serialize
 
 Published = dict[str, list[tuple[int, bytes]]]
 """Topic → log time and bytes of each message."""
@@ -21,14 +18,6 @@ class MemorySink:
 
     def __init__(self) -> None:
         self.published: Published = defaultdict(list)
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Store a message."""
-        self.write_raw(topic, "", serialize(message), log_time_ns)
-
-    def write_raw(self, topic: str, _type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Store a message that is encoded as bytes."""
-        self.published[topic].append((log_time_ns, bytes(data)))
 
     def write_many(
         self, topics: Sequence[tuple[str, str]], of_topic: np.ndarray, data: Sequence[bytes], log_times_ns: np.ndarray

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.time_order.outcome import Status
-from ship_node.adapters.reporting_adapter import ReportingAdapter
+from ship_node.adapters.node_adapter import NodeAdapter
 from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, stamp_of
 
 
 class ProtectionLevelRun(AdapterRun):
     """Run that computes the level of each output at its publication."""
 
-    adapter: ReportingAdapter
+    adapter: NodeAdapter
 
-    def __init__(self, adapter: ReportingAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> None:
+    def __init__(self, adapter: NodeAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> None:
         super().__init__(adapter)
         self.level_of: dict[int, np.ndarray] = {}
         to_messages = adapter._estimate_messages

@@ -13,10 +13,12 @@ from ship_estimation.parameters.schema import ParameterError
 from ship_node.adapters.adapter import ServiceResult
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.health.overload import Overload
+from ship_node.messages.batch import Arrival, Batch, BatchOutputs
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.messages.field_checks import MessageRejected, check_frame, stamp_ns, unit_quaternion
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
+from ship_testing.one_message import process_each
 
 EXPLOSIVE_FRAME = "explosive"
 
@@ -54,6 +56,7 @@ class RelayAdapter:
     node_name = "relay"
     config_type = RelayConfig
     services = ("reset", "explode")
+    block_topics: frozenset[str] = frozenset()
 
     def __init__(self, config: RelayConfig, factory: MessageFactory, files: Files = DISK) -> None:
         self.config = config
@@ -77,8 +80,12 @@ class RelayAdapter:
         self.overload_times_ns: list[int] = []
         self.duplicates: list[tuple[str, str]] = []
 
-    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        self.health.record_arrival(topic, receive_ns if waiting_ns is None else waiting_ns)
+    def process(self, batch: Batch) -> BatchOutputs:
+        return process_each(batch, self._relay, self.tick)
+
+    def _relay(self, arrival: Arrival) -> list[OutputMessage]:
+        topic, message, receive_ns = arrival.topic, arrival.message, arrival.receive_ns
+        self.health.record_arrival(topic, arrival.waiting_ns)
         if message.header.frame_id == EXPLOSIVE_FRAME:
             raise RuntimeError("a defect of the adapter")
         try:

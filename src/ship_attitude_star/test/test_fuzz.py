@@ -11,6 +11,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, put_garbage
+from ship_testing.one_message import process_message
 from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, new_adapter, voyage
 
 MESSAGES = 20_000
@@ -75,7 +76,7 @@ def delayed_copy(arrival: Arrival, ns: int) -> Arrival:
 def take(run: Run, arrival: Arrival, now_ns: int) -> None:
     """Hand over a message; all resulting messages must be serialisable."""
     run.now_ns = now_ns
-    for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
+    for topic, message in process_message(run.adapter, arrival.topic, arrival.message, now_ns):
         message_bytes(message)
         if topic == "ship/attitude":
             run.published.append((now_ns, topic, message))

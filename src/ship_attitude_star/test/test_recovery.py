@@ -24,6 +24,7 @@ from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
+from ship_testing.one_message import process_message
 from ship_testing.overconfident_filter import make_overconfident
 from ship_testing.small_voyage import (
     FORE,
@@ -68,7 +69,7 @@ def run_voyage(
             make_overconfident(run.adapter)
         run.published += [
             (arrival.receive_ns, *item)
-            for item in run.adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
+            for item in process_message(run.adapter, arrival.topic, arrival.message, arrival.receive_ns)
         ]
         run.now_ns = arrival.receive_ns
         if then is not None:
@@ -314,8 +315,9 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
         if since_s >= FAULTY_S and not is_faulty:
             is_faulty = True
             make_overconfident(adapter)
-        handled = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns + off_ns, arrival.receive_ns)
-        run.published += [(arrival.receive_ns, *item) for item in handled]
+        receive_ns = arrival.receive_ns
+        handled = process_message(adapter, arrival.topic, arrival.message, receive_ns + off_ns, receive_ns)
+        run.published += [(receive_ns, *item) for item in handled]
     last = [m for ns, topic, m in run.published if topic == ATTITUDE and ns > START_NS + 120 * SECOND_NS]
     assert {m.status for m in last} == {Status.VALID}
 

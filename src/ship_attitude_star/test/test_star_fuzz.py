@@ -8,6 +8,7 @@ import pytest
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, stamp_of
 from ship_testing.garbage import paths, put_garbage
+from ship_testing.one_message import process_message
 from ship_testing.small_voyage import run_adapter
 from ship_testing.star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, published_bytes, voyage
 
@@ -24,7 +25,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         adapter.clock_jumped_back(START_NS)
         # Correct messages are mixed in, so that the garbage meets a working node.
         for arrival in voyage():
-            published = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
+            published = process_message(adapter, arrival.topic, arrival.message, arrival.receive_ns)
             pickled = pickle.dumps(arrival.message)
             for copy in range(MIXED_IN):
                 bad = pickle.loads(pickled)
@@ -32,7 +33,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
                 earlier_ns = stamp_of(bad) - 1_000_000 * (copy + (round_ < ROUNDS - 1))
                 bad.header.stamp.sec, bad.header.stamp.nanosec = divmod(earlier_ns, SECOND_NS)
                 put_garbage(bad, fields[arrival.topic], rng)
-                published += adapter.handle(arrival.topic, bad, arrival.receive_ns)
+                published += process_message(adapter, arrival.topic, bad, arrival.receive_ns)
                 tried += 1
             published += adapter.tick(arrival.receive_ns)
             for _, message in published:

@@ -27,6 +27,7 @@ from ship_testing.adapter_runs import (
     sort_by_arrival,
     stamp_of,
 )
+from ship_testing.one_message import process_message
 from ship_testing.ship_observations import config as observing
 from ship_testing.small_voyage import FORE, INS, Run, attitude, new_adapter, remove_interval, rotation_of, voyage
 from ship_testing.star_voyage import new_adapter as new_star_attitude
@@ -85,7 +86,8 @@ def _hand_over_one(run: Run, arrival: Arrival, off_ns: Clock) -> None:
         tick_ns = run.grid_ns * 100_000_000
         run.published += [(tick_ns, *item) for item in run.adapter.tick(tick_ns + off_ns(tick_ns), tick_ns)]
     receive_ns = arrival.receive_ns
-    published = run.adapter.handle(arrival.topic, arrival.message, receive_ns + off_ns(receive_ns), receive_ns)
+    node_ns = receive_ns + off_ns(receive_ns)
+    published = process_message(run.adapter, arrival.topic, arrival.message, node_ns, receive_ns)
     run.published += [(receive_ns, *item) for item in published]
     run.now_ns = receive_ns
 

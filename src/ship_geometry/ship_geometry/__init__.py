@@ -273,8 +273,8 @@ Terms of running
         A measurement waits for data that may still arrive; after the lag its decision is final.
         Module: ship_estimation.time_order.time_ordered_estimator.
     Batch
-        Consecutive messages of one topic that an offline replay processes together.
-        Module: ship_node.messages.batches.
+        Consecutive messages and ticks that a node processes in one call; live, one message.
+        Module: ship_node.messages.batch.
     Core, adapter
         Estimator of a node, without ROS; conversion of messages to its types and back.
         Module: ship_node.adapters.adapter.

@@ -302,7 +302,7 @@ def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> 
 
 
 class RaisingRelay(RelayAdapter):
-    def handle(self, topic, message, receive_ns, waiting_ns=None):
+    def process(self, batch):
         raise RuntimeError("a defect")
 
 

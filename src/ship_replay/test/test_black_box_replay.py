@@ -165,8 +165,8 @@ def older_release(kind):
         __module__ = kind.__module__  # its package is the same
         outputs = tuple(output for output in kind.outputs if output.topic not in newer)
 
-        def handle(self, *arguments):
-            return [published for published in super().handle(*arguments) if published[0] not in newer]
+        def process_message(self, *arguments):
+            return [published for published in super().process_message(*arguments) if published[0] not in newer]
 
         def tick(self, *arguments):
             return [published for published in super().tick(*arguments) if published[0] not in newer]

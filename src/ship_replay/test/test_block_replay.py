@@ -1,4 +1,4 @@
-"""A replay in blocks publishes the same messages at the same times as one by one, byte for byte.
+"""A replay in batches publishes the same messages at the same times as one by one, byte for byte.
 
 The scenarios are those of the repository, shortened; the faults are drawn by seed from those of the injector.
 FAULTED_BAGS is the number of bags of the demo with drawn faults; half as many bags of all nodes have drawn faults.
@@ -20,11 +20,10 @@ from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.integrity.protection_levels import IntegrityConfig
-from ship_replay.offline import block_run
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_testing.memory_sink import MemorySink, Published
@@ -40,13 +39,16 @@ NAMES = [
 ]  # fmt: skip
 FAULTED_BAGS = int(os.environ.get("FAULTED_BAGS", "6"))
 FAULT_SECONDS, SUITE_SECONDS = 45.0, 30.0
+BATCH_SIZES = 7, 100, 1_000_000_000
+"""Sizes of batches that are compared with messages one by one; the last one contains the whole bag."""
 
-def replay_faults(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -> tuple[Published, ReplaySummary]:
+
+def replay_faults(bag_path: Path, injection: Injection, batch_size: int) -> tuple[Published, ReplaySummary]:
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         truth = {topic for topic in bag.topics if topic.startswith("truth/")}
         taken, sink, summary = {topic.topic for topic in chain.inputs} | truth, MemorySink(), ReplaySummary()
-        run = run_class(chain, sink, summary, truth_topics=truth)
+        run = ReplayRun(chain, sink, summary, truth, batch_size)
         records: Iterator[BagRecord] = injection.records(bag)
         for record in records:
             if record.topic in taken:
@@ -58,27 +60,32 @@ def replay_faults(run_class: type[ReplayRun], bag_path: Path, injection: Injecti
 
 def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
     injection = injection or Injection(bag_path, {}, 0)
-    expected, of_run = replay_faults(ReplayRun, bag_path, injection)
-    found, of_blocks = replay_faults(BlockRun, bag_path, injection)
+    expected = replay_faults(bag_path, injection, 1)
+    for batch_size in BATCH_SIZES:
+        assert_same(*expected, *replay_faults(bag_path, injection, batch_size))
+
+
+def assert_same(expected: Published, of_run: ReplaySummary, found: Published, of_batches: ReplaySummary) -> None:
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: len(messages) for topic, messages in expected.items()
     }
     for topic, messages in expected.items():
         odd = next((n for n, (one, other) in enumerate(zip(messages, found[topic], strict=True)) if one != other), None)
         assert odd is None, f"{topic}: message {odd} of {len(messages)} at {messages[odd][0]}"
-    assert (of_blocks.inputs, of_blocks.outputs, of_blocks.rejected) == (of_run.inputs, of_run.outputs, of_run.rejected)
+    counts = [(summary.inputs, summary.outputs, summary.rejected) for summary in (of_run, of_batches)]
+    assert counts[0] == counts[1]
     for topic, history in of_run.status_histories.items():
-        assert (of_blocks.status_histories[topic].counts, of_blocks.status_histories[topic].spans) == (
+        assert (of_batches.status_histories[topic].counts, of_batches.status_histories[topic].spans) == (
             history.counts,
             history.spans,
         )
-    exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (of_run, of_blocks)]
+    exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (of_run, of_batches)]
     assert exclusions[0] == exclusions[1]
     for topic, times in of_run.times.items():
-        for one, other in zip(_gaps(times), _gaps(of_blocks.times[topic]), strict=True):
+        for one, other in zip(_gaps(times), _gaps(of_batches.times[topic]), strict=True):
             np.testing.assert_array_equal(one, other)
-    assert of_blocks.log_delays.irregularity_text() == of_run.log_delays.irregularity_text()
-    assert of_blocks.log_delays.median_ns() == of_run.log_delays.median_ns()
+    assert of_batches.log_delays.irregularity_text() == of_run.log_delays.irregularity_text()
+    assert of_batches.log_delays.median_ns() == of_run.log_delays.median_ns()
 
 
 def _gaps(times: Any) -> list[np.ndarray]:
@@ -155,17 +162,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(ShipAttitudeAdapter, "_decide", decide_with_fault)
     assert_equal(bag)
-    assert len(adopted) == len(set(adopted)) == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("most", [7, 100])
-@pytest.mark.parametrize("bag", ["clean_bag", "suite_bag"])
-def test_where_blocks_end_makes_no_difference(
-    bag: str, most: int, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
-    monkeypatch.setattr(block_run, "_MAX_BATCH", most)
-    assert_equal(request.getfixturevalue(bag))
+    assert len(adopted) == len(set(adopted)) == 1 + len(BATCH_SIZES)
 
 
 @pytest.mark.slow
@@ -182,7 +179,7 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
         return finish_batch(self, batch)
 
     monkeypatch.setattr(core, "finish_batch", count_accepted)
-    _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    _, summary = replay_faults(suite_bag, Injection(suite_bag, {}, 0), LARGEST_BATCH)
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 
 
@@ -196,6 +193,6 @@ def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch:
         return compute_pending(self, pending)
 
     monkeypatch.setattr(PointingOutput, "compute_pending", count_calls)
-    _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    _, summary = replay_faults(suite_bag, Injection(suite_bag, {}, 0), LARGEST_BATCH)
     assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
     assert max(counts) > 10

@@ -9,9 +9,11 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
+from ship_node.messages.batch import Arrival, Batch
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import match_inputs
+from ship_testing.one_message import process_message
 
 BAGS = Path(__file__).parents[3] / "bags"
 MINUTE_NS = 60_000_000_000
@@ -29,7 +31,7 @@ def diagnoses(name: str, change: Callable[[str, Any], None]) -> dict[str, list[t
             if record.log_time_ns > bag.start_ns + MINUTE_NS:
                 break
             while record.log_time_ns >= due_ns:
-                for topic, message in chain.tick(due_ns):
+                for topic, message in chain.process(Batch([Arrival(due_ns, due_ns)])).output_messages():
                     for status in message.status if topic == "/diagnostics" else ():
                         thing = status.name.partition(": ")[2]
                         if thing.startswith("verdict ") or thing == "clocks":
@@ -37,7 +39,7 @@ def diagnoses(name: str, change: Callable[[str, Any], None]) -> dict[str, list[t
                 due_ns += TICK_NS
             message = record.decode()
             change(topics[record.topic], message)
-            chain.handle(topics[record.topic], message, record.log_time_ns)
+            process_message(chain, topics[record.topic], message, record.log_time_ns)
     return statuses
 
 

@@ -22,6 +22,7 @@ from ship_node.messages.topics import InputTopic, OutputTopic
 from ship_replay.commands.replay import main
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag
+from ship_testing.one_message import process_each
 from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
 
 TICK_NS = 100_000_000
@@ -46,6 +47,7 @@ class TinyAdapter:
 
     node_name = "tiny"
     config_type = TinyConfig
+    block_topics = frozenset()
     calls = ()
 
     def __init__(self, config, factory, files=None):
@@ -62,7 +64,11 @@ class TinyAdapter:
         self.latest_header = None
         TinyAdapter.calls = []
 
-    def handle(self, topic, message, receive_ns, waiting_ns=None):
+    def process(self, batch):
+        return process_each(batch, self.add, self.tick)
+
+    def add(self, arrival):
+        topic, message, receive_ns = arrival.topic, arrival.message, arrival.receive_ns
         self.calls.append((topic, receive_ns))
         self.health.record_arrival(topic, receive_ns)
         if message.header.frame_id == "wrong":

@@ -14,9 +14,9 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory, message_store
 from ship_estimation.rejections import Reason
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_testing.memory_sink import MemorySink, Published
 from ship_testing.places import ROOT
 
@@ -35,13 +35,13 @@ CASES = [
 
 
 def replay_published(
-    run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = ""
+    batch_size: int, bag_path: Path, config_path: Path | None, without: str = ""
 ) -> Published:
     """Return the outputs for the beginning of a bag without one topic."""
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
         taken, sink = {topic.topic for topic in chain.inputs} - {without}, MemorySink()
-        run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
+        run = ReplayRun(chain, sink, ReplaySummary(), set(), batch_size)
         assert bag.start_ns is not None
         for record in bag.records():
             if record.log_time_ns > bag.start_ns + LENGTH_NS:
@@ -83,22 +83,22 @@ def is_reported_off(data: bytes, source: str) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("run_class", [ReplayRun, BlockRun])
+@pytest.mark.parametrize("batch_size", [1, LARGEST_BATCH])
 @pytest.mark.parametrize(("bag_path", "node", "source", "topic"), CASES, ids=[case[2] for case in CASES])
 def test_off_from_the_start_is_as_without_the_topic(
-    run_class: type[ReplayRun], bag_path: Path, node: str, source: str, topic: str, tmp_path: Path
+    batch_size: int, bag_path: Path, node: str, source: str, topic: str, tmp_path: Path
 ) -> None:
     off, rejected_off = estimates(
-        replay_published(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source
+        replay_published(batch_size, bag_path, suite_without(bag_path, node, source, tmp_path)), source
     )
-    without, rejected_without = estimates(replay_published(run_class, bag_path, None, without=topic), source)
+    without, rejected_without = estimates(replay_published(batch_size, bag_path, None, without=topic), source)
     assert rejected_without == 0
     assert rejected_off > 20
     assert {topic: len(messages) for topic, messages in off.items()} == {
         topic: len(messages) for topic, messages in without.items()
     }
     assert off == without
-    assert off != estimates(replay_published(run_class, bag_path, None), source)[0]
+    assert off != estimates(replay_published(batch_size, bag_path, None), source)[0]
 
 
 @pytest.mark.slow
@@ -107,4 +107,4 @@ def test_blocks_equal_one_by_one(
     bag_path: Path, node: str, source: str, _topic: str, tmp_path: Path
 ) -> None:
     suite = suite_without(bag_path, node, source, tmp_path)
-    assert replay_published(BlockRun, bag_path, suite) == replay_published(ReplayRun, bag_path, suite)
+    assert replay_published(LARGEST_BATCH, bag_path, suite) == replay_published(1, bag_path, suite)

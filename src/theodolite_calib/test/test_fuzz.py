@@ -10,6 +10,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, put_garbage
+from ship_testing.one_message import process_message
 from ship_testing.small_session import ALL_TOPICS, SHIP, Run, fault_free_run, new_adapter, session
 
 MESSAGES = 10_000
@@ -66,7 +67,7 @@ def shifted_by(arrival: Arrival, ns: int) -> Arrival:
 def give_message(run: Run, arrival: Arrival, now_ns: int) -> None:
     """Pass a message to the adapter; assert that all outputs can be sent."""
     run.now_ns = now_ns
-    for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
+    for topic, message in process_message(run.adapter, arrival.topic, arrival.message, now_ns):
         message_bytes(message)
         if topic == "theodolite/pointing":
             run.published.append((now_ns, topic, message))

@@ -9,6 +9,7 @@ from ship_bags.stamps import make_header
 from ship_estimation.rejections import Reason
 from ship_testing.adapter_runs import FACTORY, START_NS
 from ship_testing.mount_stars import CAMERA, MOUNTED_DEG
+from ship_testing.one_message import process_message
 from ship_testing.small_session import config
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
@@ -48,7 +49,7 @@ def star_message(time_ns: int = START_NS) -> Any:
 
 
 def reported_reasons(adapter: OpticalAxisAdapter, message: Any) -> list[Any]:
-    published = adapter.handle(STARS, message, START_NS + 50_000_000)
+    published = process_message(adapter, STARS, message, START_NS + 50_000_000)
     return [one for topic, one in published if topic == INNOVATION]
 
 

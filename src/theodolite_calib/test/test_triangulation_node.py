@@ -17,6 +17,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.garbage import paths, put_garbage
+from ship_testing.one_message import process_message
 from ship_testing.theodolite_stations import FACTORY, buoy_direction, buoy_n, direction_message, triangulation_values
 from theodolite_calib.adapters.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.triangulation.config import TriangulationConfig
@@ -40,7 +41,7 @@ def buoy_message(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **cha
 def give_message(adapter: TriangulationAdapter, number: int, message: Any, received_ns: int | None = None) -> list[Any]:
     """Pass a message of a theodolite to the adapter; return all that is published."""
     received_ns = ns_from_stamp(message.header.stamp) + LATENCY_NS if received_ns is None else received_ns
-    return adapter.handle(f"t{number}/theodolite/target_direction", message, received_ns)
+    return process_message(adapter, f"t{number}/theodolite/target_direction", message, received_ns)
 
 
 def published_positions(published: list[Any]) -> list[Any]:

@@ -25,6 +25,7 @@ from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
 from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.scenario.fault import Fault
+from ship_testing.one_message import process_message
 from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell
 from ship_testing.returns.voyages import BOUND_S, VOYAGES, Message, VoyageData, load_voyage
 from ship_testing.trials.voyage_outputs import VoyageSink
@@ -234,7 +235,8 @@ class _Run:
             stamp.sec, stamp.nanosec = stamp_fields(ns_from_stamp(stamp) + step_ns)
         for adapter, taken in self._adapters:
             if message.topic in taken:
-                self._publish(adapter.handle(message.topic, content, log_ns + self._offset_ns, log_ns), log_ns)
+                published = process_message(adapter, message.topic, content, log_ns + self._offset_ns, log_ns)
+                self._publish(published, log_ns)
 
     def _set_clock(self, time_ns: int) -> None:
         """Step the computer's clock if its offset at ``time_ns`` differs from the present offset."""

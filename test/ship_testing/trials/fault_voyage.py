@@ -18,9 +18,10 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_replay.evaluation.sources import Truth
-from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.names import IMAGE_TOPIC
@@ -161,26 +162,12 @@ def replay_injection(injection: Injection) -> VoyageOutputs:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         input_topic_names = {topic.topic for topic in chain.inputs}
         sink = VoyageSink(_truths(bag))
-        run = ReplayRun(_TopicErrorChain(chain), sink, ReplaySummary(), truth_topics=())
+        run = ReplayRun(chain, sink, ReplaySummary(), truth_topics=())
         for record in injection.records(bag):
             if record.topic in input_topic_names:
                 run.process_message(record.topic, record)
         run.finish()
     return sink.outputs
-
-
-class _TopicErrorChain(AdapterChain):
-    """Copy of a chain that adds the topic to an exception."""
-
-    def __init__(self, chain: AdapterChain) -> None:
-        super().__init__(chain.adapters, configs=chain.configs)
-
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Any]:
-        """Process one message of an input topic."""
-        try:
-            return super().handle(topic, message, receive_ns)
-        except Exception as error:
-            raise RuntimeError(f"on a message of {topic}") from error
 
 
 @lru_cache(maxsize=8)

@@ -15,6 +15,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_estimation.rejections import Reason
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
+from ship_replay.offline.sinks import DecodingSink
 from ship_watch.orientations import ORIENTATIONS, Orientation
 
 EXCLUSION = "excluded from the estimate"
@@ -109,7 +110,7 @@ class VoyageOutputs:
     output_count: int = 0
 
 
-class VoyageSink:
+class VoyageSink(DecodingSink):
     """Sink that collects the outputs needed for the evaluation.
 
     Args:
@@ -120,12 +121,10 @@ class VoyageSink:
         self.outputs = VoyageOutputs()
         self._truths = truths
         self._orientations = {known.topic: known for known in ORIENTATIONS}
+        self.topics = {*_INNOVATIONS, *INTEGRITY_TOPICS.values(), _HEALTH, *self._orientations}
         self._levels: dict[str, np.ndarray] = {}
         self._excluded: dict[str, set[str]] = {}
         self._health = HealthHistory()
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Ignore truth messages of the bag; the constructor receives the truth as ``truths``."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Add an output."""

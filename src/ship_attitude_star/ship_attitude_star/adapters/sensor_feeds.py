@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.devices import StarSensorConfig
 from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE
-from ship_node.adapters.reporting_adapter import Feed
+from ship_node.adapters.feeds import Feed
 from ship_node.health.duplicate_publishers import INNOVATION
 from ship_node.messages.column_checks import ReadRows
 from ship_node.messages.field_checks import ReadMessage

@@ -45,11 +45,13 @@ from ship_geometry.ros_axes import (
 )
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.adapters.feeds import BlockFeed, Feed, ignore_time
+from ship_node.adapters.node_adapter import OWN_OUTPUTS
 from ship_node.adapters.recovering_adapter import RecoveringAdapter
-from ship_node.adapters.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.adapters.recovery_status import recovery_counts, recovery_status
 from ship_node.health.duplicate_publishers import ATTITUDE
 from ship_node.health.innovation_report import clock_status
-from ship_node.messages.batches import BatchFeed, OutputRows, ReadBatch, StampArray
+from ship_node.messages.batch import OutputRows, ReadBatch, StampArray
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -180,12 +182,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         """See :class:`RecoveringAdapter`."""
         return {"ins": 3.0, **dict.fromkeys(self.config.devices, 10.0)}
 
-    def accepts_batches(self, topic: str) -> bool:
-        """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
-        return super().accepts_batches(topic) and not isinstance(self.core, SmoothingCore)
-
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :meth:`ReportingAdapter.report_outcome`; smoothed attitudes follow."""
+        """See :class:`NodeAdapter`; smoothed attitudes follow."""
         published = super().report_outcome(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
@@ -203,9 +201,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that process them."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
-        block = BatchFeed(functools.partial(self._read_ins_block, config=config.ins), core)
+        block = None
+        if not isinstance(core, SmoothingCore):  # smoothing needs single samples
+            block = BlockFeed(functools.partial(self._read_ins_block, config=config.ins), core)
         read_ins = functools.partial(self._read_ins, config=config.ins)
-        yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, stream_quantity=ATTITUDE)
+        yield Feed(ins, "ins", read_ins, core.add_ins, block=block, stream_quantity=ATTITUDE)
         yield from sensor_feeds(config, core, self._sky_model)
         if self._sky_model is not None:
             yield from surroundings_messages.surroundings_feeds(config.sky, ignore_time(core.add_sky_input))
@@ -228,7 +228,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return reading
 
     def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[OutputRows]:
-        """See :meth:`BatchAdapter.batch_messages`."""
+        """See :class:`NodeAdapter`."""
         rows = attitude_rows(self.factory, AttitudeNumbers.from_runs(runs), self._rate_sigma, self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
@@ -252,7 +252,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns, deck))]
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
-        """See :meth:`ReportingAdapter.no_output`."""
+        """See :class:`NodeAdapter`."""
         core: ShipAttitudeCore = self.core
         return core.no_output(now_ns, text)
 
@@ -321,10 +321,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         text = "; ".join(remarks) or "as configured or loaded"
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
-            DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, self.recovery_counts),
+            DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, recovery_counts(self.recovery)),
             DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.rate_status]),
             self._noise_status(),
-            self.recovery_status(waiting_ns),
+            recovery_status(self.recovery, self.core.excluded_sources, self.remedy, waiting_ns),
             *vertical_statuses(self.core, self.latest),
             *self._observability_statuses(),
             *self.integrity_statuses(),

@@ -15,10 +15,9 @@ from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.batch_adapter import BatchAdapter
-from ship_node.adapters.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.adapters.feeds import BlockFeed, Feed, ignore_time
+from ship_node.adapters.node_adapter import OWN_OUTPUTS, NodeAdapter
 from ship_node.health.duplicate_publishers import ATTITUDE
-from ship_node.messages.batches import BatchFeed, OutputRows
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -70,7 +69,7 @@ class ReadExposure:
     rejected_stars: tuple[RejectedStar, ...]
 
 
-class StarAttitudeAdapter(BatchAdapter):
+class StarAttitudeAdapter(NodeAdapter):
     """Adapter of the estimator of attitudes from stars alone.
 
     Args:
@@ -126,16 +125,12 @@ class StarAttitudeAdapter(BatchAdapter):
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
             read_ins = functools.partial(ins_sample, config=config.ins)
-            block = BatchFeed(functools.partial(ins_batch, config=config.ins), core)
-            yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), batch=block, stream_quantity=ATTITUDE)
+            block = BlockFeed(functools.partial(ins_batch, config=config.ins), core)
+            yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), block=block, stream_quantity=ATTITUDE)
 
     def _process_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
         return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
-
-    def batch_messages(self, _runs: Sequence[Any]) -> Iterator[OutputRows]:
-        """Return no messages: INS samples are not published."""
-        return iter(())
 
     # -- results of the core --------------------------------------------------------------------------------
 
@@ -201,8 +196,9 @@ class StarAttitudeAdapter(BatchAdapter):
             sky_status(self.core.unmeasured_quantities(), self.clock_jumps),
         ]
 
-    def _restart(self, clock_jumped: bool) -> None:
-        super()._restart(clock_jumped)
+    def restart(self, clock_jumped: bool) -> None:
+        """See :class:`NodeAdapter`."""
+        super().restart(clock_jumped)
         self._last_solutions.clear()
 
 

@@ -15,7 +15,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_rotations
-from ship_node.messages.batches import StampArray
+from ship_node.messages.batch import StampArray
 from ship_node.messages.column_checks import ReadRows, angular_covariances, read_valid, stamps
 from ship_node.messages.field_checks import MessageRejected, ReadMessage
 

@@ -21,7 +21,7 @@ from ship_estimation.kalman.rts_smoother import RtsSmoother
 from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.tracks.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
+from ship_geometry.tracks.attitude_track import AttitudeSample, InterpolatedAttitude
 from ship_kernels import compiled_rotations
 from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeOutcome
 from ship_stars.sky.sky_model import SkyModel
@@ -98,9 +98,6 @@ class SmoothingCore(ShipAttitudeCore):
         """See :meth:`ShipAttitudeCore.reconfigure`."""
         super().reconfigure(config)
         self._smoother.predictor = self._new_predictor()
-
-    def evaluate_batch(self, block: SampleBlock, arrivals_ns: object) -> None:
-        """Return None, because samples are processed one by one to store each attitude."""
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """See :meth:`ShipAttitudeCore.add_ins`."""

@@ -121,11 +121,6 @@ class InsCheck:
             return checked
         return checked._replace(sample=replace(sample, rate_d=None))
 
-    @property
-    def least_step_rad(self) -> float:
-        """Largest reported step, rad, that does not affect a check while :meth:`can_check_block` returns True."""
-        return self.comparison.step_detector.least_rad
-
     def can_check_block(self, time_ns: int) -> bool:
         """True if a block may be checked from a stamp on: the rates are confirmed and no check is unresolved."""
         taken = self._accepted

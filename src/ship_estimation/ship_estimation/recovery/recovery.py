@@ -83,6 +83,7 @@ class EstimatorRecovery:
         candidate: the second estimator; None if no second estimator runs.
         started: number of troubles.
         adopted: number of adoptions of a second estimator.
+        adopted_ns: time of the last adoption by the timeout clock, ns; None before the first.
         recovery_time_s: time from the start of trouble to the last adoption, s.
     """
 
@@ -92,6 +93,7 @@ class EstimatorRecovery:
         self._reference: Any = None
         self._before_step: Any = None
         self.started = self.adopted = 0
+        self.adopted_ns: int | None = None
         self.recovery_time_s = 0.0
         self.reset()
 
@@ -165,6 +167,7 @@ class EstimatorRecovery:
         """Record that the candidate has replaced the first estimator, which ends the trouble."""
         assert self._trouble.began_ns is not None
         self.adopted += 1
+        self.adopted_ns = waiting_ns
         self.recovery_time_s = (waiting_ns - self._trouble.began_ns) / SECOND_NS
         self._trouble = TroubleDetector(self._config.after_s)
         self._forget_fault()

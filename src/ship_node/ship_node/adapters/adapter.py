@@ -4,12 +4,13 @@ An adapter defines which topic feeds which method of a core and which result goe
 and sets attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from ship_bags.message_factory import MessageFactory
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.health.overload import Overload
+from ship_node.messages.batch import Batch, BatchOutputs
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 
@@ -51,8 +52,17 @@ class Adapter(Protocol):
 
     def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 
-    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """Process one message of an input topic; return the messages to publish."""
+    @property
+    def block_topics(self) -> Set[str]:
+        """Input topics whose messages a batch may contain as a block."""
+        ...
+
+    def process(self, batch: Batch) -> BatchOutputs:
+        """Process messages of input topics, and the ticks between them; return the messages to publish.
+
+        A live node processes batches of one message, with ticks by :meth:`tick`. No other call may belong between the
+        messages of a batch. Where batches end does not change the outputs.
+        """
         ...
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:

@@ -8,35 +8,22 @@ filter's state is not saved while there is trouble.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any
 
 from ship_estimation.integrity.protection_levels import alert_limit_text
-from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
-from ship_estimation.rejections import Reason, failure_rejection
+from ship_estimation.rejections import failure_rejection
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.adapter import ServiceResult
-from ship_node.adapters.batch_adapter import BatchAdapter
-from ship_node.adapters.reporting_adapter import Feed
-from ship_node.messages.batches import BatchOutput, PendingBatch
-from ship_node.messages.common_messages import DiagnosticStatus, Level
-from ship_node.messages.field_checks import ReadMessage
+from ship_node.adapters.feeds import Feed
+from ship_node.adapters.input_report import PRESENCE_REASONS
+from ship_node.adapters.node_adapter import NodeAdapter
+from ship_node.adapters.recovery_status import trouble_text
 from ship_node.messages.topics import OutputMessage
 
 _DECISION_PERIOD_NS = 1_000_000_000
 """Period of the decisions by the timeout clock, ns."""
-
-_ADOPTION_SHOWN_NS = 60_000_000_000
-"""Time for which an adoption is reported as new, by the timeout clock, ns."""
-
-PRESENCE_REASONS = frozenset({
-    *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
-    *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
-})  # fmt: skip
-"""Reasons of decisions that follow a comparison: the compared message was usable, so its source counts as present."""
 
 _RECOVERY = "recovery"
 """Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
@@ -44,8 +31,8 @@ _RECOVERY = "recovery"
 _NOT_SAVED_TEXT = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
 
 
-class RecoveringAdapter(BatchAdapter):
-    """Adapter that runs a second estimator while there is trouble; see :class:`BatchAdapter`.
+class RecoveringAdapter(NodeAdapter):
+    """Adapter that runs a second estimator while there is trouble; see :class:`NodeAdapter`.
 
     Attributes:
         recovery: logic for starting and adopting the second estimator.
@@ -55,7 +42,6 @@ class RecoveringAdapter(BatchAdapter):
         self.recovery = EstimatorRecovery(config.recovery)
         self._last_usable_ns: dict[str, int] = {}
         self._last_decision_ns: int | None = None
-        self._adopted_ns: int | None = None
         super().__init__(config, *rest)
 
     # -- what a node adds -----------------------------------------------------------------------------------
@@ -92,76 +78,55 @@ class RecoveringAdapter(BatchAdapter):
     def start_from(self, saved: Any, now_ns: int) -> list[str]:
         """Reset the current estimator to a saved document; return remarks for the operator."""
         remarks: list[str] = self.core.start_from(saved, now_ns)
+        self._reset_recovery()
         return remarks
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def _bind(self) -> None:
-        """See :class:`ReportingAdapter`; while a second estimator runs, each input goes to both estimators."""
-        super()._bind()
+    def bind(self) -> None:
+        """See :class:`NodeAdapter`; while a second estimator runs, each message goes to both estimators, one by one."""
+        super().bind()
         candidate = self.recovery.candidate
         if candidate is None:
             return
         for feed in self.table(self.config, candidate.core):
             topic = feed.input.topic
-            self.feeds[topic] = replace(
-                self.feeds[topic], process=_process_in_both(self.feeds[topic].process, feed.process, candidate)
-            )
+            process = _process_in_both(self.feeds[topic].process, feed.process, candidate)
+            self.feeds[topic] = replace(self.feeds[topic], process=process, block=None)
 
-    def report_input(
-        self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
-    ) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`; a usable message shows that its source is present."""
-        rejection = None if outcome is None else outcome.rejection
-        if outcome is not None and (rejection is None or rejection.reason in PRESENCE_REASONS):
-            self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
-        return super().report_input(feed, reading, outcome, receive_ns, waiting_ns)
-
-    def finish_batch(self, pending: PendingBatch) -> list[BatchOutput]:
-        """See :class:`BatchAdapter`."""
-        self._last_usable_ns[self.feeds[pending.topic].source] = int(pending.receive_ns[-1])
-        return super().finish_batch(pending)
+    def record_usable(self, feed: Feed, value: Any, waiting_ns: int) -> None:
+        """See :class:`NodeAdapter`; a usable message shows that its source is present."""
+        self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, value), waiting_ns)
 
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`; a compared measurement shows that its source is present."""
+        """See :class:`NodeAdapter`; a compared measurement shows that its source is present."""
         for decision in outcome.decisions:
             if decision.reason in PRESENCE_REASONS:
                 self._last_usable_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
-        failed = self._note_decisions(outcome.decisions, now_ns)
-        return failed + super().report_outcome(outcome, now_ns, waiting_ns)
-
-    def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[OutputMessage]:
-        """Pass decisions to the recovery; return a failure message if the recovery raises an exception."""
+        failed = []
         try:
-            for decision in decisions:
+            for decision in outcome.decisions:
                 self.recovery.record_decision(self.core, decision)
         except Exception as error:
-            return [self.report_failure(_RECOVERY, now_ns, failure_rejection(error))]
-        return []
-
-    def accepts_batches(self, topic: str) -> bool:
-        """See :class:`BatchAdapter`."""
-        return super().accepts_batches(topic) and self.recovery.candidate is None
+            failed = [self.report_failure(_RECOVERY, now_ns, failure_rejection(error))]
+        return failed + super().report_outcome(outcome, now_ns, waiting_ns)
 
     @property
     def idle_until_ns(self) -> int:
-        """See :class:`BatchAdapter`."""
+        """See :class:`NodeAdapter`."""
         return min(
             super().idle_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS
         )
 
-    def _update_duplicate_publishers(self, topic: str) -> None:
-        super()._update_duplicate_publishers(topic)
-        candidate, feed = self.recovery.candidate, self.feeds[topic]
-        if candidate is not None and not self.is_off(topic):
-            candidate.core.set_duplicate_publishers(
-                feed.measurement_source or feed.source, self._duplicates.text(topic)
-            )
+    @property
+    def cores(self) -> tuple[Any, ...]:
+        """See :class:`NodeAdapter`; also the second estimator."""
+        return (self.core,) if self.recovery.candidate is None else (self.core, self.recovery.candidate.core)
 
     # -- once a second --------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`; the second estimator is started, adopted or ended at intervals of 1 s."""
+        """See :class:`NodeAdapter`; the second estimator is started, adopted or ended at intervals of 1 s."""
         published = super().tick(now_ns, waiting_ns)
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate
@@ -178,124 +143,75 @@ class RecoveringAdapter(BatchAdapter):
 
     def _decide(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Update the recovery; return the messages of an adoption or of a failure of the second estimator."""
-        present_sources, before = self._present_sources(waiting_ns), self.recovery.candidate
-        is_as_expected = (
-            self._is_valid_or_above_limit() or self.behind is not None or not self.can_be_valid(present_sources)
+        before = self.recovery.candidate
+        present_sources = frozenset(
+            source
+            for source, arrived_ns in self._last_usable_ns.items()
+            for kind, most_s in self.source_timeouts_s.items()
+            if source.startswith(kind) and waiting_ns - arrived_ns <= most_s * 1e9
         )
+        is_behind = self.overload_report.behind is not None
+        is_good = _is_valid_or_above_limit(self.latest, self.core, self.config, self.quantities)
+        is_as_expected = is_good or is_behind or not self.can_be_valid(present_sources)
         published: list[OutputMessage] = []
         if before is not None and before.failure is not None:
             published.append(self.report_failure(_RECOVERY, now_ns, before.failure))
         if self.recovery.update(waiting_ns, self.core, is_as_expected, present_sources):
             published += self._adopt(waiting_ns)
         if self.recovery.candidate is not before:
-            self._bind()
-            for topic in filter(self._duplicates.text, self.feeds):
-                self._update_duplicate_publishers(topic)
+            self.bind()
+            self.update_all_duplicate_publishers()
         return published
-
-    def _is_valid_or_above_limit(self) -> bool:
-        """Return True if the last output is VALID, or DEGRADED with a level above its alert limit or without a level.
-
-        A second estimator would not lower a protection level below its alert limit.
-        """
-        latest = self.latest
-        if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
-            return latest is not None and latest.status is Status.VALID
-        return bool(alert_limit_text(self.core.integrity(latest), self.quantities))
-
-    def _present_sources(self, waiting_ns: int) -> frozenset[str]:
-        """Return the sources with a recent usable message."""
-        return frozenset(
-            source
-            for source, arrived_ns in self._last_usable_ns.items()
-            for kind, most_s in self.source_timeouts_s.items()
-            if source.startswith(kind) and waiting_ns - arrived_ns <= most_s * 1e9
-        )
 
     def _adopt(self, waiting_ns: int) -> list[OutputMessage]:
         """Replace the estimator by the second estimator; the outputs continue in order."""
         candidate = self.recovery.candidate
         assert candidate is not None
+        self.compute_pending()
         published = self.before_adoption()
         candidate.core.take_over_outputs(self.core)
         self.core = candidate.core
         self.recovery.record_adoption(waiting_ns)
-        self._adopted_ns = waiting_ns
         # The published levels, conflicts and diagnoses belong to the replaced estimator.
-        self.published_levels = PublishedLevels()
-        self.conflicts.clear()
-        self.innovation_report.clear()
+        self.reset_reports()
         self.notices.append(f"recovered after {self.recovery.recovery_time_s:.0f} s: a second estimator was adopted")
         return published
 
-    # -- services, parameters, resets -----------------------------------------------------------------------
+    # -- saving, resets -------------------------------------------------------------------------------------
 
-    def service(self, name: str, now_ns: int) -> ServiceResult:
-        """See :class:`ReportingAdapter`; in trouble nothing is saved."""
-        if name == "save_alignment" and self.saved is not None and self.recovery.is_in_trouble:
-            return ServiceResult(False, _NOT_SAVED_TEXT.format(self._recovery_reason()))
-        result = super().service(name, now_ns)
-        if name == "load_alignment" and result.success:
-            self._reset_recovery()
-        return result
-
-    def _autosave(self, waiting_ns: int) -> None:
+    @property
+    def save_obstacle(self) -> str:
+        """See :class:`NodeAdapter`; in trouble nothing is saved."""
         if not self.recovery.is_in_trouble:
-            super()._autosave(waiting_ns)
+            return ""
+        return _NOT_SAVED_TEXT.format(trouble_text(self.recovery.displaced, self.core.excluded_sources, self.remedy))
 
-    def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """See :class:`ReportingAdapter`."""
-        super().set_parameters(changes)
-        if self.recovery.candidate is not None:
-            self.recovery.candidate.core.reconfigure(self.config)
-
-    def _restart(self, clock_jumped: bool) -> None:
+    def restart(self, clock_jumped: bool) -> None:
+        """See :class:`NodeAdapter`."""
         self._reset_recovery()
-        super()._restart(clock_jumped)
+        super().restart(clock_jumped)
 
     def _reset_recovery(self) -> None:
         self.recovery.reset()
         self._last_usable_ns.clear()
         self._last_decision_ns = None
-        self._bind()
+        self.bind()
 
-    def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
-        super()._step_time_base(step_ns, waiting_ns)
+    def step_time_base(self, step_ns: int, waiting_ns: int) -> None:
+        """See :class:`NodeAdapter`."""
+        super().step_time_base(step_ns, waiting_ns)
         self.recovery.step_time_base(step_ns)
-        self._bind()
+        self.bind()
 
-    # -- diagnostics ----------------------------------------------------------------------------------------
 
-    @property
-    def recovery_counts(self) -> dict[str, str]:
-        """Number of troubles in which a second estimator was started, and number of adoptions, for diagnostics."""
-        recovery = self.recovery
-        return {"second estimators started": str(recovery.started), "second estimators adopted": str(recovery.adopted)}
+def _is_valid_or_above_limit(latest: Any, core: Any, config: Any, quantities: Sequence[str]) -> bool:
+    """Return True if the last output is VALID, or DEGRADED with a level above its alert limit or without a level.
 
-    def recovery_status(self, waiting_ns: int) -> DiagnosticStatus:
-        """Return the diagnostic status of the recovery."""
-        recovery, values = self.recovery, self.recovery_counts
-        if self._adopted_ns is not None and waiting_ns - self._adopted_ns <= _ADOPTION_SHOWN_NS:
-            values["recovered after [s]"] = f"{recovery.recovery_time_s:.0f}"
-        for name, moved_rad in sorted(recovery.displaced.items()):
-            values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
-        if recovery.is_in_trouble:
-            text = f"a second estimator runs: {self._recovery_reason()}"
-            return DiagnosticStatus("recovery", Level.WARN, text, values)
-        text = "no second estimator runs"
-        if recovery.adopted:
-            text += f"; the last one was adopted after {recovery.recovery_time_s:.0f} s"
-        return DiagnosticStatus("recovery", Level.OK, text, values)
-
-    def _recovery_reason(self) -> str:
-        """Return the cause of the trouble, with the advice for the operator."""
-        displaced, excluded = self.recovery.displaced, sorted(self.core.excluded_sources)
-        if displaced:
-            moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
-            return f"shifted: {moved}; {self.remedy(displaced)}"
-        if excluded:
-            return f"excluded: {', '.join(excluded)}"
-        return "the output is not VALID although the inputs are good"
+    A second estimator would not lower a protection level below its alert limit.
+    """
+    if latest is None or latest.status is not Status.DEGRADED or not config.integrity.alert_limit_arcsec:
+        return latest is not None and latest.status is Status.VALID
+    return bool(alert_limit_text(core.integrity(latest), quantities))
 
 
 def _process_in_both(

@@ -21,6 +21,7 @@ from ship_node.black_box.black_box_format import (
 )
 from ship_node.health.overload import Overload
 from ship_node.live.node_report import StatusLog
+from ship_node.messages.batch import Batch
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
 from ship_node.messages.topics import OutputMessage
 from ship_node.saved_files.saved_document import RecordingFiles
@@ -61,7 +62,7 @@ class AdapterCalls:
         """Give the adapter a message; ``data`` are its bytes."""
         published: list[OutputMessage] = []
         try:
-            published = self._adapter.handle(topic, message, now_ns, waiting_ns)
+            published = self._adapter.process(Batch.of_message(topic, message, now_ns, waiting_ns)).output_messages()
         finally:
             if self._black_box is not None:
                 self._record_files(now_ns)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ship_bags.cdr_template import CdrRows
 from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_geometry.rotations import FloatArray
-from ship_node.messages.batches import StampArray
+from ship_node.messages.batch import StampArray
 from ship_node.messages.field_checks import (
     COVARIANCE_TOLERANCE,
     FUTURE_TOLERANCE_NS,

@@ -9,7 +9,7 @@ from ship_estimation.parameters.ins import InsInputConfig
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
-from ship_node.messages.batches import ReadBatch, StampArray
+from ship_node.messages.batch import ReadBatch, StampArray
 from ship_node.messages.column_checks import imu_quaternions, ship_rates, stamps
 from ship_node.messages.field_checks import (
     NOT_GIVEN,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.message_factory import MessageFactory
-from ship_node.messages.batches import OutputRows
+from ship_node.messages.batch import OutputRows
 
 Fields = Mapping[str, Any]
 MessageFields = Iterator[tuple[str, str, Fields]]

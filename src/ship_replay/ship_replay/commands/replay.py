@@ -14,7 +14,7 @@ from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_replay.offline.replay_run import ReplaySummary
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_replay.offline.verification import Verification, verify_bag
 
 _with_progress = partial(with_bag_progress, doing="replaying")

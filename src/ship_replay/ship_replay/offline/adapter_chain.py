@@ -3,10 +3,14 @@
 The suite configuration, from a file or attached to the bag, determines which nodes take part.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
@@ -15,8 +19,8 @@ from ship_bags.parameter_yaml import full_name
 from ship_bags.regular_files import check_regular
 from ship_bags.topic_names import relative_topics
 from ship_node.adapters.adapter import Adapter
-from ship_node.adapters.batch_adapter import BatchAdapter
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.batch import Arrival, Batch, BatchOutputs, Block, PlacedMessages
+from ship_node.messages.topics import InputTopic, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 from ship_node.saved_files.saved_document import READ_ONLY
 
@@ -24,6 +28,11 @@ _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
 """Prefixes of device topics, next to occasional inputs. A node whose devices are all missing in a bag is not replayed.
 
 The first configured node is an exception."""
+
+_Forwarded = tuple[str, Any, int | None]
+
+_NODE_BITS = 32
+"""Number of low bits of an output's order that give the order within a node; higher bits give the node."""
 
 
 def suite_text(bag: Bag, config_path: Path | None) -> str:
@@ -151,41 +160,88 @@ class AdapterChain:
         """Names of the nodes."""
         return " and ".join(adapter.node_name for adapter in self.adapters)
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[OutputMessage]:
-        """Process one message of an input topic."""
-        return self._handle(0, topic, message, receive_ns)
+    @property
+    def block_topics(self) -> Set[str]:
+        """Topics from outside whose messages a batch may contain as a block."""
+        return set().union(*(adapter.block_topics for adapter in self.adapters)) & _names(self.inputs)
 
-    def block_topics(self) -> set[str]:
-        """Return the topics from outside that an adapter can process in blocks."""
-        return {
-            topic
-            for adapter, input_topics in zip(self.adapters, self.input_topics, strict=True)
-            for topic in input_topics & _names(self.inputs)
-            if isinstance(adapter, BatchAdapter) and (adapter.accepts_batches(topic) or adapter.can_read_rows(topic))
-        }
+    def process(self, batch: Batch) -> BatchOutputs:
+        """Let one node after another process a batch; a node receives the outputs of earlier nodes before its input.
 
-    def tick(self, now_ns: int) -> list[OutputMessage]:
-        """Tick all adapters in order; each has already received the outputs of earlier adapters at this tick."""
-        published: list[OutputMessage] = []
-        for index, adapter in enumerate(self.adapters):
-            published += self._forward(index, adapter.tick(now_ns), now_ns)
-        return published
+        Arrivals of other topics, and messages without a content, are ignored. The places of the outputs are indices of
+        the arrivals of the batch.
+        """
+        outputs = BatchOutputs()
+        for node, (adapter, input_topics) in enumerate(zip(self.adapters, self.input_topics, strict=True)):
+            of_node, places = _node_batch(batch, outputs if self.linked else BatchOutputs(), input_topics)
+            if not of_node.arrivals:
+                continue
+            found, first_order = adapter.process(of_node), node << _NODE_BITS
+            outputs.messages += [
+                PlacedMessages(places[place], first_order + order, published)
+                for place, order, published in found.messages
+            ]
+            outputs.blocks += [
+                block._replace(places=np.array(places)[block.places], orders=first_order + block.orders)
+                for block in found.blocks
+            ]
+        return outputs
 
-    def _handle(self, first: int, topic: str, message: Any, receive_ns: int) -> list[OutputMessage]:
-        published: list[OutputMessage] = []
-        for index in range(first, len(self.adapters)):
-            if topic in self.input_topics[index]:
-                outputs = self.adapters[index].handle(topic, message, receive_ns)
-                published += self._forward(index, outputs, receive_ns)
-        return published
 
-    def _forward(self, index: int, outputs: list[OutputMessage], now_ns: int) -> list[OutputMessage]:
-        """Return an adapter's outputs, and the outputs of later adapters that result from these outputs."""
-        published = list(outputs)
-        if self.linked:
-            for topic, message in outputs:
-                published += self._handle(index + 1, topic, message, now_ns)
-        return published
+def _node_batch(batch: Batch, outputs: BatchOutputs, input_topics: Set[str]) -> tuple[Batch, list[int]]:
+    """Return the batch for a node, and the index in the whole batch of each arrival.
+
+    Args:
+        batch: the whole batch.
+        outputs: outputs of earlier nodes.
+        input_topics: input topics of the node.
+    """
+    forwarded, contents = _forwarded_messages(outputs, input_topics)
+    contents |= {number: (block.topic, block.messages) for number, block in batch.blocks.items()}
+    arrivals: list[Arrival] = []
+    places: list[int] = []
+    of_blocks: dict[int, list[int]] = {number: [] for number, (topic, _) in contents.items() if topic in input_topics}
+    for place, arrival in enumerate(batch.arrivals):
+        here = [
+            arrival._replace(topic=topic, message=message, block=block)
+            for topic, message, block in forwarded.get(place, ())
+        ]
+        if not arrival.topic or (arrival.topic in input_topics and not arrival.is_empty):
+            here.append(arrival)
+        for one in here:
+            if one.block is not None:
+                of_blocks[one.block].append(len(arrivals))
+            arrivals.append(one)
+            places.append(place)
+    blocks = {}
+    for number, of_block in of_blocks.items():
+        times_ns = np.array([arrivals[place].receive_ns for place in of_block])
+        blocks[number] = Block(*contents[number], times_ns, np.array(of_block))
+    return Batch(arrivals, blocks), places
+
+
+def _forwarded_messages(
+    outputs: BatchOutputs, input_topics: Set[str]
+) -> tuple[dict[int, list[_Forwarded]], dict[int, tuple[str, CdrRows]]]:
+    """Return messages of earlier nodes on the input topics.
+
+    Returns:
+        Place → messages in order, each with its topic and the key of its block or None; and the key of each block →
+        its topic and its messages. The keys are negative.
+    """
+    found: list[tuple[int, int, _Forwarded]] = []
+    for place, order, published in outputs.messages:
+        found += [(place, order, (topic, message, None)) for topic, message in published if topic in input_topics]
+    contents = {}
+    for key, block in enumerate(outputs.blocks, -len(outputs.blocks)):
+        if block.topic in input_topics:
+            places_and_orders = zip(block.places.tolist(), block.orders.tolist(), strict=True)
+            found += [(place, order, (block.topic, None, key)) for place, order in places_and_orders]
+            contents[key] = block.topic, block.messages
+    forwarded: dict[int, list[_Forwarded]] = defaultdict(list)
+    for place, _, message in sorted(found, key=lambda each: each[:2]):
+        forwarded[place].append(message)
+    return forwarded, contents
 
 
 def suite_chain(

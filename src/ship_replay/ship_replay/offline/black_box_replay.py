@@ -35,6 +35,7 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
 )
 from ship_node.health.overload import Overload
+from ship_node.messages.batch import Batch
 from ship_node.messages.topics import OutputMessage
 from ship_node.saved_files.saved_document import FileUse
 from ship_replay.offline.adapter_chain import suite_text
@@ -210,8 +211,8 @@ class _BlackBoxReplay:
             return
         adapter = self._get_adapter()
         if record.topic in self._inputs:
-            message, waiting_ns = record.decode(), record.publish_time_ns
-            self._use(record.topic, time_ns, lambda: adapter.handle(record.topic, message, time_ns, waiting_ns))
+            batch = Batch.of_message(record.topic, record.decode(), time_ns, record.publish_time_ns)
+            self._use(record.topic, time_ns, lambda: adapter.process(batch).output_messages())
         elif record.topic in self._outputs:
             self._compare(record)
 

@@ -2,7 +2,7 @@
 
 Messages are processed in order of log time, which is their arrival time, or in order of stamps. Between messages, the
 adapters are ticked at fixed times. The same bag and configuration give the same output, byte for byte, whether
-messages are processed one by one or in blocks.
+messages are processed one by one or in batches.
 """
 
 import time
@@ -21,9 +21,9 @@ from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topic
 from ship_node.adapters.adapter import Adapter
 from ship_node.messages.topics import OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
-from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.message_times import LogDelays, sort_by_stamp
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_replay.offline.status_history import poor_status_reasons
 
 ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
@@ -49,8 +49,8 @@ def replay(
         namespace: namespace of the ship in the bag.
         progress: function that wraps the iteration over the bag in a progress bar.
         by_stamps: if true, messages arrive at their stamps instead of their log times.
-        one_by_one: if true, each message is processed by itself, as in a live node; otherwise messages of a topic are
-            processed in blocks where possible, with the same result in a fraction of the time.
+        one_by_one: if true, each message is processed by itself, as in a live node; otherwise messages are processed in
+            batches, with the same result in a fraction of the time.
 
     Raises:
         BadInput: the bag, its topics or the configuration cannot be used; nothing is written.
@@ -67,8 +67,7 @@ def replay(
         summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
             write_head(writer, bag, chain.outputs, config_text)
-            run_class = ReplayRun if one_by_one else BlockRun
-            run = run_class(chain, writer, summary, truth_topics=names)
+            run = ReplayRun(chain, writer, summary, names, 1 if one_by_one else LARGEST_BATCH)
             relative_names = {name: relative for relative, name in names.items()}
             records = progress(bag.records(relative_names), bag)
             if by_stamps:

@@ -1,24 +1,35 @@
-"""One replay: messages of a bag are passed to adapters, and the published messages to a sink."""
+"""One replay: messages of a bag are passed to adapters in batches, and the published messages to a sink.
 
-from collections import Counter
-from collections.abc import Container
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+Each node processes a whole batch before the next node does, because data flow between nodes in one direction only. The
+size of the batches changes neither the outputs nor their order.
+"""
 
-from ship_bags.errors import BadInput
+from collections import defaultdict
+from collections.abc import Container, Sequence
+from typing import Any
+
+import numpy as np
+
 from ship_bags.mcap.bag_reader import BagRecord
-from ship_bags.stamps import NS_PER_S
+from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.adapter import TICK_PERIOD_NS
+from ship_node.messages.batch import OutputBlock, PlacedMessages, StampArray
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
 from ship_node.messages.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS, ExclusionHistory
-from ship_replay.offline.message_times import LogDelays, MessageTimes
+from ship_replay.offline.input_reader import Event, InputReader
+from ship_replay.offline.ordered_output import OrderedOutput
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import Sink
 from ship_replay.offline.status_history import STATUS_TOPICS, StatusHistory
 from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
+
+LARGEST_BATCH = 1000
+"""Maximum number of messages and ticks in a batch."""
 
 _MAX_TICK_GAP_NS = 600 * NS_PER_S
 """Maximum time after a message for which ticks are generated, ns.
@@ -27,88 +38,39 @@ By then every timeout of the nodes has expired. The limit avoids hours of ticks 
 file or a wrong clock.
 """
 
-
-@dataclass
-class ReplaySummary:
-    """Result of a replay.
-
-    Attributes:
-        inputs: relative topic → number of messages processed.
-        outputs: topic → number of messages written, truth included.
-        rejected: input topic, after the node's name if several nodes are replayed → reason → number of messages not
-            used.
-        accepted_with_note: the same topics → reason → number of messages used with a note, or of message parts not
-            used.
-        undecodable: relative topic → number of messages that do not match their type.
-        status_histories: topic with a status → its status history.
-        exclusions: topic of Integrity messages → history of the reported exclusions.
-        times: relative topic → stamps and arrival times of its messages.
-        log_delays: statistics of log time minus stamp.
-        reasons: reasons for which outputs were INVALID or DEGRADED, one line each.
-        absent: optional input topics that are not in the bag.
-        problems: nodes that are not replayed, and problems of the bag, one line each.
-        duration_s: length of the bag, s.
-        elapsed_s: processing time, s.
-    """
-
-    inputs: Counter[str] = field(default_factory=Counter)
-    outputs: Counter[str] = field(default_factory=Counter)
-    rejected: dict[str, dict[str, int]] = field(default_factory=dict)
-    accepted_with_note: dict[str, dict[str, int]] = field(default_factory=dict)
-    undecodable: Counter[str] = field(default_factory=Counter)
-    status_histories: dict[str, StatusHistory] = field(default_factory=dict)
-    exclusions: dict[str, ExclusionHistory] = field(default_factory=dict)
-    times: dict[str, MessageTimes] = field(default_factory=dict)
-    log_delays: LogDelays = field(default_factory=LogDelays)
-    reasons: list[str] = field(default_factory=list)
-    absent: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    duration_s: float = 0.0
-    elapsed_s: float = 0.0
-
-    def status_lines(self) -> list[str]:
-        """Return each output's status history, with the exclusions and reinstatements of sources below it."""
-        lines = []
-        for topic, status_history in sorted(self.status_histories.items()):
-            lines += status_history.lines(topic)
-            history = self.exclusions.get(INTEGRITY_TOPICS.get(topic, ""))
-            if history is not None and status_history.spans:
-                lines += history.lines(status_history.spans[0].start_ns)
-        return lines
-
-
-class MessageSink(Protocol):
-    """Receiver of a replay's messages: a bag writer, or a comparison."""
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Receive a message."""
-        ...
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Receive a serialised message of the truth, which is copied."""
-        ...
+_LAST_INDEX = 1 << 62
 
 
 class ReplayRun:
-    """Replay of a bag through a chain of adapters, message by message.
+    """Replay of a bag through a chain of adapters.
 
     Args:
         chain: chain of adapters.
-        writer: sink that receives the outputs.
+        sink: sink that receives the outputs.
         summary: result, which is filled during the replay.
         truth_topics: truth topics of the bag; errors are computed only for an orientation whose truth topic is
             included.
+        batch_size: maximum number of messages and ticks in a batch; with 1, each message is processed as in a live
+            node, and its outputs are received by the sink at once.
 
     Attributes:
         last_time_ns: arrival time of the last message; None before the first message.
     """
 
     def __init__(
-        self, chain: AdapterChain, writer: MessageSink, summary: ReplaySummary, truth_topics: Container[str]
+        self,
+        chain: AdapterChain,
+        sink: Sink,
+        summary: ReplaySummary,
+        truth_topics: Container[str],
+        batch_size: int = LARGEST_BATCH,
     ) -> None:
         self._chain = chain
-        self._writer = writer
+        self._output = OrderedOutput(sink, summary.outputs)
         self._summary = summary
+        self._reader = InputReader(summary)
+        self._batch_size = batch_size
+        self._events: list[Event] = []
         known = [orientation for orientation in ORIENTATIONS if orientation.truth_topic in truth_topics]
         self._status_topics = {
             f"{adapter.node_name}: {output.topic.rpartition('/')[2]}": output.topic
@@ -120,43 +82,17 @@ class ReplayRun:
         self.last_time_ns: int | None = None
 
     def process_message(self, topic: str, record: BagRecord) -> None:
-        """Process one message of the bag."""
-        self._tick_until(record.log_time_ns)
-        if topic.startswith(TRUTH_PREFIX):
-            self._copy_truth(topic, record)
-        else:
-            self._process_input(topic, record)
-        self._write_errors(record.log_time_ns)
-
-    def _copy_truth(self, topic: str, record: BagRecord, sample: AttitudeSample | None = None) -> None:
-        """Copy a message of the truth; `sample` is its decoded content if already known."""
-        self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
-        self._summary.outputs[topic] += 1
-        for errors in self._errors:
-            if topic == errors.orientation.truth_topic:
-                errors.add_truth(errors.orientation.sample(record.decode()) if sample is None else sample)
-
-    def _process_input(self, topic: str, record: BagRecord) -> None:
-        try:
-            message = record.decode()
-        except BadInput:
-            self._summary.undecodable[topic] += 1
-            return
-        self._count_message(topic, record)
-        self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
-
-    def _count_message(self, topic: str, record: BagRecord) -> None:
-        self._summary.inputs[topic] += 1
-        self._summary.times.setdefault(topic, MessageTimes()).add(record)
-        self._summary.log_delays.add(topic, record)
+        """Add one message of the bag, in order of log time; process the batch when it is full."""
+        for now_ns in self._tick_times_ns(record.log_time_ns):
+            self._add(Event(now_ns))
+        self._add(Event(record.log_time_ns, topic, record))
 
     def finish(self) -> None:
-        """Write the error messages that still wait for the truth."""
+        """Process the last batch, and write the error messages that still wait for the truth."""
+        self._process_batch()
+        self._output.position = _LAST_INDEX, 0
         self._write_errors(None)
-
-    def _tick_until(self, time_ns: int) -> None:
-        for now_ns in self._tick_times_ns(time_ns):
-            self._publish(self._chain.tick(now_ns), now_ns)
+        self._output.flush()
 
     def _tick_times_ns(self, time_ns: int) -> range:
         """Return the tick times up to a message, ns, and remember the message's time.
@@ -168,6 +104,71 @@ class ReplayRun:
             return range(0)
         end_ns = min(time_ns, last_ns + _MAX_TICK_GAP_NS)
         return range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, end_ns + 1, TICK_PERIOD_NS)
+
+    def _add(self, event: Event) -> None:
+        self._events.append(event)
+        if len(self._events) >= self._batch_size:
+            self._process_batch()
+
+    def _process_batch(self) -> None:
+        """Let the chain process the events, then write the outputs."""
+        events, self._events = self._events, []
+        block_topics = self._chain.block_topics if len(events) > 1 else ()
+        outputs = self._chain.process(self._reader.batch(events, block_topics))
+        for block in outputs.blocks:
+            self._output.add_block(block, np.array([events[place].time_ns for place in block.places.tolist()]))
+            for errors in self._errors:
+                errors.add_block(block)
+        self._publish_batch(events, outputs.messages, outputs.blocks)
+        self._output.flush()
+
+    # -- outputs --------------------------------------------------------------------------------------------
+
+    def _publish_batch(
+        self, events: Sequence[Event], messages: Sequence[PlacedMessages], blocks: Sequence[OutputBlock]
+    ) -> None:
+        """Write the single messages event by event, with the truth and the errors against it."""
+        single: dict[int, list[PlacedMessages]] = defaultdict(list)
+        for some in messages:
+            single[some.place].append(some)
+        truth, statuses = self._truth(events), _statuses(blocks, sorted(single), len(events))
+        for place, (time_ns, topic, record) in enumerate(events):
+            is_truth = topic.startswith(TRUTH_PREFIX)
+            if not (place in single or is_truth or any(errors.has_pending for errors in self._errors)):
+                continue
+            self._add_statuses(statuses[place])
+            for some in sorted(single[place], key=lambda each: each.order):
+                self._output.position = place, some.order
+                self._publish(some.published, time_ns)
+            self._output.position = place, _LAST_INDEX
+            if record is not None:
+                if is_truth:
+                    self._copy_truth(topic, record, truth.get(place))
+                self._write_errors(time_ns)
+        self._add_statuses(statuses[len(events)])
+
+    def _truth(self, events: Sequence[Event]) -> dict[int, AttitudeSample | None]:
+        """Return event index → sample of the truth, for truth messages that can be read as a block."""
+        found: dict[int, AttitudeSample | None] = {}
+        for errors in self._errors:
+            truth_topic = errors.orientation.truth_topic
+            of_topic = {
+                place: record
+                for place, (_, topic, record) in enumerate(events)
+                if topic == truth_topic and record is not None
+            }
+            messages = self._reader.rows(list(of_topic.values()))
+            if messages is not None:
+                found |= zip(of_topic, errors.orientation.samples(messages), strict=True)
+        return found
+
+    def _copy_truth(self, topic: str, record: BagRecord, sample: AttitudeSample | None) -> None:
+        """Copy a message of the truth; `sample` is its decoded content if already known."""
+        self._output.write_raw(topic, record.type_name, record.data, record.log_time_ns)
+        self._summary.outputs[topic] += 1
+        for errors in self._errors:
+            if topic == errors.orientation.truth_topic:
+                errors.add_truth(errors.orientation.sample(record.decode()) if sample is None else sample)
 
     def _publish(self, published: list[OutputMessage], time_ns: int) -> None:
         for topic, message in published:
@@ -184,18 +185,13 @@ class ReplayRun:
                 errors.add_attitude(message)
         return False
 
-    @property
-    def _has_pending_errors(self) -> bool:
-        """True if an error message waits for the truth."""
-        return any(errors.has_pending for errors in self._errors)
-
     def _write_errors(self, now_ns: int | None) -> None:
         for errors in self._errors:
             for log_time_ns, message in errors.pop_ready(now_ns):
                 self._write(errors.orientation.error_topic, message, log_time_ns)
 
     def _write(self, topic: str, message: Any, time_ns: int) -> None:
-        self._writer.write(topic, message, time_ns)
+        self._output.write(topic, message, time_ns)
         self._summary.outputs[topic] += 1
         if topic in STATUS_TOPICS:
             self._summary.status_histories.setdefault(topic, StatusHistory()).add(message)
@@ -204,9 +200,40 @@ class ReplayRun:
         elif topic == DIAGNOSTICS_TOPIC:
             self._record_diagnostics(message)
 
+    def _add_statuses(self, runs: Sequence[tuple[str, StampArray, StampArray]]) -> None:
+        """Add the statuses of outputs that were made together."""
+        for topic, statuses, stamps_ns in runs:
+            self._summary.status_histories.setdefault(topic, StatusHistory()).add_run(statuses.tolist(), stamps_ns)
+
     def _record_diagnostics(self, diagnostics: Any) -> None:
         """Record the diagnostics about statuses: "ship_attitude: attitude" is about ship/attitude."""
         for status in diagnostics.status:
             history = self._summary.status_histories.get(self._status_topics.get(status.name, ""))
             if history is not None:
                 history.add_diagnostic(status.message)
+
+
+def _statuses(
+    blocks: Sequence[OutputBlock], single_places: Sequence[int], last_place: int
+) -> dict[int, list[tuple[str, StampArray, StampArray]]]:
+    """Return the statuses in the blocks as place → topic, statuses and stamps of outputs at this place or before.
+
+    Args:
+        blocks: messages that were made together.
+        single_places: places of messages that were published one by one, in order.
+        last_place: place of the outputs after the last of these places.
+    """
+    found: dict[int, list[tuple[str, StampArray, StampArray]]] = defaultdict(list)
+    for topic in dict.fromkeys(block.topic for block in blocks if block.topic in STATUS_TOPICS):
+        of_topic = [block for block in blocks if block.topic == topic]
+        places = np.concatenate([block.places for block in of_topic])
+        order = np.lexsort((np.concatenate([block.orders for block in of_topic]), places))
+        numbers = [block.messages.numbers for block in of_topic]
+        statuses = np.concatenate([some["status"] for some in numbers])[order]
+        stamps_ns = np.concatenate([stamps_of_rows(some) for some in numbers])[order]
+        stops, start = np.searchsorted(places[order], single_places, side="right").tolist(), 0
+        for place, stop in zip([*single_places, last_place], [*stops, len(order)], strict=True):
+            if stop > start:
+                found[place].append((topic, statuses[start:stop], stamps_ns[start:stop]))
+            start = stop
+    return found

@@ -43,7 +43,9 @@ from ship_node.saved_files.saved_document import DISK, READ_ONLY, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import sort_by_stamp
 from ship_replay.offline.replay import ProgressWrapper, match_inputs, median_delay_ns, truth_topic_names, write_head
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import DecodingSink
 from ship_stars.samples.attitude_samples import AttitudeEstimate
 from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
@@ -150,8 +152,10 @@ class _RealTimeOutput(NamedTuple):
     variances: Three
 
 
-class _RealTimeOutputs:
+class _RealTimeOutputs(DecodingSink):
     """Sink that stores the real-time attitudes and pointings by their stamps."""
+
+    topics = ATTITUDE_TOPIC, POINTING_TOPIC
 
     def __init__(self) -> None:
         self.attitudes: dict[int, _RealTimeOutput] = {}
@@ -159,16 +163,12 @@ class _RealTimeOutputs:
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Store an attitude or pointing."""
-        if topic in (ATTITUDE_TOPIC, POINTING_TOPIC):
-            first, second, third = message.covariance[::4].tolist()
-            if topic == POINTING_TOPIC:
-                first *= math.cos(message.elevation) ** 2
-            target = self.attitudes if topic == ATTITUDE_TOPIC else self.pointings
-            output = _RealTimeOutput(log_time_ns, Status(message.status), (first, second, third))
-            target[ns_from_stamp(message.header.stamp)] = output
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Ignore a message of the truth."""
+        first, second, third = message.covariance[::4].tolist()
+        if topic == POINTING_TOPIC:
+            first *= math.cos(message.elevation) ** 2
+        target = self.attitudes if topic == ATTITUDE_TOPIC else self.pointings
+        output = _RealTimeOutput(log_time_ns, Status(message.status), (first, second, third))
+        target[ns_from_stamp(message.header.stamp)] = output
 
 
 def smooth(
@@ -243,9 +243,10 @@ def _feed(
     chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], sink: _RealTimeOutputs
 ) -> None:
     """Process the inputs one by one, under their relative names."""
-    run = ReplayRun(chain, sink, ReplaySummary(), truth_topics=())
+    run = ReplayRun(chain, sink, ReplaySummary(), truth_topics=(), batch_size=1)
     for record in records:
         run.process_message(relative_names[record.topic], record)
+    run.finish()
 
 
 def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:

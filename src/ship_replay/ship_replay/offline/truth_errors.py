@@ -9,7 +9,7 @@ from typing import Any
 from ship_bags.stamps import ns_from_stamp, stamps_of_rows
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
-from ship_node.messages.batches import OutputRows
+from ship_node.messages.batch import OutputBlock
 from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
@@ -38,10 +38,10 @@ class TruthErrors:
         """Add a published message of the orientation."""
         self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
 
-    def add_rows(self, rows: OutputRows) -> None:
+    def add_block(self, block: OutputBlock) -> None:
         """Add published messages; messages on other topics are ignored."""
-        if rows.topic == self.orientation.topic:
-            numbers = rows.messages.numbers
+        if block.topic == self.orientation.topic:
+            numbers = block.messages.numbers
             stamps_ns, angles = stamps_of_rows(numbers), self.orientation.angles_of_rows(numbers)
             self._attitudes.update(zip(stamps_ns.tolist(), angles, strict=True))
 

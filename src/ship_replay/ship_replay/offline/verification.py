@@ -21,7 +21,9 @@ from ship_node.messages.common_messages import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.message_values import are_texts, values
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import DecodingSink
 
 UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 """Types of messages that are not compared: they also contain the state of the middleware."""
@@ -177,7 +179,7 @@ def verify_bag(
     outputs = _recorded_outputs(bag, chain, namespace)
     comparison = _Comparison(set(outputs.values()))
     summary = ReplaySummary()
-    run = ReplayRun(chain, comparison, summary, truth_topics=())
+    run = ReplayRun(chain, comparison, summary, truth_topics=(), batch_size=1)
     for record in progress(bag.records(inputs | outputs), bag):
         if record.topic in inputs:
             run.process_message(inputs[record.topic], record)
@@ -212,23 +214,19 @@ def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str
     return outputs
 
 
-class _Comparison:
+class _Comparison(DecodingSink):
     """Sink of a replay that compares the messages of each topic with the recorded messages, in order."""
 
     def __init__(self, topics: set[str]) -> None:
         self.result = Verification()
-        self._topics = topics
+        self.topics = topics
         self._recorded: defaultdict[str, deque[tuple[Any, int]]] = defaultdict(deque)
         self._replayed: defaultdict[str, deque[tuple[Any, int]]] = defaultdict(deque)
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Add a replayed message."""
-        if topic in self._topics:
-            self._replayed[topic].append((message, log_time_ns))
-            self._compare(topic)
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Ignore the truth, which no node publishes."""
+        self._replayed[topic].append((message, log_time_ns))
+        self._compare(topic)
 
     def add_recorded(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Add a recorded message."""

@@ -12,7 +12,7 @@ from ship_bags.errors import BadInput
 from ship_estimation.innovations.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_node.adapters.reporting_adapter import ReportingAdapter
+from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.messages.field_checks import MessageRejected
 from ship_node.messages.ins_messages import ins_sample
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
@@ -52,13 +52,13 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
         # Innovations are not checked if the INS noise is wrong, because all depend on the INS.
         if rests_on_ins and _check_ins_noise(check, node, until_ns):
             continue
-        if isinstance(node.adapter, ReportingAdapter):
+        if isinstance(node.adapter, NodeAdapter):
             for source, diagnosis in node.adapter.innovation_report.diagnoses().items():
                 _check_source(check, node, node.adapter, source, diagnosis)
 
 
 def _check_source(
-    check: BagCheck, node: CheckedNode, adapter: ReportingAdapter, source: str, diagnosis: InnovationDiagnosis
+    check: BagCheck, node: CheckedNode, adapter: NodeAdapter, source: str, diagnosis: InnovationDiagnosis
 ) -> None:
     """Report the noise parameters of one source that contradict its innovation diagnosis."""
     if diagnosis.kind not in (DiagnosisKind.OPTIMISTIC, DiagnosisKind.CONSERVATIVE):

@@ -7,10 +7,10 @@ from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.rejections import LONGEST_TEXT, Reason, shorten
-from ship_node.messages.batches import StampArray
 from ship_replay.offline.adapter_chain import AdapterChain
-from ship_replay.offline.block_run import BlockRun
-from ship_replay.offline.replay_run import ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import NullSink
 from ship_replay.offline.status_history import low_use_text, most_frequent_rejection
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.check_sigmas import check_sigmas
@@ -46,21 +46,6 @@ _ADVICE = {
 """Advice by rejection reason."""
 
 
-class _NullSink:
-    """Sink that discards the outputs of a trial."""
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Discard a message."""
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Discard a serialised message."""
-
-    def write_many(
-        self, topics: Sequence[tuple[str, str]], of_topic: StampArray, data: Sequence[bytes], log_times_ns: StampArray
-    ) -> None:
-        """Discard many messages."""
-
-
 def check_trial(check: BagCheck) -> None:
     """Replay the beginning of a bag through the nodes; report wrong sigmas and inputs that are hardly used.
 
@@ -69,7 +54,7 @@ def check_trial(check: BagCheck) -> None:
     bag = check.bag
     chain = AdapterChain([node.adapter for node in check.nodes])
     names = {check.topic_names[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.topic_names}
-    run = BlockRun(chain, _NullSink(), ReplaySummary(), truth_topics=())
+    run = ReplayRun(chain, NullSink(), ReplaySummary(), truth_topics=())
     is_cut, until_ns = False, (bag.start_ns or 0) + round(TRIAL_S * NS_PER_S)
     try:
         for record in bag.records(names) if names else ():

@@ -13,7 +13,7 @@ import numpy as np
 from ship_estimation.rejections import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
-from ship_node.adapters.reporting_adapter import Feed
+from ship_node.adapters.feeds import Feed
 from ship_node.health.duplicate_publishers import POSITION
 from ship_node.messages.field_checks import MessageRejected, ReadMessage, check_finite, covariance_3x3, stamp_ns
 from ship_node.messages.topics import InputTopic

@@ -9,7 +9,6 @@ of baselines, levers and refraction. The table therefore lists the effect of eac
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,9 @@ from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
 from ship_node.messages.topics import OutputMessage
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import NullSink
 from ship_studies.axis_fit.exposure_errors import correlated_effects
 from ship_studies.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, correlated_column
 from ship_studies.axis_fit.sightings import MAX_SIGHTINGS
@@ -35,16 +36,6 @@ from theodolite_calib.samples.samples import Exposure, ExposureDecision, Pointin
 _LEAST_LIGHTS = 2
 # Errors whose effects are all below this (arcsec) are omitted.
 _LEAST_EFFECT_ARCSEC = 0.01
-
-
-class _NullSink:
-    """Sink that discards the outputs: only the node's decisions are needed."""
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Discard a message."""
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Discard a message of the truth."""
 
 
 @dataclass(frozen=True)
@@ -153,9 +144,10 @@ def axis_sightings(
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, (DecisionRecorder,), RosbagsFactory(), config_path, namespace)
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
-        run = ReplayRun(chain, _NullSink(), ReplaySummary(), ())
+        run = ReplayRun(chain, NullSink(), ReplaySummary(), ())
         for record in progress(bag.records(names), bag):
             run.process_message(names[record.topic], record)
+        run.finish()
     if not found.rows:
         others = f"{found.unused_count} others"
         raise BadInput(f"no exposure of two lights was used ({others}): axes cannot be fitted", file=bag_path)

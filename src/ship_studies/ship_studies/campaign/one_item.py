@@ -14,7 +14,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.offline.digests import code_sha256
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_replay.offline.replay_run import ReplaySummary
+from ship_replay.offline.replay_summary import ReplaySummary
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_studies.campaign.items import Item

@@ -27,12 +27,14 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters.ins_errors import GAUSS_MARKOV
 from ship_geometry.rotations import FloatArray
-from ship_node.adapters.reporting_adapter import Feed
+from ship_node.adapters.feeds import Feed
 from ship_node.messages.topics import OutputMessage
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import NullSink
 from ship_stars.samples.attitude_samples import AttitudeDecision
 
 _SIGMA_FACTOR = 3.0
@@ -159,7 +161,7 @@ def run_session(
             for feed in super().table(config, core):
                 if feed.source == INS:
                     # Attitudes are not requested, because their computation would double the time.
-                    feed = replace(feed, process=functools.partial(core.add_ins, estimate=False), batch=None)
+                    feed = replace(feed, process=functools.partial(core.add_ins, estimate=False), block=None)
                 yield feed
 
         def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
@@ -176,9 +178,10 @@ def run_session(
         adapter = adapters[0]
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
         summary = ReplaySummary()
-        run = ReplayRun(chain, _NullSink(), summary, ())
+        run = ReplayRun(chain, NullSink(), summary, ())
         for record in progress(bag.records(names), bag):
             run.process_message(names[record.topic], record)
+        run.finish()
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         problems = [*left_out, *bag.problems, *unread]
         if not comparisons.accepted:
@@ -207,16 +210,6 @@ def _with_wider_sigmas(ins: InsConfig) -> InsConfig:
         heading_sigma_arcsec=_SIGMA_FACTOR * ins.heading_sigma_arcsec,
         white_sigma_arcsec=_SIGMA_FACTOR * ins.white_sigma_arcsec,
     )
-
-
-class _NullSink:
-    """Sink that discards the outputs of the other nodes."""
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Discard a message."""
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Ignore the truth: an identification must not use it."""
 
 
 def mean_location(pairs: Iterable[StarInnovation]) -> LocalVertical | None:

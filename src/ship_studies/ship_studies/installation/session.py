@@ -27,7 +27,9 @@ from ship_node.adapters.adapter import Adapter
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun
+from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.sinks import DecodingSink
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word
@@ -116,6 +118,7 @@ def run_session(
         run = ReplayRun(chain, history, summary, ())
         for record in progress(bag.records(names), bag):
             run.process_message(names[record.topic], record)
+        run.finish()
         last_ns = bag.last_time_ns or 0
         last = adapter.core.alignment()
         history.add(last_ns, last.names, last.values, last.covariance)
@@ -210,22 +213,19 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
 
 
 @dataclass
-class AlignmentHistory:
+class AlignmentHistory(DecodingSink):
     """Sink that collects the history of the alignment from the outputs of a session's replay."""
 
+    topics = frozenset({_ALIGNMENT_TOPIC})
     times_ns: list[int] = field(default_factory=list)
     names: tuple[str, ...] = ()
     values: list[FloatArray] = field(default_factory=list)
     sigmas: list[FloatArray] = field(default_factory=list)
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Add an alignment; ignore other outputs."""
-        if topic == _ALIGNMENT_TOPIC:
-            covariance = np.reshape(message.covariance, (len(message.names), len(message.names)))
-            self.add(log_time_ns, tuple(message.names), np.array(message.values), covariance)
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Ignore the truth: a calibration must not use it."""
+        """Add an alignment."""
+        covariance = np.reshape(message.covariance, (len(message.names), len(message.names)))
+        self.add(log_time_ns, tuple(message.names), np.array(message.values), covariance)
 
     def add(self, time_ns: int, names: tuple[str, ...], values: FloatArray, covariance: FloatArray) -> None:
         """Add an alignment."""

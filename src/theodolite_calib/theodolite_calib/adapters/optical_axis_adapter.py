@@ -7,19 +7,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.recovery.displacements import TOGETHER
 from ship_estimation.rejections import Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.deferring_adapter import DeferringAdapter
-from ship_node.adapters.recovering_adapter import PRESENCE_REASONS, RecoveringAdapter
-from ship_node.adapters.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.adapters.feeds import Feed, ignore_time
+from ship_node.adapters.input_report import PRESENCE_REASONS
+from ship_node.adapters.node_adapter import OWN_OUTPUTS
+from ship_node.adapters.recovering_adapter import RecoveringAdapter
+from ship_node.adapters.recovery_status import recovery_status
 from ship_node.health.duplicate_publishers import ATTITUDE, BASELINE, ENCODERS
 from ship_node.health.innovation_report import clock_status
-from ship_node.messages.batches import OutputRows, StampArray
+from ship_node.messages.batch import OutputRows
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -30,7 +31,6 @@ from ship_node.messages.common_messages import (
     Level,
     rejection_message,
 )
-from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
@@ -96,7 +96,7 @@ _MODE_TEXTS = {
 }
 
 
-class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
+class OpticalAxisAdapter(RecoveringAdapter):
     """Optical axis of the theodolite with its error budget, from encoders, ship's attitude, stars, lights of drones.
 
     Args:
@@ -118,6 +118,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     integrity_frame: str = MAIN_FRAME
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
     required_sources: ClassVar[tuple[str, ...]] = ("encoder", "ship")
+    can_defer_outputs: ClassVar[bool] = True
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (
@@ -176,7 +177,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
-        read_ships = None if by_ins else functools.partial(self._read_ships, config=config)
+        read_ships = None if by_ins else functools.partial(input_rows.ship_attitudes, config=config)
         read_ship = functools.partial(read_ship, config=config)
         yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
@@ -222,16 +223,8 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             yield Feed(topic, f"star.{id_}", read, core.add_stars, has_decision=True)
         yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings), position_required=False)
 
-    def _read_ships(
-        self, messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig
-    ) -> Sequence[ReadMessage[Any] | None]:
-        """Read attitudes of the ship and announce them to the core."""
-        readings = input_rows.ship_attitudes(messages, receive_ns, config)
-        self.core.expect_ships([reading.value for reading in readings if reading is not None])
-        return readings
-
     def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`DeferringAdapter`; the directions of targets come first.
+        """See :class:`NodeAdapter`; the directions of targets come first.
 
         A direction of a target has no innovation, because the image of the target is not compared with a prediction.
         """
@@ -243,7 +236,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return published + super().report_outcome(outcome, now_ns, waiting_ns)
 
     def batch_messages(self, series: Sequence[PointingSeries]) -> Iterator[OutputRows]:
-        """See :meth:`BatchAdapter.batch_messages`."""
+        """See :class:`NodeAdapter`."""
         rows = pointing_rows(self.factory, self._lever, PointingNumbers.from_series(series), self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
@@ -272,7 +265,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return [*published, ("theodolite/calibration", calibration)]
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
-        """See :meth:`ReportingAdapter.no_output`."""
+        """See :class:`NodeAdapter`."""
         core: OpticalAxisCore = self.core
         return core.no_output(now_ns, text)
 
@@ -310,11 +303,6 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         drones = ", ".join(f"beacons.{source.removeprefix(BEACON_PREFIX)}.light" for source in sorted(displaced))
         return f"if an antenna or light was remounted, set {drones} and call ~/reset; otherwise check the RTK receiver"
 
-    def before_adoption(self) -> list[OutputMessage]:
-        """See :class:`RecoveringAdapter`; pending pointings are computed, because they belong to the old estimator."""
-        self._compute_pending()
-        return []
-
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return the status of pointing, calibration, integrity, conflicts, innovations, recovery and clocks."""
         return [
@@ -323,7 +311,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.innovation_report.statuses(),
-            self.recovery_status(waiting_ns),
+            recovery_status(self.recovery, self.core.excluded_sources, self.remedy, waiting_ns),
             clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),
         ]
 

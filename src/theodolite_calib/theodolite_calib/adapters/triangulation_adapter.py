@@ -9,7 +9,8 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.time_order.outcome import Status
-from ship_node.adapters.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter
+from ship_node.adapters.feeds import Feed
+from ship_node.adapters.node_adapter import OWN_OUTPUTS, NodeAdapter
 from ship_node.messages.common_messages import INNOVATION_TYPE, DiagnosticStatus, Level, rejection_message
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
@@ -33,7 +34,7 @@ _LEVELS = {
 }
 
 
-class TriangulationAdapter(ReportingAdapter):
+class TriangulationAdapter(NodeAdapter):
     """Positions of targets from the directions of several theodolites.
 
     Args:
@@ -68,7 +69,7 @@ class TriangulationAdapter(ReportingAdapter):
             yield Feed(topic, f"station.{name}", read, core.add_direction)
 
     def report_outcome(self, outcome: TriangulationOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`ReportingAdapter`."""
+        """See :class:`NodeAdapter`."""
         if outcome.estimates:
             self._published_ns = waiting_ns
         return super().report_outcome(outcome, now_ns, waiting_ns)

@@ -14,7 +14,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_node.messages.batches import StampArray
+from ship_node.messages.batch import StampArray
 from ship_node.messages.column_checks import (
     ReadRows,
     angular_covariances,

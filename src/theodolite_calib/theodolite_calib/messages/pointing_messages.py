@@ -18,7 +18,7 @@ from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_fr
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels.compiled_rotations import angle_covariances, angles, quaternions
-from ship_node.messages.batches import OutputRows
+from ship_node.messages.batch import OutputRows
 from ship_node.messages.common_messages import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget_message
 from ship_node.messages.output_numbers import (
     Fields,

@@ -250,10 +250,6 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
-    def expect_ships(self, samples: Sequence[ShipSample]) -> None:
-        """Announce the next attitudes of the ship, so that they are checked together (offline only)."""
-        self._ship_check.expect(samples)
-
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """Add a baseline to a drone.
 

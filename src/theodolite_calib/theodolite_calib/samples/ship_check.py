@@ -4,19 +4,22 @@ Attitudes and the rates in the same messages are checked against each other, bot
 ``ship/attitude``. With the INS alone the rates have no other use, because the pointing uses only the attitudes.
 """
 
-from collections.abc import Sequence
+import math
 
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.parameters.ins import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
+from ship_estimation.plausibility.ins_check import InsCheck
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.rejections import resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.samples.batch_ship_check import BatchShipCheck, stated_step_rad
 from theodolite_calib.samples.samples import ShipSample
+
+_STATED_STEP_SIGMAS = 5.0
+"""Possible step of a source's attitude, in multiples of the square root of the change of its stated variance."""
 
 
 class ShipCheck:
@@ -33,7 +36,7 @@ class ShipCheck:
     def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
         self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
         check_config = _check_config(config)
-        self._batch_check, self._shift_ns = BatchShipCheck(check_config), shift_ns
+        self._ins_check, self._shift_ns = InsCheck(check_config), shift_ns
         # Accepted samples with their rates, for the check of samples that come out of order.
         self._accepted = AttitudeTrack(round(check_config.max_gap_s * SECOND_NS))
         self._stated_covariance_n: FloatArray | None = None
@@ -41,23 +44,18 @@ class ShipCheck:
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply a changed noise."""
-        self._batch_check.reconfigure(_check_config(config))
+        self._ins_check.reconfigure(_check_config(config))
 
     @property
     def has_measured_rates(self) -> bool:
         """True if the rates are measured, so that every step of some standard deviations of a sample is detected."""
-        return self._batch_check.rate_status is RateStatus.MEASURED
-
-    def expect(self, samples: Sequence[ShipSample]) -> None:
-        """Announce the next attitudes, so that they are checked together (offline only)."""
-        self._batch_check.expect(samples)
+        return self._ins_check.rate_status is RateStatus.MEASURED
 
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; later samples will not be older than ``oldest_ns``."""
         self._accepted.drop_before(oldest_ns)
-        result = self._batch_check.check(
-            sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n)
-        )
+        reported_step_rad = _stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n)
+        result = self._ins_check.check(sample, self._accepted, {}, reported_step_rad)
         if result.rates_wrong_after_ns is not None:
             self._accepted.drop_rates(result.rates_wrong_after_ns)
         if result.jumps:
@@ -80,6 +78,13 @@ class ShipCheck:
         """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""
         step = self._unconfirmed
         return step.text if step is not None and time_ns > step.since_ns else ""
+
+
+def _stated_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
+    """Return the possible step of a source's attitude at a change of the stated covariance, rad."""
+    if covariance_n is None or before_n is None:
+        return 0.0
+    return _STATED_STEP_SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
 
 
 def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:

@@ -15,13 +15,15 @@ from ship_estimation.parameters.fields import autosave_period, parameter, source
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
-from ship_node.adapters.reporting_adapter import Feed, ReportingAdapter, ignore_time
+from ship_node.adapters.feeds import Feed, ignore_time
+from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.health.overload import Overload
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.field_checks import MessageRejected, ReadMessage
 from ship_node.messages.topics import InputTopic, OutputMessage
 from ship_node.saved_files.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.saved_files.saved_start import SavedStart
+from ship_testing.one_message import process_message
 
 FACTORY = RosidlFactory()
 NOW_NS = 1_400_000_000_000_000_000
@@ -77,7 +79,7 @@ def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
     return ReadMessage(Value(message.stamp_ns), message.known, left_out, message.empty)
 
 
-class TinyAdapter(ReportingAdapter):
+class TinyAdapter(NodeAdapter):
     node_name, config_type, services = "tiny", TinyConfig, ("reset", "save_alignment", "load_alignment")
     main_topic, innovation_topic = "tiny/value", "tiny/innovation"
     required_sources = ("fast",)
@@ -116,14 +118,14 @@ def health(adapter: TinyAdapter, topic: str) -> Any:
 def test_a_message_without_rejection_is_used_and_its_estimate_published(adapter: TinyAdapter) -> None:
     estimate = SimpleNamespace(status=Status.VALID)
     adapter.core.next = Outcome(estimates=[estimate])
-    assert adapter.handle(FAST, message(), NOW_NS) == [("tiny/value", estimate)]
+    assert process_message(adapter, FAST, message(), NOW_NS) == [("tiny/value", estimate)]
     assert (adapter.latest, adapter.pending_budget) == (estimate, estimate)
     assert health(adapter, FAST) == (1, 1, 0, {})
 
 
 def test_an_invalid_estimate_has_no_budget(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.INVALID)])
-    adapter.handle(FAST, message(), NOW_NS)
+    process_message(adapter, FAST, message(), NOW_NS)
     assert adapter.pending_budget is None
 
 
@@ -131,7 +133,7 @@ def test_an_invalid_estimate_has_no_budget(adapter: TinyAdapter) -> None:
 def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
     adapter: TinyAdapter, reason: Reason, stamp_ns: int
 ) -> None:
-    ((topic, report),) = adapter.handle(CHECKED, message(bad=reason), NOW_NS + 7)
+    ((topic, report),) = process_message(adapter, CHECKED, message(bad=reason), NOW_NS + 7)
     assert (topic, report.source, report.reason, report.accepted) == ("tiny/innovation", "device", reason, False)
     assert report.header.stamp.sec * S + report.header.stamp.nanosec == stamp_ns
     assert health(adapter, CHECKED) == (1, 0, 1, {reason.word: 1})
@@ -140,13 +142,13 @@ def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
 
 def test_rejections_by_the_core_and_rejected_parts_are_reported_and_counted(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(Rejection(Reason.LATE, "too late"))
-    published = adapter.handle(CHECKED, message(left_out=("a", "b"), known=False), NOW_NS)
+    published = process_message(adapter, CHECKED, message(left_out=("a", "b"), known=False), NOW_NS)
     assert [report.reason_text for _, report in published] == ["a: degrees?", "b: degrees?", "too late"]
     assert health(adapter, CHECKED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
 
 
 def test_an_empty_message_counts_and_the_core_is_not_called(adapter: TinyAdapter) -> None:
-    assert adapter.handle(CHECKED, message(empty=True), NOW_NS) == []
+    assert process_message(adapter, CHECKED, message(empty=True), NOW_NS) == []
     assert health(adapter, CHECKED) == (1, 1, 0, {})
     assert adapter.core.calls == []
 
@@ -154,7 +156,7 @@ def test_an_empty_message_counts_and_the_core_is_not_called(adapter: TinyAdapter
 def test_an_exception_of_the_core_is_raised_and_the_arrival_counted(adapter: TinyAdapter) -> None:
     adapter.core.next = RuntimeError("a defect")
     with pytest.raises(RuntimeError):
-        adapter.handle(FAST, message(), NOW_NS)
+        process_message(adapter, FAST, message(), NOW_NS)
     assert health(adapter, FAST) == (1, 0, 0, {})
 
 
@@ -164,7 +166,7 @@ def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdap
         for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
     )
     adapter.core.next = Outcome(decisions=[used, rejected])
-    sent = [m for _, m in adapter.handle(CHECKED, message(), NOW_NS)]
+    sent = [m for _, m in process_message(adapter, CHECKED, message(), NOW_NS)]
     assert list(adapter.innovation_report.pending) == [("device", used), ("device", rejected)]
     assert [(m.source, m.accepted, m.reason_text) for m in sent] == [("device", True, ""), ("device", False, "too far")]
     assert health(adapter, CHECKED) == (1, 1, 1, {"gate": 1})
@@ -174,16 +176,16 @@ def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter
     adapter.core.next = Outcome(
         decisions=[MeasurementDecision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")]
     )
-    adapter.handle(CHECKED, message(), NOW_NS)
+    process_message(adapter, CHECKED, message(), NOW_NS)
     assert adapter.conflict_statuses() == [DiagnosticStatus("conflict device", Level.ERROR, "they disagree")]
     adapter.core.next = Outcome(decisions=[MeasurementDecision(Value(NOW_NS), Reason.NONE, accepted=True)])
-    adapter.handle(CHECKED, message(), NOW_NS)
+    process_message(adapter, CHECKED, message(), NOW_NS)
     assert adapter.conflict_statuses() == []
 
 
 def test_a_failed_output_is_reported(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(failures=[(NOW_NS, Rejection(Reason.FAILED, "a defect"))])
-    ((_, report),) = adapter.handle(FAST, message(), NOW_NS)
+    ((_, report),) = process_message(adapter, FAST, message(), NOW_NS)
     assert (report.source, report.reason) == ("tiny/value", Reason.FAILED)
     assert adapter.health.take_failures() == ["tiny/value: a defect"]
 
@@ -204,7 +206,7 @@ def test_slow_topics_are_published_once_a_period_and_their_failure_is_reported(a
 
 def test_a_reset_and_a_clock_jump_reset_the_outputs(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
-    adapter.handle(FAST, message(), NOW_NS)
+    process_message(adapter, FAST, message(), NOW_NS)
     assert adapter.clock_jumped_back(NOW_NS - S) == []
     assert (adapter.latest, adapter.pending_budget, adapter.clock_jumps) == (None, None, 1)
     assert adapter.service("reset", NOW_NS) == (True, "the filter was reset")
@@ -260,9 +262,9 @@ def test_a_source_that_is_off_is_counted_and_not_passed_to_the_core(adapter: Tin
     assert config is adapter.config
     assert config.sources_off == ("device", "device")
     for number in range(30):
-        ((topic, one),) = adapter.handle(CHECKED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
+        ((topic, one),) = process_message(adapter, CHECKED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
         assert (topic, one.source, one.reason, one.accepted) == ("tiny/innovation", "device", Reason.OFF, False)
-    ((_, unread),) = adapter.handle(CHECKED, message(bad=Reason.UNITS), NOW_NS + 3 * S)
+    ((_, unread),) = process_message(adapter, CHECKED, message(bad=Reason.UNITS), NOW_NS + 3 * S)
     assert unread.reason == Reason.UNITS
     assert adapter.core.calls == [config]
     assert health(adapter, CHECKED) == (31, 0, 31, {"units": 31, "off": 30})
@@ -272,17 +274,17 @@ def test_a_source_that_is_off_is_counted_and_not_passed_to_the_core(adapter: Tin
 def test_a_source_that_is_off_has_no_consecutive_rejections(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
     for number in range(30):
-        adapter.handle(CHECKED, message(), NOW_NS + number * S // 10)
+        process_message(adapter, CHECKED, message(), NOW_NS + number * S // 10)
     (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {CHECKED}"]
     assert (status.level, status.message) == (Level.WARN, "rejected, off: switched off by sources_off")
 
 
 def test_a_source_switched_on_is_used_from_its_next_message(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
-    adapter.handle(CHECKED, message(), NOW_NS)
+    process_message(adapter, CHECKED, message(), NOW_NS)
     adapter.set_parameters({"sources_off": []})
     adapter.core.calls.clear()
-    assert adapter.handle(CHECKED, message(), NOW_NS + S) == []
+    assert process_message(adapter, CHECKED, message(), NOW_NS + S) == []
     assert adapter.core.calls == [(Value(NOW_NS), NOW_NS + S)]
     assert off_text(adapter) == []
 
@@ -320,7 +322,7 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     assert "rejected, behind: 320 messages dropped" in statuses[f"input {FAST}"].message
 
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
-    assert adapter.handle(FAST, message(), NOW_NS + 1) == []
+    assert process_message(adapter, FAST, message(), NOW_NS + 1) == []
     assert adapter.latest is invalid
     ticks = [adapter.tick(NOW_NS + tenth * S // 10) for tenth in range(1, 21)]
     assert [tenth for tenth, output in enumerate(ticks, 1) if "tiny/value" in dict(output)] == [10, 20]
@@ -329,13 +331,13 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     assert (status.level, status.message) == (Level.ERROR, why)
 
     assert adapter.overload(Overload(0.0, 2, 12.0), NOW_NS + 3 * S) == []
-    assert adapter.handle(FAST, message(), NOW_NS + 3 * S) == [("tiny/value", adapter.core.next.estimates[0])]
+    assert process_message(adapter, FAST, message(), NOW_NS + 3 * S) == [("tiny/value", adapter.core.next.estimates[0])]
     assert adapter.latest.status is Status.VALID
 
 
 def test_cut_messages_cause_no_timeout(adapter: TinyAdapter) -> None:
     for tenth in range(10):
-        adapter.handle(FAST, message(), NOW_NS + tenth * S // 10)
+        process_message(adapter, FAST, message(), NOW_NS + tenth * S // 10)
     adapter.overload(Overload(3.2, 2, 12.0, {FAST: 30}), NOW_NS + 4 * S)
     (status,) = [s for s in adapter.health.statuses(NOW_NS + 4 * S) if s.name == f"input {FAST}"]
     assert "no data for" not in status.message

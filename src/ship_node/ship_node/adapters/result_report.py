@@ -1,0 +1,182 @@
+"""Messages about the results of a core: decisions, rejections, failures, estimates, protection levels."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.integrity.published_levels import PublishedLevels
+from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_node.adapters.batch_pass import BatchPass
+from ship_node.adapters.feeds import Feed
+from ship_node.health.innovation_report import InnovationReport
+from ship_node.health.input_health import InputHealthMonitor
+from ship_node.health.overload import OverloadReport
+from ship_node.messages import common_messages
+from ship_node.messages.batch import OutputRows
+from ship_node.messages.common_messages import DiagnosticStatus
+from ship_node.messages.topics import OutputMessage
+
+
+class ResultReport(ABC):
+    """Part of an adapter that reports the core's results; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
+
+    Attributes:
+        config: the current parameters.
+        core: the estimator.
+        latest: the last published estimate; None before the first, also after a reset or a step of the time base.
+        pending_budget: the last estimate until its error budget is published; None after an INVALID output.
+        conflicts: source → text, for sources in persistent conflict.
+        innovation_report: innovation diagnoses of the sources.
+        published_levels: the protection levels last published.
+        overload_report: overload of the node; the estimates of a node that is behind are not published.
+        batch_pass: the batch in progress; None between batches.
+    """
+
+    node_name: ClassVar[str]
+    main_topic: ClassVar[str]
+    """Topic of the estimates. If an estimate cannot be computed, the failure is reported under this name."""
+    innovation_topic: ClassVar[str]
+    integrity_topic: ClassVar[str] = ""
+    """Topic of the protection levels; empty if the node has none."""
+    quantities: ClassVar[tuple[str, ...]] = ()
+    """Quantities that the protection levels bound."""
+    redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"]
+    """Attributes of an output that determine, together with its state, the redundancy of its sources."""
+    directions: ClassVar["attrgetter[np.ndarray]"]
+    """Attribute of an output: the ``directions`` of a ``PublishedLevels``."""
+    integrity_frame: str = ""
+    health: InputHealthMonitor
+
+    def __init__(
+        self, config: Any, core: Any, factory: MessageFactory, estimate_messages: Callable[[Any], list[OutputMessage]]
+    ) -> None:
+        self.config, self.core, self.factory = config, core, factory
+        self._estimate_messages = estimate_messages
+        self.latest: Any = None
+        self.pending_budget: Any = None
+        self.conflicts: dict[str, str] = {}
+        self.innovation_report = InnovationReport()
+        self.published_levels = PublishedLevels()
+        self.overload_report = OverloadReport(self.node_name)
+        self.batch_pass: BatchPass | None = None
+
+    @property
+    def cores(self) -> tuple[Any, ...]:
+        """All estimators of the node."""
+        return (self.core,)
+
+    @abstractmethod
+    def record_decision(self, decision: Any, now_ns: int) -> Feed:
+        """Record the decision on a measurement and return the measurement's input."""
+
+    def batch_messages(self, runs: Sequence[Any]) -> Iterator[OutputRows]:
+        """Return the messages of several runs of outputs; the messages of one output are in order of publication."""
+        return iter(())
+
+    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
+        """Return the ship_msgs/Innovation of a rejected part (a star, a light) of a measurement."""
+        text = Rejection(rejection.reason, f"{name}: {rejection.text}")
+        return common_messages.rejection_message(self.factory, source, time_ns, text)
+
+    def compute_pending(self) -> None:
+        """Compute the pending outputs of the batch in progress; the next output or report must follow them."""
+        if self.batch_pass is not None:
+            self.batch_pass.compute_pending()
+
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+        """Record an outcome of the core and return its messages: decisions, failures, estimates.
+
+        The estimates of a node that is behind are not published.
+        """
+        if outcome.estimates:
+            self.compute_pending()
+        decisions = []
+        for decision in outcome.decisions:
+            feed = self.record_decision(decision, now_ns)
+            if decision.reason is Reason.ATTITUDE_CONFLICT:
+                self.conflicts[feed.source] = decision.text
+            elif decision.accepted:
+                self.conflicts.pop(feed.source, None)
+            decisions.append((feed.source, decision))
+        self.innovation_report.pending += decisions
+        published: list[OutputMessage] = []
+        for source, decision in decisions:
+            published += self.rejected_part_messages(source, decision.measurement.time_ns, decision.rejected_parts)
+            message = common_messages.decision_message(self.factory, source, decision)
+            published.append((self.innovation_topic, message))
+        for time_ns, rejection in outcome.failures:
+            published.append(self.report_failure(self.main_topic, time_ns, rejection))
+        for estimate in outcome.estimates if self.overload_report.behind is None else ():
+            self.latest = estimate
+            self.pending_budget = None if estimate.status is Status.INVALID else estimate
+            if self.integrity_topic and estimate.status is not Status.INVALID:
+                published += self.protection_level_messages(estimate)
+            published += self._estimate_messages(estimate)
+        return published
+
+    def rejection_message(self, source: str, time_ns: int, rejection: Rejection) -> OutputMessage:
+        """Return the message about a rejected input."""
+        return self.innovation_topic, common_messages.rejection_message(self.factory, source, time_ns, rejection)
+
+    def rejected_part_messages(
+        self, source: str, time_ns: int, parts: Sequence[tuple[str, Rejection]]
+    ) -> list[OutputMessage]:
+        """Return the messages about rejected parts of a measurement."""
+        return [
+            (self.innovation_topic, self.rejected_part_message(source, time_ns, name, rejection))
+            for name, rejection in parts
+        ]
+
+    def report_failure(self, what: str, time_ns: int, rejection: Rejection) -> OutputMessage:
+        """Record that an output could not be computed and return the message about it."""
+        self.health.record_failure(f"{what}: {rejection.text}")
+        return self.rejection_message(what, time_ns, rejection)
+
+    def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
+        """Return the protection levels of an output if the published levels do not cover it."""
+        published, redundancy_key, directions = (
+            self.published_levels,
+            self.redundancy_key(estimate),
+            self.directions(estimate),
+        )
+        # Runs for every output: the fast check comes first.
+        if published.state is estimate.state and published.redundancy_key == redundancy_key:
+            output = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
+            if published.covered_count(*output):
+                return []
+        report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * SECOND_NS)
+        published.state, published.redundancy_key, published.directions = estimate.state, redundancy_key, directions
+        if not published.needs_update(estimate, report, period_ns):
+            return []
+        config = self.config.integrity
+        message = common_messages.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)
+        return [(self.integrity_topic, message)]
+
+    def reset_outputs(self) -> None:
+        """Discard the published estimate and levels, the conflicts and the diagnoses."""
+        self.latest, self.pending_budget = None, None
+        self.reset_reports()
+
+    def reset_reports(self) -> None:
+        """Discard the published levels, the conflicts and the diagnoses."""
+        self.published_levels = PublishedLevels()
+        self.conflicts.clear()
+        self.innovation_report.clear()
+
+    def integrity_statuses(self) -> list[DiagnosticStatus]:
+        """Return one status with the published protection levels and the excluded sources."""
+        known = self.latest is not None and self.latest.status is not Status.INVALID
+        return [common_messages.integrity_status(self.published_levels.report if known else None, self.quantities)]
+
+    def conflict_statuses(self) -> list[DiagnosticStatus]:
+        """Return one status per source in persistent conflict."""
+        return [
+            DiagnosticStatus(f"conflict {source}", common_messages.Level.ERROR, text)
+            for source, text in sorted(self.conflicts.items())
+        ]
