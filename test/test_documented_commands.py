@@ -103,7 +103,8 @@ def test_files_named_by_the_other_commands_of_a_page_exist(page: Path) -> None:
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for line in "".join(blocks(page, "live") + blocks(page, "shown")).splitlines():
         words = line.partition("#")[0].split()
-        assert all((ROOT / word).exists() for word in words if word.startswith(("bags/", "examples/")))
+        in_checkout = "bags/", "examples/", "src/", "test/", "tools/"
+        assert all((ROOT / word).exists() for word in words if word.startswith(in_checkout))
         if words[:1] == ["make"]:
             assert words[1] in targets
         elif words[:1] == ["./ros2run"]:
@@ -112,7 +113,7 @@ def test_files_named_by_the_other_commands_of_a_page_exist(page: Path) -> None:
             own = words[3 : words.index("--ros-args")] if "--ros-args" in words else words[3:]
             assert [word for word in own if word.startswith("--") and word not in help_text] == []
         else:
-            assert words[:1] in ([], ["cd"], ["export"], ["ssh"])
+            assert words[:1] in ([], ["cd"], ["export"], ["pytest"], ["python"], ["ssh"])
 
 
 def wait_until_it_listens(process: LiveProcess) -> None:

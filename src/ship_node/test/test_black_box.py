@@ -38,6 +38,7 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
+from ship_node.black_box.versions import SUITE_PACKAGES
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.messages.common_messages import Level
 from ship_node.parameters.parameter_file import load_config, parameter_text
@@ -127,7 +128,7 @@ def test_parameters_versions_and_identity_are_attached(tmp_path: Path) -> None:
     assert of_black_box == {"format": FORMAT, "node": "relay", "namespace": "/ship", "part": "1", "first": "box.mcap"}
     assert load_config(RelayConfig, attachments[SUITE_ATTACHMENT], "relay") == CONFIG
     found = json.loads(attachments[VERSIONS_ATTACHMENT])
-    assert found["suite"].keys() == {"ship_msgs", "ship_geometry", "ship_estimation", "ship_node", "ship_testing"}
+    assert found["suite"].keys() == {*SUITE_PACKAGES, "ship_testing"}
     assert found["message_definitions"]["ship_msgs/msg/ShipAttitude"].startswith("RIHS01_")
 
 
