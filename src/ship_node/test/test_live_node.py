@@ -201,13 +201,13 @@ def test_reliable_inputs_and_the_override_of_one_topic(live_relay, more, expecte
 def test_a_reliable_input_queues_a_burst_after_an_outage(live_relay):
     """The burst is five times as long as the queue of a best-effort input, and faster than the slow node."""
     relay = live_relay("-p", "reliable_inputs:=true")
-    handle, count = relay.adapter.handle, 5 * relay.adapter.inputs[0].depth
+    process, count = relay.adapter.process, 5 * relay.adapter.inputs[0].depth
 
-    def handle_slowly(*arguments):
+    def process_slowly(batch):
         time.sleep(0.002)
-        return handle(*arguments)
+        return process(batch)
 
-    relay.adapter.handle = handle_slowly
+    relay.adapter.process = process_slowly
     publisher = relay.imu_publisher()
     for number in range(count):
         publisher.publish(imu_message(10**9 + number * 10**7))
@@ -216,13 +216,13 @@ def test_a_reliable_input_queues_a_burst_after_an_outage(live_relay):
 
 def test_a_flood_stops_neither_ticks_nor_later_messages(live_relay):
     relay = live_relay()
-    handle, depth = relay.adapter.handle, relay.adapter.inputs[0].depth
+    process, depth = relay.adapter.process, relay.adapter.inputs[0].depth
 
-    def handle_slowly(*arguments):
+    def process_slowly(batch):
         time.sleep(0.002)
-        return handle(*arguments)
+        return process(batch)
 
-    relay.adapter.handle = handle_slowly
+    relay.adapter.process = process_slowly
     publisher = relay.imu_publisher(ReliabilityPolicy.BEST_EFFORT)
     old = serialize_message(imu_message(10**9))
     ticks_before = len(relay.adapter.ticks)
@@ -244,15 +244,15 @@ def test_a_flood_stops_neither_ticks_nor_later_messages(live_relay):
 
 def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
-    handle, uses = relay.adapter.handle, []
+    process, uses = relay.adapter.process, []
 
-    def handle_noting(topic, message, receive_ns, waiting_ns):
-        uses.append(waiting_ns)
+    def process_noting(batch):
+        uses.append(batch.arrivals[0].waiting_ns)
         if len(uses) == 1:
             time.sleep(1.3)
-        return handle(topic, message, receive_ns, waiting_ns)
+        return process(batch)
 
-    relay.adapter.handle = handle_noting
+    relay.adapter.process = process_noting
     publisher = relay.imu_publisher()
     for _ in range(30):
         publisher.publish(imu_message(time.time_ns()))
@@ -268,14 +268,14 @@ def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_
 def test_overload_state_begins_and_ends_with_the_load(live_relay):
     """The load is ten times what the node can process on any computer: 100 Hz, and each message takes 0.1 s."""
     relay = live_relay(*RELIABLE_INPUT)
-    handle, load_s, used = relay.adapter.handle, 0.1, []
+    process, load_s, used = relay.adapter.process, 0.1, []
 
-    def handle_slowly(topic, message, receive_ns, waiting_ns):
+    def process_slowly(batch):
         time.sleep(load_s)
-        used.append(ns_from_stamp(message.header.stamp))
-        return handle(topic, message, receive_ns, waiting_ns)
+        used.append(ns_from_stamp(batch.arrivals[0].message.header.stamp))
+        return process(batch)
 
-    relay.adapter.handle = handle_slowly
+    relay.adapter.process = process_slowly
     publisher = relay.imu_publisher()
 
     def publish_until(happened):
