@@ -108,7 +108,7 @@ def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
         position, ins = replace(scenario.position, speed_m_per_s=0.0), replace(scenario.ins, tilt_sigma_arcsec=1.0)
         scenario = replace(scenario, position=position, ins=ins)
         run, core = simulate(scenario, 200 + seed), core_of(scenario)
-        estimate = core.deflection(last_estimate(core, run).time_ns)
+        estimate = core.output.deflection(last_estimate(core, run).time_ns)
         assert estimate is not None
         assert estimate.covariance is not None
         assert np.all(np.sqrt(estimate.covariance.diagonal()) < 1.5 * ARCSEC)

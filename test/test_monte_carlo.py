@@ -98,7 +98,7 @@ def one_by_one(core, run, wanted_ns):
         if source == "ins":
             time_ns = int(run.ins.time_ns[index])
             sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
-            yield core.add_ins(sample, estimate=time_ns in wanted_ns)
+            yield core.ins.add(sample, estimate=time_ns in wanted_ns)
         elif source in SKY_SOURCES:
             yield core.add_sky_input(sky_input(run, source, index))
         else:

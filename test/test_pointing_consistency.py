@@ -138,7 +138,7 @@ def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s)
     psf_m, sigma_m = telescope.psf_sigma_m, telescope.sigma_m
     for number, time_ns in enumerate(images.time_ns.tolist()):
         seen = [DetectedBeacon(name, point_m, sigma_m) for name, point_m in images.sightings(number)]
-        sighting = core.sighting(Exposure(time_ns, tuple(seen), exposure_s))
+        sighting = core.streams.sightings.assemble(Exposure(time_ns, tuple(seen), exposure_s)).sighting
         off_m = np.array([light.point_m for light in seen]) - true_m[number]
         # 1e-7 m are 0.2" here. The remaining error is the noise along the streaks, which is a nanometre for lights at
         # rest.

@@ -152,7 +152,7 @@ def test_the_wall_of_a_trench_is_within_what_a_ship_without_a_map_claims() -> No
     assert rms_arcsec(errors[-1, TILT]) > 30.0
     # 16.3: chi-square of three, 99.9 %.
     assert nees < 16.3
-    assert core.deflection(core.state.time_ns) is None
+    assert core.output.deflection(core.state.time_ns) is None
 
 
 def test_the_suite_of_a_world_without_deflections_models_none() -> None:

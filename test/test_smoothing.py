@@ -148,7 +148,7 @@ def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: i
                 true_nd = attitudes(np.array([since_s]), SWELL)[0]
                 rotation = true_nd @ sensor @ exp_rotation(NOISE * rng.standard_normal(3))
                 core.add_measurement(AttitudeMeasurement(f"star.{id_}", sample.time_ns, rotation, np.diag(NOISE**2)))
-        outcome = core.add_ins(sample, estimate=number % 25 == 5 or number == JUMP - 1)
+        outcome = core.ins.add(sample, estimate=number % 25 == 5 or number == JUMP - 1)
         pair.filtered.extend(outcome.estimates)
         epochs_s += [since_s] * len(outcome.estimates)
         core.take_smoothed()

@@ -284,7 +284,7 @@ def run_voyage(seed: int) -> EstimatePair:
     def outcomes() -> Iterator[PointingOutcome]:
         for _, source, index in run.pointing_arrivals():
             given = samples.get(int(run.ins.time_ns[index])) if source == "ins" else None
-            yield feed_arrival(core, run, source, index) if given is None else core.add_ship(given)
+            yield feed_arrival(core, run, source, index) if given is None else core.pointings.add_ship(given)
 
     return smoothed_pointings(core, outcomes(), run)
 
@@ -318,13 +318,13 @@ def test_later_stars_improve_earlier_pointings() -> None:
         for number in range(80):
             time_ns = TIME_NS + number * 250_000_000
             ship = session.ship()
-            core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.correlated_covariance_n))
+            core.pointings.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.correlated_covariance_n))
             # The field changes every five seconds; there are stars from the second field on.
             if number % 20 == 0:
                 field = random_field(rng)
             if number >= 20 and number % 4 == 2:
-                core.add_stars(session.exposure(field, 6, time_ns))
-            estimates = core.add_encoder(session.reading(field, time_ns)).estimates
+                core.add_exposure(session.exposure(field, 6, time_ns))
+            estimates = core.pointings.add_encoder(session.reading(field, time_ns)).estimates
             filtered += estimates
             true_nm += [session.main_axis(field)] * len(estimates)
         smoothed = list(core.smooth_remaining())

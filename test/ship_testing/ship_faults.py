@@ -148,7 +148,7 @@ def run_core(
         if source == "ins":
             time_ns = int(run.ins.time_ns[index])
             sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
-            outcome = core.add_ins(sample, estimate=(time_ns - run.start_ns) * 1e-9 >= from_s)
+            outcome = core.ins.add(sample, estimate=(time_ns - run.start_ns) * 1e-9 >= from_s)
         elif source.startswith("star."):
             star = run.stars[source.removeprefix("star.")]
             values = int(star.time_ns[index]), star.rotation_nv[index], star.noise_v, star.common_n

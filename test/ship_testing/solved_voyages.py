@@ -45,7 +45,7 @@ def outcomes_with_solutions(
             rotation_nd, rate_d = run.ins.rotation_nd[index], run.ins.rate_d[index]
             sample = AttitudeSample(int(run.ins.time_ns[index]), rotation_nd, rate_d)
             solved = solver.add_ins(sample).solved
-            yield core.add_ins(sample, estimate=index in output_samples)
+            yield core.ins.add(sample, estimate=index in output_samples)
         elif source in SKY_SOURCES:
             solver.add_surroundings(sky_input(run, source, index))
             yield core.add_sky_input(sky_input(run, source, index))

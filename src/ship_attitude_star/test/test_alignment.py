@@ -11,6 +11,7 @@ import yaml
 
 from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_bags.errors import BadInput
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
@@ -39,12 +40,12 @@ def start_adapter(path: Path, now_ns: int = START_NS, **changes: Any) -> ShipAtt
 
 
 def sigma_of(adapter: ShipAttitudeAdapter) -> dict[str, float]:
-    alignment = adapter.core.alignment()
+    alignment = current_alignment(adapter.core.filter, adapter.core.config, adapter.core.state)
     return dict(zip(alignment.names, np.sqrt(np.diagonal(alignment.covariance)).tolist(), strict=True))
 
 
 def value_of(adapter: ShipAttitudeAdapter) -> dict[str, float]:
-    alignment = adapter.core.alignment()
+    alignment = current_alignment(adapter.core.filter, adapter.core.config, adapter.core.state)
     return dict(zip(alignment.names, alignment.values.tolist(), strict=True))
 
 

@@ -241,12 +241,12 @@ def test_fixes_in_any_order_end_in_the_same_state():
 
     def end(order):
         core = ShipAttitudeCore(config, sky_at_anchor(config))
-        core._sky_model.reset()
+        core.sky_model.reset()
         for item in order:
             if isinstance(item, PositionFix):
                 core.add_sky_input(item)
             elif isinstance(item, AttitudeSample):
-                core.add_ins(item, estimate=False)
+                core.ins.add(item, estimate=False)
             else:
                 core.add_measurement(item)
         return core.state

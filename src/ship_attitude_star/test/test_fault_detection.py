@@ -155,7 +155,7 @@ def run_core(core: ShipAttitudeCore, arrivals: list[tuple[int, Any]]) -> VoyageR
 def continue_run(result: VoyageResult, arrivals: list[tuple[int, Any]]) -> VoyageResult:
     core = result.core
     for time_ns, input_ in arrivals:
-        add = core.add_ins if isinstance(input_, AttitudeSample) else core.add_measurement
+        add = core.ins.add if isinstance(input_, AttitudeSample) else core.add_measurement
         outcome = add(input_)
         result.estimates += outcome.estimates
         result.reasons += [(decision.measurement.source, decision.reason) for decision in outcome.decisions]

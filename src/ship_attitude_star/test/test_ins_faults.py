@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import rotation_from_quaternion
@@ -271,7 +272,7 @@ def test_five_seconds_of_rates_in_degrees_have_no_later_effect() -> None:
     assert run.reasons(INS).keys() >= {"gate", "units"}
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
-    alignment = run.adapter.core.alignment()
+    alignment = current_alignment(run.adapter.core.filter, run.adapter.core.config, run.adapter.core.state)
     index = alignment.names.index("ins.time_offset")
     sigma_s = np.sqrt(alignment.covariance[index, index])
     assert abs(alignment.values[index] - 0.003) < 4.0 * sigma_s

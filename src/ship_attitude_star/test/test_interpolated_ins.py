@@ -76,7 +76,7 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
             white = exp_rotation(rng.normal(size=3) * ARCSEC)
             attitude = exp_rotation(-ins_error_n) @ white @ swell.attitude(stamp_s + tau_s)
             rate_d = swell.rate(stamp_s + tau_s) if rates else None
-            for estimate in core.add_ins(AttitudeSample(time_ns, attitude, rate_d)).estimates:
+            for estimate in core.ins.add(AttitudeSample(time_ns, attitude, rate_d)).estimates:
                 newest = stamp_s, estimate
         else:
             noise = exp_rotation(rng.normal(size=3) * STAR_SIGMA_S)
@@ -114,7 +114,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     swell, core = Swell(np.random.default_rng(3)), ShipAttitudeCore(configuration(1.0))
     for second in range(6):
         sample = AttitudeSample(START_NS + second * SECOND_NS, swell.attitude(second), swell.rate(second))
-        core.add_ins(sample)
+        core.ins.add(sample)
     time_ns, mounted = START_NS + 3_500_000_000, core.filter.devices["star.fore"].rotation_dv0
     measured = AttitudeMeasurement("star.fore", time_ns, swell.attitude(3.5) @ mounted, np.diag(STAR_SIGMA_S**2))
     tenth_ns, noise = SECOND_NS // 10, []
@@ -128,7 +128,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
         {"star.starboard": 20 * tenth_ns},
     ):
         used_ns = {source: time_ns - before_ns for source, before_ns in used.items()}
-        state, track = core.state, core._track
+        state, track = core.state, core.ins.track
         found = core.filter.linearisation.linearise(measured, state.mean, state.covariance, used_ns, track, None)
         row = core.filter.model.source_indices[SOURCE_INTERPOLATION]
         noise.append(np.trace(found.compared.linear.noise_by_source[row]))

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
@@ -132,7 +133,7 @@ def test_a_reset_keeps_the_live_changes() -> None:
     adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"ins.heading_sigma_arcsec": 500.0})
     assert adapter.service("reset", voyage()[HALF].receive_ns).success
-    alignment = adapter.core.alignment()
+    alignment = current_alignment(adapter.core.filter, adapter.core.config, adapter.core.state)
     up = alignment.names.index("ins.up")
     assert np.sqrt(alignment.covariance[up, up]) == pytest.approx(np.deg2rad(500.0 / 3600.0))
 

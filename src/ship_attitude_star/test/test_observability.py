@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn, recommended_manoeuvre
+from ship_attitude_star.ship_attitude.observability import observability_of
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage, Turn
 from ship_simulation.scenario.scenario import Scenario
@@ -44,7 +46,7 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
 
 def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
     core = run_voyage(voyage(0.0, 290.0))
-    observability = core.observability()
+    observability = observability_of(core.filter, core.config, core.state)
     # Mounting sigmas are 1″, INS sigmas 10″ and 72″: INS errors are observable, mounting errors hardly.
     assert observability.sigma_ratios["ins.up"] < 0.05
     assert observability.sigma_ratios["star.fore.up"] > 0.5
@@ -56,9 +58,13 @@ def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> N
 
 def test_before_any_star_nothing_is_observed() -> None:
     core = core_for(voyage(0.0, 10.0))
-    observability = core.observability()
+    observability = observability_of(core.filter, core.config, core.state)
     assert set(observability.sigma_ratios.values()) == {1.0}
     assert len(observability.unobservable_combinations) == len(observability.sigma_ratios)
+
+
+def turn_of(core: ShipAttitudeCore, rotation_nd: FloatArray) -> RecommendedTurn | None:
+    return recommended_manoeuvre(core.filter, core.state, rotation_nd, core.recent_sources)
 
 
 def with_mounting_sigma_5_arcsec(scenario: Scenario) -> Scenario:
@@ -71,7 +77,7 @@ def with_mounting_sigma_5_arcsec(scenario: Scenario) -> Scenario:
 def test_a_turn_improves_the_attitude_as_predicted() -> None:
     # 34.4° of heading, 0.5° of pitch, 2° of roll.
     attitude_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
-    manoeuvre = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))).recommended_manoeuvre(attitude_nd)
+    manoeuvre = turn_of(run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))), attitude_nd)
     assert manoeuvre is not None
     turned = run_voyage(with_mounting_sigma_5_arcsec(voyage(manoeuvre.turn_deg, 1200.0 + manoeuvre.turn_deg)))
     straight = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 1190.0)))
@@ -82,26 +88,26 @@ def test_a_turn_improves_the_attitude_as_predicted() -> None:
 
 
 def test_with_a_well_surveyed_mounting_no_turn_is_recommended() -> None:
-    assert run_voyage(voyage(0.0, 290.0)).recommended_manoeuvre(np.eye(3)) is None
+    assert turn_of(run_voyage(voyage(0.0, 290.0)), np.eye(3)) is None
 
 
 def test_without_stars_no_turn_is_recommended() -> None:
-    assert core_for(voyage(0.0, 10.0)).recommended_manoeuvre(np.eye(3)) is None
+    assert turn_of(core_for(voyage(0.0, 10.0)), np.eye(3)) is None
 
 
 def test_after_one_measurement_no_turn_is_recommended() -> None:
     # Diagnostics are published at any time, also between the first exposure and the second.
     core = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 1.0)))
     assert core.state.last_used_ns
-    assert core.recommended_manoeuvre(np.eye(3)) is None
+    assert turn_of(core, np.eye(3)) is None
 
 
 def test_a_timed_out_source_does_not_count() -> None:
     whole = with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))
     fore = replace(whole.star_sensors["fore"], outages={"clouds": Outage(start_s=100.0, end_s=1000.0)})
     gone = run_voyage(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
-    both = run_voyage(whole).recommended_manoeuvre(np.eye(3))
-    manoeuvre = gone.recommended_manoeuvre(np.eye(3))
+    both = turn_of(run_voyage(whole), np.eye(3))
+    manoeuvre = turn_of(gone, np.eye(3))
     # A sensor's noise about the boresight is 100″: the tilt from a single sensor is worse after any turn.
     assert both is not None
     assert manoeuvre is None or manoeuvre.sigma_after_turn > 1.3 * both.sigma_after_turn

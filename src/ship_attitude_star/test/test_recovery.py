@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import chi2
 
 from ship_attitude_star.messages.input_messages import star_measurement
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_bags.stamps import ns_from_stamp, stamp_fields
@@ -127,7 +128,8 @@ def test_levels_of_an_adopted_estimator_are_published_whatever_was_published_bef
 
 
 def test_estimated_mountings_are_kept() -> None:
-    found, expected = (run.adapter.core.alignment() for run in (recovered_run(), run_adapter(new_adapter(), calm())))
+    cores = (run.adapter.core for run in (recovered_run(), run_adapter(new_adapter(), calm())))
+    found, expected = (current_alignment(core.filter, core.config, core.state) for core in cores)
     stars = [number for number, name in enumerate(expected.names) if name.startswith("star.")]
     sigmas = np.sqrt(expected.covariance.diagonal())[stars]
     assert np.all(np.abs(found.values - expected.values)[stars] <= 3.0 * sigmas)
@@ -222,17 +224,18 @@ def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain
     recovery = run.adapter.recovery
     core = recovery.candidate.core
     assert (recovery.started, recovery.adopted) == (1, 0)
-    assert core.largest_difference_sigmas(core.state, recovery._reference) < MEMORY_SIGMAS
+    assert core.consistency.largest_difference_sigmas(core.state, recovery._reference) < MEMORY_SIGMAS
     assert recovery.candidate.valid_since_ns is not None
     assert statuses(run, FAULTY_S + 2.0) == {Status.DEGRADED}
 
 
 def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
     core = run_adapter(new_adapter(), voyage(20.0)).adapter.core
-    assert core.largest_difference_sigmas(core.state, core.state) == 0.0
+    assert core.consistency.largest_difference_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
     parts[0, 0, 0] = np.nan
-    assert not core.largest_difference_sigmas(core.state, with_changes(core.state, stack=parts)) <= MEMORY_SIGMAS
+    unknown = with_changes(core.state, stack=parts)
+    assert not core.consistency.largest_difference_sigmas(core.state, unknown) <= MEMORY_SIGMAS
 
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
@@ -338,7 +341,7 @@ def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
         config = adapter.config.star_sensors["fore"]
         reading = star_measurement(one.message, receive_ns=one.receive_ns, sensor_id="fore", config=config)
         core = adapter.core
-        residual = memory_residual(core.filter, memory, reading.value, core._track, None)
+        residual = memory_residual(core.filter, memory, reading.value, core.ins.track, None)
         assert residual is not None
         sigmas = np.sqrt(np.linalg.eigvalsh(residual.noise)) / ARCSEC
         np.testing.assert_allclose(sigmas, [3.0, 3.0, 100.0], rtol=0.05)
@@ -354,7 +357,7 @@ def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytes
         found = start(core, memory)
         if not failing:
             failing.append(found)
-            monkeypatch.setattr(found, "add_ins", lambda *_: 1 / 0)
+            monkeypatch.setattr(found.ins, "add", lambda *_: 1 / 0)
         return found
 
     monkeypatch.setattr(ShipAttitudeCore, "make_second", make_second)

@@ -10,6 +10,7 @@ import pytest
 from geometry_msgs.msg import Vector3
 
 from ship_attitude_star.messages.input_messages import baseline
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
@@ -48,7 +49,7 @@ def run_core(
     for number in range(20 * seconds + 1):
         time_s = number / 20.0
         time_ns = START_NS + number * 50_000_000
-        outcome = core.add_ins(AttitudeSample(time_ns, exp_rotation(-ins_error_n) @ true_attitude(time_s)))
+        outcome = core.ins.add(AttitudeSample(time_ns, exp_rotation(-ins_error_n) @ true_attitude(time_s)))
         estimates += outcome.estimates
         decisions += outcome.decisions
         if number and number % 20 == 0:
@@ -188,7 +189,7 @@ def test_without_the_section_there_is_no_such_device() -> None:
 def test_alignment_contains_its_direction() -> None:
     core = ShipAttitudeCore(make_config())
     run_core(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
-    alignment = core.alignment()
+    alignment = current_alignment(core.filter, core.config, core.state)
     at = dict(zip(alignment.names, alignment.values, strict=True))
     assert at["baseline.azimuth"] == pytest.approx(np.arctan2(-1.5, 8.0) % (2.0 * np.pi), abs=1e-4)
     assert at["baseline.elevation"] == pytest.approx(np.arctan2(0.4, np.hypot(8.0, 1.5)), abs=1e-4)

@@ -102,7 +102,7 @@ def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
         while stars and stars[0].time_ns <= time_ns:
             core.add_measurement(stars.pop(0))
         sample = AttitudeSample(time_ns, ins_nd(ms / 1000.0), rate_d(ms / 1000.0))
-        outcome = core.add_ins(sample, estimate=ms % 500 == 240)
+        outcome = core.ins.add(sample, estimate=ms % 500 == 240)
         assert all(decision.accepted for decision in outcome.decisions)
         core.take_smoothed()
     return core, list(core.smooth_remaining())

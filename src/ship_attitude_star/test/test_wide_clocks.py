@@ -93,7 +93,7 @@ def run_core(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAt
     everything = [*run.samples, *run.measurements]
     for item in sorted(everything, key=lambda item: (item.time_ns + late_ns.get(item.time_ns, 0), item.time_ns)):
         is_ins = isinstance(item, AttitudeSample)
-        outcome = core.add_ins(item, estimate=False) if is_ins else core.add_measurement(item)
+        outcome = core.ins.add(item, estimate=False) if is_ins else core.add_measurement(item)
         rejected += sum(not decision.accepted for decision in outcome.decisions)
     return core, rejected
 
@@ -148,7 +148,7 @@ def test_the_first_measurements_of_an_ins_are_used_too() -> None:
     decisions = []
     for item in sorted([*run.samples[14:], *run.measurements], key=lambda item: item.time_ns):
         is_ins = isinstance(item, AttitudeSample)
-        outcome = core.add_ins(item, estimate=False) if is_ins else core.add_measurement(item)
+        outcome = core.ins.add(item, estimate=False) if is_ins else core.add_measurement(item)
         decisions += outcome.decisions
     # The INS begins at 0.7 s, the reference at 1.0 s.
     assert decisions[0].measurement is run.measurements[0]

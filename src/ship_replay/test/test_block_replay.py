@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.ins_input import InsInput
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory
@@ -166,7 +166,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("core", [ShipAttitudeCore, StarCore])
+@pytest.mark.parametrize("core", [InsInput, StarCore])
 def test_most_of_a_healthy_ins_is_taken_in_blocks(
     suite_bag: Path, core: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

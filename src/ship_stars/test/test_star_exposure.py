@@ -225,10 +225,10 @@ def test_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_s
         samples = ins_samples()
         decisions = []
         for sample in samples[:after]:
-            decisions += core.add_ins(sample).decisions
+            decisions += core.ins.add(sample).decisions
         decisions += core.add_measurement(exposure).decisions
         for number, sample in enumerate(samples[after:], after):
-            made = core.add_ins(sample).decisions
+            made = core.ins.add(sample).decisions
             # 100 samples lie before the middle of the exposure, ten more before its end.
             assert not made or number >= 110
             decisions += made
@@ -246,11 +246,11 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
         core = core_with_fix(sky_at_anchor(CONFIG))
         for number, sample in enumerate(samples):
             if not (late and number == held_back):
-                core.add_ins(sample)
+                core.ins.add(sample)
             if number == 50:
                 core.add_measurement(streaked_exposure(sky_at_anchor(CONFIG)))
         if late:
-            core.add_ins(samples[held_back])
+            core.ins.add(samples[held_back])
         states.append(core.state)
     assert states[1].mean.tobytes() == states[0].mean.tobytes()
 
@@ -260,7 +260,7 @@ def test_an_exposure_without_ins_samples_over_its_length_is_rejected():
     core.add_measurement(streaked_exposure(sky_at_anchor(CONFIG)))
     decisions = []
     for sample in ins_samples(first_s=-0.05):
-        decisions += core.add_ins(sample).decisions
+        decisions += core.ins.add(sample).decisions
     assert [decision.reason for decision in decisions] == [Reason.GAP]
     assert "whole exposure of 0.2 s" in decisions[0].text
 

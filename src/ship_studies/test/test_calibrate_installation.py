@@ -10,6 +10,7 @@ import yaml
 
 from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters.schema import build
@@ -98,7 +99,9 @@ def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys)
     )
     for adapter in (configured, primed):
         adapter.tick(result.run.start_ns)
-    alignment, before = primed.core.alignment(), configured.core.alignment()
+    alignment, before = (
+        current_alignment(each.core.filter, each.core.config, each.core.state) for each in (primed, configured)
+    )
     sigma, sigma_before = (np.sqrt(np.diagonal(a.covariance)) for a in (alignment, before))
     for id_, truth in result.run.truth.stars.items():
         true = angles_from_rotation(truth.rotation_dv)

@@ -25,7 +25,13 @@ from ship_testing.small_session import (
 from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_from_state, state_from_prior
+from theodolite_calib.optical_axis.calibration import (
+    SAVED_NAMES,
+    CalibrationPrior,
+    calibration_from_state,
+    prior_from_state,
+    state_from_prior,
+)
 
 NOW_NS = session()[-1].receive_ns
 DAY_NS = 86400 * SECOND_NS
@@ -130,7 +136,7 @@ def test_services_save_and_load(tmp_path: Path) -> None:
     assert adapter.core.state.sighting_count == 0
     assert adapter.service("load_alignment", NOW_NS) == (True, f"calibration loaded from {path}")
     values = dict(zip(SAVED_NAMES, CALIBRATION_FILE.load(path).values, strict=True))
-    loaded = adapter.core.calibration()
+    loaded = calibration_from_state(adapter.core.filter, adapter.core.config, adapter.core.state)
     assert loaded.values[loaded.names.index("c")] == pytest.approx(values["c"], abs=1e-15)
     assert "calibration_file' is empty" in new_adapter().service("save_alignment", NOW_NS).message
 

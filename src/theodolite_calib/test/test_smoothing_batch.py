@@ -157,14 +157,14 @@ def run_smoother() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[Poin
     core, at_once, lights = SmoothingAxisCore(CONFIG), [], simulate_sightings()
     for ms in range(0, 22000, 250):
         time_ns = START_NS + ms * 1_000_000
-        core.add_ship(ShipSample(time_ns, ship_nd(ms), rate_d(ms), SHIP_N))
+        core.pointings.add_ship(ShipSample(time_ns, ship_nd(ms), rate_d(ms), SHIP_N))
         here = [light for light in lights if light.ms == ms]
         for light in here:
-            core.add_baseline(light.id_, BaselineSample(time_ns, light.baseline_n, RTK_M**2 * np.eye(3)))
+            core.streams.add_baseline(light.id_, BaselineSample(time_ns, light.baseline_n, RTK_M**2 * np.eye(3)))
         if here:
             seen = tuple(DetectedBeacon(light.id_, light.point_m, IMAGE_M) for light in here)
             core.add_exposure(Exposure(time_ns, seen))
-        at_once += core.add_encoder(EncoderSample(time_ns, encoders(ms), ENCODER)).estimates
+        at_once += core.pointings.add_encoder(EncoderSample(time_ns, encoders(ms), ENCODER)).estimates
     assert core.state.sighting_count == len(SIGHTED_MS)
     smoothed_ns = {START_NS + ms * 1_000_000 for ms in SMOOTHED_MS}
     again = list(core.smooth_remaining())

@@ -199,9 +199,9 @@ def run_target(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[T
         t_s = 0.05 * step - 0.1
         stamp_ns = START_NS + round(t_s * SECOND_NS)
         measured_nd = exp_rotation(-white * normal(3)) @ exp_rotation(-ship_error_n) @ deck_at(t_s)
-        core.add_ship(ShipSample(stamp_ns, measured_nd, rate_d, np.diag(SHIP_SIGMA_N**2)))
+        core.pointings.add_ship(ShipSample(stamp_ns, measured_nd, rate_d, np.diag(SHIP_SIGMA_N**2)))
         reading = angles + angle_rates * t_s + ARCSEC * normal(2)
-        core.add_encoder(EncoderSample(stamp_ns, reading, ARCSEC))
+        core.pointings.add_encoder(EncoderSample(stamp_ns, reading, ARCSEC))
     t_s = rng.uniform(-0.04, 0.04)
     rho = rng.uniform(-np.pi, np.pi)
     right, up = np.tan(np.deg2rad(rng.uniform(-0.5, 0.5, 2)))
@@ -226,7 +226,7 @@ def run_target(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[T
         range_m=float(np.linalg.norm(path_n)) + RANGE_SIGMA_M * normal(),
         range_sigma_m=RANGE_SIGMA_M,
     )
-    (estimate,) = core.add_target(sample).targets
+    (estimate,) = core.pointings.add_target(sample).targets
     return estimate, direction_n, deck_at(t_s) @ lever_d + path_n
 
 
@@ -278,10 +278,10 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
         core = OpticalAxisCore(config())
         for step in range(-50, 51):
             stamp_ns = START_NS + step * SECOND_NS // 100
-            core.add_ship(ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2)))
-            core.add_encoder(EncoderSample(stamp_ns, np.array([1.0, elevation(0.01 * step)]), ARCSEC))
+            core.pointings.add_ship(ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2)))
+            core.pointings.add_encoder(EncoderSample(stamp_ns, np.array([1.0, elevation(0.01 * step)]), ARCSEC))
         sample = TargetSample(START_NS, "buoy", mean_m, 1e-6, stated_s, 0.0, np.nan, np.nan)
-        (estimate,) = core.add_target(sample).targets
+        (estimate,) = core.pointings.add_target(sample).targets
         off[stated_s] = np.linalg.norm(estimate.direction_n - rotation_from_angles(1.002, 0.52, 0.0)[:, 0]) / ARCSEC
     # swing (2 pi / period)^2 T^2 / 24 = 59"; the rest after the reduction is from the fourth derivative.
     assert off[0.0] == pytest.approx(59.2, abs=1.5)
@@ -295,8 +295,9 @@ def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_i
         outcomes = []
         for step in steps:
             stamp_ns = START_NS + step * SECOND_NS // 100
-            outcomes.append(core.add_ship(ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2))))
-            outcomes.append(core.add_encoder(EncoderSample(stamp_ns, np.array([1.0, 0.5]), ARCSEC)))
+            ship = ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2))
+            outcomes.append(core.pointings.add_ship(ship))
+            outcomes.append(core.pointings.add_encoder(EncoderSample(stamp_ns, np.array([1.0, 0.5]), ARCSEC)))
         return outcomes
 
     def image(since_ns: int) -> TargetSample:
@@ -305,11 +306,11 @@ def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_i
     live = OpticalAxisCore(config())
     second = live.make_second(None)
     before, _ = pointings(live, range(-50, 1)), pointings(second, range(-50, 1))
-    assert len(live.add_target(image(-100_000_000)).targets) == 1
-    assert not live.add_target(image(5_000_000)).targets
+    assert len(live.pointings.add_target(image(-100_000_000)).targets) == 1
+    assert not live.pointings.add_target(image(5_000_000)).targets
     last_ns = max(estimate.time_ns for outcome in before for estimate in outcome.estimates)
     second.take_over_outputs(live)
-    assert second.add_target(image(-100_000_000)).rejection is not None
+    assert second.pointings.add_target(image(-100_000_000)).rejection is not None
     after = pointings(second, range(1, 5))
     assert [target.time_ns for outcome in after for target in outcome.targets] == [START_NS + 5_000_000]
     times_ns = [estimate.time_ns for outcome in after for estimate in outcome.estimates]

@@ -159,21 +159,21 @@ class _InsBatches:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
             block = self._block.subset(slice(index, min(next_wanted, index + _MAX_BATCH)))
             if self._in_order and len(block.times_ns):
-                self._batch, self._arrived = self._core.evaluate_batch(block, block.times_ns), 0
+                self._batch, self._arrived = self._core.ins.evaluate_batch(block, block.times_ns), 0
             if self._batch is None:
-                yield self._core.add_ins(self._block.sample(index), estimate=index == next_wanted)
+                yield self._core.ins.add(self._block.sample(index), estimate=index == next_wanted)
                 return
         self._arrived += 1
         if self._arrived == self._batch.checked.count:
             yield from self.commit()
-            last, self._batch = self._core.finish_batch(self._batch), None
+            last, self._batch = self._core.ins.finish_batch(self._batch), None
             if last is not None:
                 yield last
 
     def commit(self) -> Iterator[AttitudeOutcome]:
         """Commit the samples that have arrived."""
         if self._batch is not None:
-            self._core.commit_batch(self._batch, min(self._arrived, self._batch.checked.accepted_count))
+            self._core.ins.commit_batch(self._batch, min(self._arrived, self._batch.checked.accepted_count))
             yield from (outcome for _, outcome in self._batch.pending_outcomes)
             self._batch.pending_outcomes.clear()
 
@@ -358,27 +358,27 @@ def feed_arrival(core: OpticalAxisCore, run: SimulatedRun, source: str, index: i
     """Process one arrival of a run, named as in :meth:`SimulatedRun.pointing_arrivals`."""
     kind, _, name = source.partition(".")
     if kind == "fused" and run.fused is not None:
-        return core.add_ship(_ship_sample(run, run.fused, index))
+        return core.pointings.add_ship(_ship_sample(run, run.fused, index))
     theodolite = theodolite_of(run)
     if kind == "encoder":
         readings = theodolite.encoder
         angles = np.array([readings.azimuth[index], readings.elevation[index]])
-        return core.add_encoder(EncoderSample(int(readings.time_ns[index]), angles, readings.sigma))
+        return core.pointings.add_encoder(EncoderSample(int(readings.time_ns[index]), angles, readings.sigma))
     if kind == "drone":
         drone = theodolite.drones[name]
         sample = AttitudeSample(int(drone.time_ns[index]), drone.rotation_nb[index], drone.rate_b[index])
-        return core.add_drone_attitude(name, sample)
+        return core.streams.add_drone_attitude(name, sample)
     if kind == "baseline":
         found = theodolite.baselines[name]
         baseline = BaselineSample(int(found.time_ns[index]), found.baseline_n[index], found.covariance_n[index])
-        return core.add_baseline(name, baseline)
+        return core.streams.add_baseline(name, baseline)
     if kind == "image":
         images = theodolite.images
         lights = tuple(DetectedBeacon(key, point_m, images.sigma_m) for key, point_m in images.sightings(index))
         exposure = Exposure(int(images.time_ns[index]), lights, run.scenario.theodolite.telescope.exposure_s)
         return core.add_exposure(exposure) if lights else PointingOutcome()
     if kind == "star":
-        return core.add_stars(_exposure_of(source, run.scenario.telescopes[name], theodolite.stars[name], index))
+        return core.add_exposure(_exposure_of(source, run.scenario.telescopes[name], theodolite.stars[name], index))
     if kind in SKY_SOURCES:
         return core.add_surroundings(sky_input(run, source, index))
     # The INS is contained in the fused attitude; the direction of a target changes no pointing.

@@ -24,12 +24,19 @@ from ship_attitude_star.messages.attitude_messages import (
     attitude_rows,
     smoothed_message,
 )
-from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior
+from ship_attitude_star.ship_attitude.alignment import (
+    Alignment,
+    AlignmentPrior,
+    current_alignment,
+    installation_rotation,
+)
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.devices import InsConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
-from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn
+from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn, recommended_manoeuvre
+from ship_attitude_star.ship_attitude.observability import observability_of
+from ship_attitude_star.ship_attitude.output import invalid_estimate
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.cdr_template import CdrRows
@@ -203,9 +210,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = None
         if not isinstance(core, SmoothingCore):  # smoothing needs single samples
-            block = BlockFeed(functools.partial(self._read_ins_block, config=config.ins), core)
+            block = BlockFeed(functools.partial(self._read_ins_block, config=config.ins), core.ins)
         read_ins = functools.partial(self._read_ins, config=config.ins)
-        yield Feed(ins, "ins", read_ins, core.add_ins, block=block, stream_quantity=ATTITUDE)
+        yield Feed(ins, "ins", read_ins, core.ins.add, block=block, stream_quantity=ATTITUDE)
         yield from sensor_feeds(config, core, self._sky_model)
         if self._sky_model is not None:
             yield from surroundings_messages.surroundings_feeds(config.sky, ignore_time(core.add_sky_input))
@@ -243,18 +250,20 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 ("ship/error_arcsec", error_arcsec(factory, estimate, deck)),
             ]
         frames = star_frames(self.config.star_sensors, {deck, horizon})
-        installed = {frame: self.core.star_installation(id_) for id_, frame in frames.items()}
+        filter_, state = self.core.filter, self.core.state
+        installed = {frame: installation_rotation(filter_, state, f"star.{id_}") for id_, frame in frames.items()}
         if installed and self.config.publish_tf:
             published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns, deck)))
         if estimate is not None and self.config.gravity.is_modelled:
-            known = self.core.deflection(estimate.time_ns)
+            known = self.core.output.deflection(estimate.time_ns)
             published.append((DEFLECTION_TOPIC, deflection_message(factory, known, horizon)))
-        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns, deck))]
+        alignment = current_alignment(filter_, self.config, state)
+        return [*published, ("ship/alignment", alignment_state(factory, alignment, now_ns, deck))]
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
         """See :class:`NodeAdapter`."""
         core: ShipAttitudeCore = self.core
-        return core.no_output(now_ns, text)
+        return invalid_estimate(core.filter, core.state, now_ns, text)
 
     def can_be_valid(self, present_sources: Set[str]) -> bool:
         """See :class:`RecoveringAdapter`; True with the INS and a star sensor."""
@@ -290,8 +299,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ):
             # Without stars a turn does not improve the attitude.
             has_stars = latest.status is Status.VALID
-            observability = self.core.observability()
-            turn = manoeuvre_text(self.core.recommended_manoeuvre(latest.rotation_nd)) if has_stars else ""
+            observability = observability_of(self.core.filter, self.config, state)
+            recommended = recommended_manoeuvre(
+                self.core.filter, state, latest.rotation_nd, self.core.recent_sources if has_stars else {}
+            )
+            turn = manoeuvre_text(recommended)
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.sigma_ratios.items()}
             values |= {
                 "unobservable combinations": "; ".join(observability.unobservable_combinations) or "nothing",
@@ -308,7 +320,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             if contradicted := sigma_mismatch_text(covariance, self.config.ins):
                 text = f"{contradicted}: raise the parameter, or check the INS"
                 return DiagnosticStatus("ins noise", Level.WARN, text)
-        excess = self.core.excess_noise
+        excess = self.core.ins.checks.ins.comparison.excess_text
         if not excess:
             text = "not larger than ins.white_sigma_arcsec, as far as the ship's motion shows it"
             return DiagnosticStatus("ins noise", Level.OK, text)
@@ -322,7 +334,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
             DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, recovery_counts(self.recovery)),
-            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.rate_status]),
+            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.ins.checks.ins.rate_status]),
             self._noise_status(),
             recovery_status(self.recovery, self.core.excluded_sources, self.remedy, waiting_ns),
             *vertical_statuses(self.core, self.latest),
@@ -367,7 +379,7 @@ def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -
     """Return a diagnostic of the vertical at the last attitude; empty without a vertical or while INVALID."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
-    known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
+    known, missing = core.output.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
     if known is None:
         text = missing or "the latitude for the error model of the INS is known"
         return [DiagnosticStatus("vertical", Level.WARN if missing else Level.OK, text)]

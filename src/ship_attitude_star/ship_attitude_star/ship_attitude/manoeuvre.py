@@ -20,6 +20,7 @@ from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude
+from ship_stars.samples.attitude_samples import AttitudeDecision
 
 _TURNS_DEG = (45.0, 90.0, 180.0)
 _DURATION_S = 900.0
@@ -68,6 +69,16 @@ class RecommendedTurn(NamedTuple):
     sigma_now: float
     sigma_on_course: float
     sigma_after_turn: float
+
+
+def record_accepted(recent_sources: dict[str, RecentSource], decision: AttitudeDecision) -> None:
+    """Store an accepted measurement, and the time since the previous accepted measurement of the same source."""
+    measurement = decision.measurement
+    if decision.accepted:
+        before = recent_sources.get(measurement.source)
+        since_s = math.inf if before is None else (measurement.time_ns - before.measurement.time_ns) / SECOND_NS
+        if since_s > 0.0:
+            recent_sources[measurement.source] = RecentSource(measurement, since_s)
 
 
 def recommended_manoeuvre(

@@ -10,8 +10,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from ship_attitude_star.ship_attitude.attitude_output import INS
 from ship_attitude_star.ship_attitude.config import GRAVITY, ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
@@ -21,9 +22,9 @@ from ship_estimation.kalman.rts_smoother import RtsSmoother
 from ship_estimation.kalman.rts_step import GaussianEstimate
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.tracks.attitude_track import AttitudeSample, InterpolatedAttitude
+from ship_geometry.tracks.attitude_track import InterpolatedAttitude
 from ship_kernels import compiled_rotations
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeOutcome
+from ship_stars.samples.attitude_samples import AttitudeEstimate
 from ship_stars.sky.sky_model import SkyModel
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
@@ -67,7 +68,7 @@ class SmoothingCore(ShipAttitudeCore):
         self._committed_ns = 0
         self._pending: deque[_RealTimeEstimate] = deque()
         self._is_smoothing = True
-        super().__init__(config, sky_model, self._committed.extend)
+        super().__init__(config, sky_model, self._committed.extend, self._record_estimate)
 
     def _new_estimator(self, sky_model: SkyModel | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeCore._new_estimator`; the new core smooths only after :meth:`take_over_outputs`."""
@@ -99,18 +100,15 @@ class SmoothingCore(ShipAttitudeCore):
         super().reconfigure(config)
         self._smoother.predictor = self._new_predictor()
 
-    def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
-        """See :meth:`ShipAttitudeCore.add_ins`."""
-        outcome = super().add_ins(sample, arrival_ns, estimate)
+    def _record_estimate(self, estimate: AttitudeEstimate) -> None:
+        """Store a real-time attitude, to be smoothed later."""
         if not self._is_smoothing:
             self._committed.clear()
-            return outcome
-        for one in outcome.estimates:
-            has_fault = one.state.unresolved_fault is not None or INS in one.state.excluded
-            separation_n = one.state.separation_covariance_n
-            self._pending.append(_RealTimeEstimate(_copy_without_state(one), separation_n, has_fault))
-            self._smoother.request_time(one.time_ns)
-        return outcome
+            return
+        has_fault = estimate.state.unresolved_fault is not None or INS in estimate.state.excluded
+        separation_n = estimate.state.separation_covariance_n
+        self._pending.append(_RealTimeEstimate(_copy_without_state(estimate), separation_n, has_fault))
+        self._smoother.request_time(estimate.time_ns)
 
     def take_smoothed(self) -> list[AttitudeEstimate]:
         """Return the smoothed attitudes that are ready, in the order of their stamps; none if the lag is None."""
@@ -130,14 +128,11 @@ class SmoothingCore(ShipAttitudeCore):
 
     # -- stored data ----------------------------------------------------------------------------------------
 
-    def _drop_before(self, time_ns: int) -> None:
+    def _drop_before(self, time_ns: int, needed_since_ns: int | None = None) -> None:
         self._committed_ns = time_ns
-        super()._drop_before(time_ns)
-
-    def _needed_since_ns(self, closed_ns: int) -> int:
-        oldest_pending_ns = self._pending[0].estimate.time_ns if self._pending else closed_ns
+        oldest_pending_ns = self._pending[0].estimate.time_ns if self._pending else time_ns
         link_ns = self._smoother.newest_ns
-        return min(closed_ns, oldest_pending_ns, closed_ns if link_ns is None else link_ns)
+        super()._drop_before(time_ns, min(time_ns, oldest_pending_ns, time_ns if link_ns is None else link_ns))
 
     def _new_predictor(self) -> InsErrorPredictor:
         return InsErrorPredictor(self.filter, self.config.horizon == GRAVITY)
@@ -175,19 +170,19 @@ class SmoothingCore(ShipAttitudeCore):
     def _as_published(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """Return a real-time attitude with all of its covariance assigned to the error source INS drift."""
         parts = np.zeros((len(self.filter.model.sources), 3, 3))
-        parts[self._corrected.drift_index] = estimate.covariance_n
+        parts[self.output.corrected.drift_index] = estimate.covariance_n
         return replace(estimate, covariance_by_source_n=parts)
 
     def _ins_at(self, time_ns: int, corrects: GaussianEstimate) -> InterpolatedAttitude | None:
         """Return the interpolated INS attitude for a time; None without samples on both sides."""
         moved_s = -(self.config.ins.time_offset_s + corrects.mean.item(_TIME_OFFSET))
-        return self._track.at(time_ns + round(moved_s * SECOND_NS))
+        return self.ins.track.at(time_ns + round(moved_s * SECOND_NS))
 
     def _correct_ins(
         self, corrections: Sequence[tuple[_RealTimeEstimate, GaussianEstimate, InterpolatedAttitude]]
     ) -> list[AttitudeEstimate]:
         """Return INS attitudes that are corrected by the smoothed INS errors."""
-        corrected, estimates = self._corrected, []
+        corrected, estimates = self.output.corrected, []
         if not corrections:
             return []
         errors = np.array([corrects.mean[_ATTITUDE] for _, corrects, _ in corrections])

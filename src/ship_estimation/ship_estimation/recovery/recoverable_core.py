@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence, Set
 from typing import Any, Generic, Protocol, TypeVar
 
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
 from ship_geometry.rotations import FloatArray
 
-_MAX_JUMPS = 100
-"""Maximum number of jumps stored until :meth:`RecoverableCore.take_jumps`, which is called once a second."""
+MAX_JUMPS = 100
+"""Maximum number of jumps stored until :meth:`Consistency.take_jumps`, which is called once a second."""
 
 
 class Jump(Protocol):
@@ -27,32 +26,15 @@ State = TypeVar("State")
 AnyJump = TypeVar("AnyJump", bound=Jump)
 
 
-class RecoverableCore(ABC, Generic[State, AnyJump]):
-    """An estimator with immutable states that a second estimator can replace.
+class Consistency(ABC, Generic[State, AnyJump]):
+    """Consistency of an estimator's state with its sources and with a stored state.
 
-    A core has a configuration, a sky model or None, a time-ordered estimator, its sequence of outputs, and the saved
-    estimate from which it starts. The first two are the arguments of its constructor.
+    Args:
+        jumps: jumps that sources themselves reported or showed; the streams of samples append here.
     """
 
-    config: Any
-    _sky_model: Any
-    _estimator: TimeOrderedEstimator[State, Any, Any, Any, Any]
-    _outputs: OutputSequence
-    _start: Any
-
-    def _clear_jumps(self) -> None:
-        """Start without jumps."""
-        self._jumps: deque[AnyJump] = deque(maxlen=_MAX_JUMPS)
-
-    @property
-    def state(self) -> State:
-        """State of the filter after the last applied measurement."""
-        return self._estimator.state
-
-    @property
-    @abstractmethod
-    def excluded_sources(self) -> Set[str]:
-        """Names of the excluded sources."""
+    def __init__(self, jumps: deque[AnyJump]) -> None:
+        self._jumps = jumps
 
     @property
     @abstractmethod
@@ -63,32 +45,6 @@ class RecoverableCore(ABC, Generic[State, AnyJump]):
     @abstractmethod
     def has_unresolved_fault(self) -> bool:
         """True if the sources are inconsistent and no faulty source is isolated."""
-
-    @abstractmethod
-    def reset(self, clock_jumped: bool = False) -> Any:
-        """Discard all measurements; after a jump of the clock, outputs may start again at earlier times."""
-
-    def make_second(self, memory: State | None) -> Any:
-        """Return another estimator of the same configuration, which starts from a stored state if given.
-
-        Otherwise it starts from the saved estimate or the prior. With a stored state the estimator also gets the
-        current position and air data.
-        """
-        second = self._new_estimator(None if self._sky_model is None else self._sky_model.clone(memory is not None))
-        second._start = self._start
-        if memory is None:
-            second.reset()
-        else:
-            second._start_from_memory(memory, self)
-        return second
-
-    def _new_estimator(self, sky_model: Any) -> Any:
-        """Return an estimator of the same class and configuration."""
-        return type(self)(self.config, sky_model)  # type: ignore[call-arg]
-
-    @abstractmethod
-    def _start_from_memory(self, memory: State, live: Any) -> None:
-        """Start from a stored state of another estimator."""
 
     def take_jumps(self) -> list[AnyJump]:
         """Return the jumps that sources themselves reported or showed since the last call."""
@@ -119,6 +75,64 @@ class RecoverableCore(ABC, Generic[State, AnyJump]):
     def unused_sources(self, sources: Set[str]) -> Set[str]:
         """Return the sources without a recently used measurement."""
 
+
+class RecoverableCore(ABC, Generic[State, AnyJump]):
+    """An estimator with immutable states that a second estimator can replace.
+
+    A core also has a time-ordered estimator and the saved estimate from which it starts.
+
+    Attributes:
+        config: configuration; like the sky model an argument of the constructor.
+        sky_model: sky model; None if no sensor needs it.
+        consistency: consistency of the state with the sources and with a stored state.
+    """
+
+    config: Any
+    sky_model: Any
+    consistency: Consistency[State, AnyJump]
+    _estimator: TimeOrderedEstimator[State, Any, Any, Any, Any]
+    _start: Any
+
+    @property
+    def state(self) -> State:
+        """State of the filter after the last applied measurement."""
+        return self._estimator.state
+
+    @property
+    @abstractmethod
+    def excluded_sources(self) -> Set[str]:
+        """Names of the excluded sources."""
+
+    @abstractmethod
+    def reset(self, clock_jumped: bool = False) -> list[str]:
+        """Discard all measurements; after a jump of the clock, outputs may start again at earlier times.
+
+        Returns:
+            Remarks about the saved estimate, if the core starts from a saved estimate.
+        """
+
+    def make_second(self, memory: State | None) -> Any:
+        """Return another estimator of the same configuration, which starts from a stored state if given.
+
+        Otherwise it starts from the saved estimate or the prior. With a stored state the estimator also gets the
+        current position and air data.
+        """
+        second = self._new_estimator(None if self.sky_model is None else self.sky_model.clone(memory is not None))
+        second._start = self._start
+        if memory is None:
+            second.reset()
+        else:
+            second._start_from_memory(memory, self)
+        return second
+
+    def _new_estimator(self, sky_model: Any) -> Any:
+        """Return an estimator of the same class and configuration."""
+        return type(self)(self.config, sky_model)  # type: ignore[call-arg]
+
+    @abstractmethod
+    def _start_from_memory(self, memory: State, live: Any) -> None:
+        """Start from a stored state of another estimator."""
+
+    @abstractmethod
     def take_over_outputs(self, live: Any) -> None:
-        """Continue the sequence of outputs of another estimator."""
-        self._outputs.continue_from(live._outputs)
+        """Continue the sequence of outputs of another estimator, which ends."""

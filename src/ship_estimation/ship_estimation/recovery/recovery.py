@@ -117,7 +117,7 @@ class EstimatorRecovery:
         """Add the residual of a measurement against the state that was stored before the first sign of trouble."""
         if self._before_step is None or decision.revised:
             return
-        for source, residual in live.memory_residuals(decision, self._before_step).items():
+        for source, residual in live.consistency.memory_residuals(decision, self._before_step).items():
             self._displacements.add(source, residual)
 
     def update(
@@ -134,7 +134,7 @@ class EstimatorRecovery:
         Returns:
             True if :attr:`candidate` is to replace ``live`` now.
         """
-        jumps = live.take_jumps()
+        jumps = live.consistency.take_jumps()
         had_sign = self._trouble.first_sign_ns is not None
         was_in_trouble = self.is_in_trouble
         is_sign = not is_as_expected or not live.excluded_sources.isdisjoint(available_sources)
@@ -142,15 +142,15 @@ class EstimatorRecovery:
         if self._trouble.first_sign_ns is None:
             if had_sign:
                 self._forget_fault()
-            self._memory.replace_all(lambda state: live.propagate_memory(state, jumps) if jumps else state)
-            if live.is_consistent:
+            self._memory.replace_all(lambda state: live.consistency.propagate_memory(state, jumps) if jumps else state)
+            if live.consistency.is_consistent:
                 self._memory.keep(waiting_ns, live.state)
             return False
         if not had_sign:
             self._recall(waiting_ns, live)
         if self._reference is not None:
-            self._reference = live.propagate_memory(self._reference, jumps)
-            self._before_step = live.propagate_memory(self._before_step, jumps)
+            self._reference = live.consistency.propagate_memory(self._reference, jumps)
+            self._before_step = live.consistency.propagate_memory(self._before_step, jumps)
         for jump in jumps:
             self._displacements.inflate(jump.covariance_n)
         self._displacements.end_second()
@@ -186,8 +186,9 @@ class EstimatorRecovery:
         if self._reference is None:
             return
         # A slow fault may have affected the newer state. NaN counts as affected.
-        later = live.propagate_memory(newest, ())
-        has_drifted = not live.largest_difference_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
+        later = live.consistency.propagate_memory(newest, ())
+        difference_sigmas = live.consistency.largest_difference_sigmas(later, self._reference, is_later=True)
+        has_drifted = not difference_sigmas <= MEMORY_SIGMAS
         self._before_step = self._reference if has_drifted else newest
 
     def _forget_fault(self) -> None:
@@ -208,7 +209,7 @@ class EstimatorRecovery:
             self._start(live, from_memory=True)
         elif (
             candidate.failure is not None
-            or candidate.core.has_unresolved_fault
+            or candidate.core.consistency.has_unresolved_fault
             or candidate.core.excluded_sources - displaced
         ):
             self._start(live, from_memory=not candidate.is_from_memory)
@@ -230,15 +231,15 @@ class EstimatorRecovery:
         if waiting_ns - candidate.valid_since_ns < self._config.confirm_s * SECOND_NS:
             return False
         excluded = candidate.core.excluded_sources
-        if len(available_sources - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(
+        if len(available_sources - excluded) < _LEAST_IN_AGREEMENT or candidate.core.consistency.unused_sources(
             available_sources - excluded
         ):
             return False
         if self._displacements.is_undecided_by_memory:
             return False
         # NaN is inconsistent.
-        core = candidate.core
-        if self._reference is None or core.largest_difference_sigmas(core.state, self._reference) <= MEMORY_SIGMAS:
+        core, reference = candidate.core, self._reference
+        if reference is None or core.consistency.largest_difference_sigmas(core.state, reference) <= MEMORY_SIGMAS:
             return True
         self._start(live, from_memory=not candidate.is_from_memory)
         return False

@@ -156,7 +156,7 @@ def axis_sightings(
 
 def _sighting(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
     """Return the sighting of an exposure; None unless all lights, at least two, were used and give an attitude."""
-    sighting = core.sighting(exposure)
+    sighting = core.streams.sightings.assemble(exposure).sighting
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None

@@ -15,9 +15,11 @@ import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ship_attitude.attitude_output import INS
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.devices import InsConfig
+from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.config import UNKNOWN, GravityConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
@@ -83,8 +85,14 @@ class StarComparisons:
         key = measurement.source, measurement.time_ns
         self.accepted.pop(key, None)
         self.rejected.discard(key)
-        linearised = core.linearise(measurement) if decision.accepted else None
-        if linearised is None:
+        linearised = None
+        if decision.accepted:
+            # The state contains the measurement already, so the noise is not increased for INS errors that this
+            # measurement shares with others. The INS samples around the stamp are still stored.
+            linearised = core.filter.linearisation.linearise(
+                measurement, core.state.mean, core.state.covariance, {}, core.ins.track, core.sky_model
+            )
+        if not isinstance(linearised, LinearisedMeasurement):
             self.rejected.add(key)
             return
         assert core.vertical is not None
@@ -161,7 +169,7 @@ def run_session(
             for feed in super().table(config, core):
                 if feed.source == INS:
                     # Attitudes are not requested, because their computation would double the time.
-                    feed = replace(feed, process=functools.partial(core.add_ins, estimate=False), block=None)
+                    feed = replace(feed, process=functools.partial(core.ins.add, estimate=False), block=None)
                 yield feed
 
         def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:

@@ -220,7 +220,9 @@ def calibrate(session: Session) -> InstallationCalibration:
         ins_sigma_d=ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]),
     )
     labelled = {str(number): combination for number, combination in enumerate(found, start=1)}
-    before, after = current_alignment(core.filter, config, core.filter.initial_state()), core.alignment()
+    before, after = (
+        current_alignment(core.filter, config, state) for state in (core.filter.initial_state(), core.state)
+    )
     index = [after.names.index(f"star.{id_}.{angle}") for id_ in sensors for angle in ANGLES]
     return InstallationCalibration(
         angles=_installed_angles(before, after, index, labelled, sensors),

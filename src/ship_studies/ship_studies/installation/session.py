@@ -13,6 +13,7 @@ import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.devices import StarSensorConfig
@@ -120,7 +121,7 @@ def run_session(
             run.process_message(names[record.topic], record)
         run.finish()
         last_ns = bag.last_time_ns or 0
-        last = adapter.core.alignment()
+        last = current_alignment(adapter.core.filter, adapter.core.config, adapter.core.state)
         history.add(last_ns, last.names, last.values, last.covariance)
         counts = input_counts(adapter, last_ns)
         _check_used(bag, adapter.core, counts)

@@ -53,9 +53,10 @@ from theodolite_calib.messages.pointing_messages import (
     pointing_rows,
 )
 from theodolite_calib.messages.target_messages import TARGET_TOPIC, TARGET_TYPE, target_message
-from theodolite_calib.optical_axis.calibration import Calibration, CalibrationPrior
+from theodolite_calib.optical_axis.calibration import Calibration, CalibrationPrior, calibration_from_state
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.integrity import QUANTITIES
+from theodolite_calib.optical_axis.output import invalid_pointing
 from theodolite_calib.samples.samples import (
     Exposure,
     ExposureDecision,
@@ -157,6 +158,10 @@ class OpticalAxisAdapter(RecoveringAdapter):
         messages = pointing_messages(self.factory, self._lever, estimate, self.config.frames)
         return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
 
+    def _calibration(self) -> Calibration:
+        """Return the calibration of the present estimator."""
+        return calibration_from_state(self.core.filter, self.config, self.core.state)
+
     def _calibration_to_save(self) -> CalibrationPrior | None:
         """Return the calibration of the present estimator."""
         core: OpticalAxisCore = self.core
@@ -171,15 +176,14 @@ class OpticalAxisAdapter(RecoveringAdapter):
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(input_messages.encoder, config=config)
         read_encoders = functools.partial(input_rows.encoders, config=config)
-        yield Feed(
-            encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS
-        )
+        add_encoder = core.pointings.add_encoder
+        yield Feed(encoder, "encoder", read_encoder, add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS)
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
         read_ships = None if by_ins else functools.partial(input_rows.ship_attitudes, config=config)
         read_ship = functools.partial(read_ship, config=config)
-        yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
+        yield Feed(ship, "ship", read_ship, core.pointings.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image = functools.partial(input_messages.exposure, config=config)
         process = ignore_time(core.add_exposure)
@@ -187,22 +191,20 @@ class OpticalAxisAdapter(RecoveringAdapter):
         target = InputTopic(
             TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, is_occasional=True
         )
-        yield Feed(
-            target, "target", functools.partial(input_messages.target, config=config), core.add_target,
-            has_decision=True
-        )
+        read_target = functools.partial(input_messages.target, config=config)
+        yield Feed(target, "target", read_target, core.pointings.add_target, has_decision=True)
         if self._sky is not None:
             yield from self._star_feeds(config, core)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(input_messages.baseline, beacon=beacon, least_fix=config.least_fix)
-            process = ignore_time(functools.partial(core.add_baseline, id_))
+            process = ignore_time(functools.partial(core.streams.add_baseline, id_))
             yield Feed(topic, f"baseline.{id_}", read_baseline, process, stream_quantity=BASELINE)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/imu", _IMU_TYPE, required=False, depth=1000)
             read_imu = functools.partial(input_messages.drone_attitude, beacon=beacon)
             read_imus = functools.partial(input_rows.drone_attitudes, beacon=beacon)
-            process = ignore_time(functools.partial(core.add_drone_attitude, id_))
+            process = ignore_time(functools.partial(core.streams.add_drone_attitude, id_))
             yield Feed(topic, f"drone.{id_}", read_imu, process, read_rows=read_imus, stream_quantity=ATTITUDE)
 
     def _star_feeds(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
@@ -220,7 +222,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
                 camera_config=config.star_camera(id_),
                 catalogue=self._sky.catalogue,
             )
-            yield Feed(topic, f"star.{id_}", read, core.add_stars, has_decision=True)
+            yield Feed(topic, f"star.{id_}", read, core.add_exposure, has_decision=True)
         yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings), position_required=False)
 
     def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
@@ -258,16 +260,17 @@ class OpticalAxisAdapter(RecoveringAdapter):
                 ("theodolite/error_budget", pointing_budget(factory, estimate, sources)),
                 ("theodolite/error_arcsec", error_arcsec(factory, estimate)),
             ]
-            advice, horizon = self.core.escort(estimate), self.config.frames.horizon
+            horizon, advisor = self.config.frames.horizon, self.core.escort
+            advice = None if advisor is None else advisor.advice(estimate)
             if advice is not None:
                 published.append((ESCORT_TOPIC, escort_message(factory, advice, estimate.time_ns, horizon)))
-        calibration = calibration_message(factory, self.core.calibration(), now_ns)
+        calibration = calibration_message(factory, self._calibration(), now_ns)
         return [*published, ("theodolite/calibration", calibration)]
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
         """See :class:`NodeAdapter`."""
         core: OpticalAxisCore = self.core
-        return core.no_output(now_ns, text)
+        return invalid_pointing(core.filter, core.state, now_ns, text)
 
     @property
     def source_timeouts_s(self) -> Mapping[str, float]:
@@ -307,7 +310,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
         """Return the status of pointing, calibration, integrity, conflicts, innovations, recovery and clocks."""
         return [
             pointing_status(self.latest, self.clock_jumps),
-            calibration_status(self.core.calibration(), self.saved_document_remarks()),
+            calibration_status(self._calibration(), self.saved_document_remarks()),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.innovation_report.statuses(),

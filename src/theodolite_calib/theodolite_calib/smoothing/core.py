@@ -21,7 +21,7 @@ from theodolite_calib.filter.model import SOURCE_AXES
 from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
-from theodolite_calib.samples.samples import EncoderSample, EncoderSeries, PointingEstimate, PointingOutcome
+from theodolite_calib.samples.samples import EncoderSample, EncoderSeries, PointingEstimate
 from theodolite_calib.samples.tracks import ShipAt, ShipSeries
 from theodolite_calib.smoothing.axis_predictor import AxisStatePredictor
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
@@ -70,7 +70,7 @@ class SmoothingAxisCore(OpticalAxisCore):
     filter_class: ClassVar[type[CalibrationFilter]] = TracedFilter
 
     def __init__(self, config: OpticalAxisConfig, sky: SkyModel | None = None) -> None:
-        super().__init__(config, sky, self._add_states)
+        super().__init__(config, sky, self._add_states, self._store)
 
     def _start_without_samples(self) -> None:
         """See :meth:`OpticalAxisCore._start_without_samples`; earlier pointings are not published again."""
@@ -116,21 +116,9 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     # -- stored inputs --------------------------------------------------------------------------------------
 
-    def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
-        before = len(outcome.estimates)
-        super()._add_pointing(outcome, pending, waiting_ns)
-        for estimate in outcome.estimates[before:]:
-            self._store(estimate, pending)
-
-    def _publish_from_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        before = len(outcome.estimates)
-        super()._publish_from_stars(outcome, waiting_ns)
-        for estimate in outcome.estimates[before:]:
-            self._pending.append(_RealTimePointing(_copy_without_state(estimate), None))
-
-    def _store(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
+    def _store(self, estimate: PointingEstimate, pending: PendingPointing | None) -> None:
         inputs = None
-        if not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
+        if pending is not None and not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
             inputs = _PointingInputs(
                 pending.sample, pending.ship, estimate.covariance_n - estimate.covariance_without_separation_n
             )

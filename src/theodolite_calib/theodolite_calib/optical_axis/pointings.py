@@ -1,0 +1,193 @@
+"""Pointings to publish: at encoder readings, which wait for the ship's attitude, or from stars after a timeout."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ship_estimation.rejections import StampConflicts
+from ship_estimation.time_order.output_sequence import OutputSequence
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_stars.sky.sky_model import SkyModel
+from ship_stars.solution.exposure import StarExposure
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.optical_axis.by_stars import pointing_by_stars
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, invalid_pointing
+from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams
+from theodolite_calib.optical_axis.targets import TargetProcessor
+from theodolite_calib.samples.samples import EncoderSample, PointingEstimate, PointingOutcome, ShipSample, TargetSample
+
+
+class _WaitingReading(NamedTuple):
+    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty for a confirmed reading."""
+
+    sample: EncoderSample
+    unconfirmed_reason: str
+    unconfirmed_sigma_rad: float
+
+
+class Pointings:
+    """Published pointings, and the directions of targets.
+
+    Args:
+        config: parameters of the node.
+        filter_: filter of that configuration.
+        estimator: time-ordered estimator of the filter.
+        streams: streams of encoders and ship's attitude.
+        sky: sky model; None if no camera observes stars.
+        pending: returns the list of pointings that are computed together; None if each is computed immediately.
+        on_pointing: called with each pointing that is computed immediately, and its inputs, None if from stars alone;
+            None if the pointings are not stored.
+
+    Attributes:
+        filter: the filter.
+        sequence: order and timeout of the pointings.
+        output: computes the pointings.
+        target_conflicts: stamp conflicts of the source of target images.
+    """
+
+    def __init__(
+        self,
+        config: OpticalAxisConfig,
+        filter_: CalibrationFilter,
+        estimator: AxisEstimator,
+        streams: MeasuredStreams,
+        sky: SkyModel | None,
+        pending: Callable[[], list[PendingPointing] | None],
+        on_pointing: Callable[[PointingEstimate, PendingPointing | None], None] | None,
+    ) -> None:
+        self._estimator, self._streams, self._sky = estimator, streams, sky
+        self._pending, self._on_pointing = pending, on_pointing
+        self._config, self.filter = config, filter_
+        self.sequence, self.target_conflicts = OutputSequence(), StampConflicts()
+        self.output = PointingOutput(config, filter_)
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard waiting readings and images, after a reset of the streams."""
+        self.target_conflicts.reset()
+        self._targets = TargetProcessor(
+            self._config, self.filter, self.output, self._streams.tracks, self.target_conflicts
+        )
+        self._waiting_readings: deque[_WaitingReading] = deque()
+        self._newest_stars: tuple[StarExposure, int] | None = None
+
+    def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        """Continue with another configuration and filter."""
+        self._config, self.filter, self.output = config, filter_, PointingOutput(config, filter_)
+        self._targets.reconfigure(config, filter_, self.output)
+
+    def take_over(self, before: "Pointings") -> None:
+        """Continue the outputs of an estimator that ends and has no pending output."""
+        self.sequence.continue_from(before.sequence)
+        self.target_conflicts = before.target_conflicts
+        self._targets.take_over(before._targets)
+
+    def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
+        """Add an encoder reading; publish the pointings of waiting readings that the ship's attitudes cover.
+
+        Args:
+            sample: the reading.
+            arrival_ns: arrival time by the timeout clock; None if each reading arrives at its stamp.
+        """
+        arrival_ns, outcome = sample.time_ns if arrival_ns is None else arrival_ns, PointingOutcome()
+        if self._streams.add_encoder(sample, arrival_ns, outcome):
+            check = self._streams.encoder_check
+            self._waiting_readings.append(
+                _WaitingReading(sample, check.unconfirmed_reason, check.unconfirmed_sigma_rad)
+            )
+            self._publish(outcome, arrival_ns)
+        return outcome
+
+    def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> PointingOutcome:
+        """Add an attitude of the ship; for the arrival see :meth:`add_encoder`."""
+        arrival_ns, outcome = sample.time_ns if arrival_ns is None else arrival_ns, PointingOutcome()
+        self._streams.add_ship(sample, arrival_ns, outcome)
+        self._publish(outcome, arrival_ns)
+        return outcome
+
+    def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
+        """Add an image of a target; :meth:`TargetProcessor.publish_ready` gives the conditions for its direction.
+
+        Images of targets do not affect the pointings.
+        """
+        outcome = PointingOutcome(self._estimator.window.late_rejection(sample.time_ns))
+        if outcome.rejection is None:
+            waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
+            self._targets.add(sample, waiting_ns, outcome)
+            self._publish_targets(outcome)
+        return outcome
+
+    def add_stars(self, exposure: StarExposure, arrival_ns: int, outcome: PointingOutcome) -> None:
+        """Store an accepted exposure of stars; publish its pointing if ship or encoders have timed out."""
+        self._newest_stars = exposure, arrival_ns
+        self._publish_from_stars(outcome, arrival_ns)
+
+    def tick(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> None:
+        """Publish from recent stars after a timeout, INVALID after a timeout of all outputs, and overdue targets."""
+        self._publish_from_stars(outcome, waiting_ns)
+        is_timed_out = "the encoders" in self._streams.timed_out(waiting_ns)
+        missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self._config.ship.source}"
+        self.sequence.report_invalid(
+            outcome, waiting_ns, lambda: invalid_pointing(self.filter, self._estimator.state, now_ns, missing)
+        )
+        self._publish_targets(outcome, waiting_ns)
+
+    def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+        """Publish the pointings of waiting readings, and then directions of targets.
+
+        A reading waits until the ship's attitude at its time is final or overdue. A reading without an attitude is
+        skipped.
+        """
+        covered_ns, too_old_ns = self._streams.ship_final_until_ns, self._estimator.window.oldest_ns - 1
+        until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
+        while self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns:
+            sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting_readings.popleft()
+            unconfirmed_reason = unconfirmed_reason or self._streams.unconfirmed_reason(sample.time_ns)
+            ship = self._streams.tracks.ship_at(sample.time_ns)
+            if ship is not None:
+                pending = PendingPointing(
+                    sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now
+                )
+                self._add_pointing(outcome, pending, waiting_ns)
+        self._publish_targets(outcome)
+
+    def _publish_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
+        self._targets.publish_ready(
+            outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now
+        )
+
+    def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
+        """Publish or queue a pointing; skip the pointing if a later output has been published."""
+        if not self.sequence.can_publish(pending.time_ns):
+            return
+        queue = self._pending()
+        if queue is not None:
+            queue.append(pending)
+            self.sequence.record(pending.time_ns, waiting_ns)
+        else:
+            self.sequence.add(outcome, pending.time_ns, waiting_ns, lambda: self.output.estimate(pending))
+            if self.sequence.can_publish(pending.time_ns):
+                return
+            if self._on_pointing is not None:
+                self._on_pointing(outcome.estimates[-1], pending)
+        self._targets.record_output(pending, self._estimator.window.oldest_ns)
+
+    def _publish_from_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+        """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""
+        timed_out = self._streams.timed_out(waiting_ns)
+        if self._newest_stars is None or not timed_out:
+            return
+        (exposure, arrival_ns), self._newest_stars = self._newest_stars, None
+        if waiting_ns - arrival_ns > SECOND_NS:
+            return
+        text = f"by stars alone: no data from {' and '.join(timed_out)}"
+
+        def by_stars() -> PointingEstimate | None:
+            assert self._sky is not None
+            return pointing_by_stars(exposure, self._sky, self._config, self.filter, self._estimator.state_now, text)
+
+        count = len(outcome.estimates)
+        self.sequence.add(outcome, exposure.time_ns, waiting_ns, by_stars)
+        if self._on_pointing is not None and len(outcome.estimates) > count:
+            self._on_pointing(outcome.estimates[-1], None)

@@ -1,0 +1,241 @@
+"""Streams of encoders, ship's attitude and drones: tracks, checks, and faults that a stream shows by itself."""
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+from ship_estimation.recovery.recoverable_core import MAX_JUMPS
+from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.rotations import ARCSEC
+from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_geometry.tracks.sample_track import OrderedSamples
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationState, Jump
+from theodolite_calib.filter.subfilters import ENCODER, SHIP, TELESCOPE
+from theodolite_calib.optical_axis.memory import StreamJump, stuck_encoder_jump
+from theodolite_calib.samples.encoder_check import CheckedReading, EncoderCheck
+from theodolite_calib.samples.samples import (
+    AnyExposure,
+    BaselineSample,
+    EncoderSample,
+    ExposureDecision,
+    PointingEstimate,
+    PointingOutcome,
+    ShipSample,
+)
+from theodolite_calib.samples.ship_check import ShipCheck
+from theodolite_calib.samples.sighting import SightingAssembler
+from theodolite_calib.samples.stream_consistency import StreamConsistency
+from theodolite_calib.samples.tracks import MeasuredTracks
+
+AxisEstimator = TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
+"""Time-ordered estimator of the calibration filter."""
+
+_STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
+"""Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
+
+
+class MeasuredStreams:
+    """Streams of samples that give the axis between exposures.
+
+    Args:
+        config: parameters of the node.
+        estimator: time-ordered estimator of the calibration filter.
+
+    Attributes:
+        tracks: accepted samples.
+        sightings: assembles sightings from exposures and these samples.
+        encoder_check: check of the encoders.
+        ship_check: check of the ship's attitude.
+        jumps: jumps that the encoder and ship streams have shown, and that were not yet read.
+        ship_final_until_ns: time until which the ship's attitude is final; None before the first attitude.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, estimator: AxisEstimator) -> None:
+        self._config, self._estimator = config, estimator
+        self.jumps: deque[StreamJump] = deque(maxlen=MAX_JUMPS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard all samples and the states of the checks."""
+        self.tracks = MeasuredTracks(self._config)
+        self.sightings = SightingAssembler(self._config, self.tracks)
+        self.encoder_check = EncoderCheck(*_encoder_limits(self._config))
+        self.ship_check = ShipCheck(self._config, self.tracks.ship_shift_ns)
+        self.jumps.clear()
+        self.ship_final_until_ns: int | None = None
+        self._encoder_arrival_ns: int | None = None
+        self._ship_arrival_ns: int | None = None
+        self._repeated_time_ns: tuple[int, int] | None = None
+        self._fault_ns: dict[str, int] = {}
+        self._is_stuck = False
+
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
+        """Apply changed noise."""
+        self._config = config
+        self.tracks.reconfigure(config)
+        self.sightings = SightingAssembler(config, self.tracks)
+        self.encoder_check.reconfigure(*_encoder_limits(config))
+        self.ship_check.reconfigure(config)
+
+    def add_encoder(self, sample: EncoderSample, arrival_ns: int, outcome: PointingOutcome) -> bool:
+        """Add an encoder reading; return True if it is accepted and the newest."""
+        track, estimator = self.tracks.encoder, self._estimator
+        result = self.encoder_check.check(sample, track, estimator.window.late_rejection(sample.time_ns))
+        outcome.rejection = result.rejection
+        self._record_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
+        self._record_encoder_jump(sample.time_ns, result)
+        if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
+            estimator.add_jump(result.jump.time_ns, ENCODER, result.jump, track.add_cut(result.jump.time_ns))
+        if result.rejection is not None:
+            estimator.add_rejected(ENCODER, track, sample)
+            self._check_repeated_time()
+            return False
+        estimator.add_sample(ENCODER, track, sample, outcome)
+        if outcome.rejection is not None:
+            self._record_fault(ENCODER, sample.time_ns, outcome.rejection)
+            self._check_repeated_time()
+        elif track.newest is sample:
+            self._encoder_arrival_ns = arrival_ns
+            return True
+        return False
+
+    def add_ship(self, sample: ShipSample, arrival_ns: int, outcome: PointingOutcome) -> None:
+        """Add an attitude of the ship."""
+        outcome.rejection = self._estimator.window.late_rejection(sample.time_ns)
+        if outcome.rejection is None:
+            outcome.rejection, sample = self._check_ship(sample, outcome)
+        source, track = self._config.ship.source, self.tracks.ship
+        if outcome.rejection is not None:
+            self._estimator.add_rejected(source, track, sample)
+        elif self._estimator.add_sample(source, track, sample, outcome):
+            self.ship_final_until_ns = self.tracks.ship_final_until_ns
+            self._ship_arrival_ns = arrival_ns
+        if outcome.rejection is not None:
+            self._record_fault(SHIP, sample.time_ns, outcome.rejection)
+            self._check_repeated_time()
+
+    def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
+        """Add a baseline to a drone.
+
+        An unusable baseline is rejected but stored, so that exposures do not wait for a usable one.
+        """
+        outcome = self._add(f"baseline.{beacon_id}", self.tracks.baselines[beacon_id], sample)
+        if outcome.rejection is None:
+            outcome.rejection = sample.rejection
+        return outcome
+
+    def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> PointingOutcome:
+        """Add an attitude of a drone; a drone with its light at the antenna needs no attitudes."""
+        track = self.tracks.drones.get(beacon_id)
+        return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
+
+    def _add(self, source: str, track: OrderedSamples[Any], sample: Any) -> PointingOutcome:
+        outcome = PointingOutcome(self._estimator.window.late_rejection(sample.time_ns))
+        if outcome.rejection is None:
+            self._estimator.add_sample(source, track, sample, outcome)
+        return outcome
+
+    def consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
+        """Return the consistency of the encoder and ship streams in a time range."""
+        return self.tracks.stream_consistency(since_ns, until_ns)
+
+    def has_ship_drifted(self, time_ns: int) -> bool | None:
+        """True if the ship's attitude departed from the integral of its rates before a time; None if unknown."""
+        return self.tracks.has_ship_drifted(time_ns)
+
+    def faults(self, time_ns: int) -> set[str]:
+        """Return which of the encoder and ship streams had a fault since ``integrity.return_after_s`` before a time."""
+        since_ns = time_ns - round(self._config.integrity.return_after_s * SECOND_NS)
+        return {source for source, fault_ns in self._fault_ns.items() if fault_ns >= since_ns}
+
+    def is_time_repeated(self, time_ns: int) -> bool:
+        """True if encoders and ship have both sent other data with the stamps around a time."""
+        repeated_ns = self._repeated_time_ns
+        return repeated_ns is not None and repeated_ns[0] <= time_ns <= repeated_ns[1]
+
+    def timed_out(self, waiting_ns: int) -> list[str]:
+        """Return which of ship's attitude and encoders have no data yet, or the last data more than a second ago."""
+        arrivals_ns = {self._config.ship.source: self._ship_arrival_ns, "the encoders": self._encoder_arrival_ns}
+        return [name for name, at_ns in arrivals_ns.items() if at_ns is None or waiting_ns - at_ns > SECOND_NS]
+
+    def unconfirmed_reason(self, time_ns: int) -> str:
+        """Return the reason why the ship's attitude at a time is unconfirmed, or sources contradict themselves."""
+        conflicts = self._estimator.stamp_conflicts
+        return self.ship_check.unconfirmed_reason(time_ns) or conflicts.text(conflicts.active_at(time_ns))
+
+    def record_decision(self, decision: ExposureDecision) -> None:
+        """Pass the result of an exposure to the checks of encoders and ship's attitude."""
+        time_ns = decision.measurement.time_ns
+        if decision.telescope_dt is not None:
+            self.encoder_check.record_beacon_attitude(time_ns, *decision.telescope_dt)
+        # Beacons in a telescope that has shifted carry no information.
+        if not decision.accepted or TELESCOPE in decision.excluded_sources:
+            return
+        if ENCODER in decision.excluded_sources:
+            self.encoder_check.set_encoder_offset_from_beacons(time_ns)
+        else:
+            self.encoder_check.confirm(time_ns)
+        if SHIP not in decision.excluded_sources:
+            self.ship_check.confirm(time_ns)
+
+    def _check_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Rejection | None, ShipSample]:
+        """Check an attitude of the ship and apply detected jumps; return its rejection or None, and its usable part."""
+        result = self.ship_check.check(sample, self._estimator.window.oldest_ns)
+        if result.rates_wrong_after_ns is not None:
+            # Exposures compared with wrong rates are compared again without rates.
+            changed_after_ns = self.tracks.ship.drop_rates(result.rates_wrong_after_ns)
+            if changed_after_ns is not None:
+                self._estimator.rewind_after(changed_after_ns + self.tracks.ship_shift_ns)
+                self._estimator.apply(outcome)
+        if result.noise is not None:
+            self._estimator.rewind_after(self.tracks.ship.add_noise(result.noise) + self.tracks.ship_shift_ns)
+            self._estimator.apply(outcome)
+        for jump in result.jumps:
+            self._record_fault(SHIP, jump.time_ns, None, jumped=True)
+            changed_after_ns = self.tracks.ship.add_cut(jump.time_ns)
+            time_ns = jump.time_ns + self.tracks.ship_shift_ns  # in the time scale of the exposures
+            if changed_after_ns is not None:
+                changed_after_ns += self.tracks.ship_shift_ns
+            jump = replace(jump, time_ns=time_ns)
+            self.jumps.append(StreamJump(jump))
+            self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
+        assert isinstance(result.sample, ShipSample)
+        # If the ship's attitude is that of the INS, no rates are used, so that no wrong rate can affect the pointing.
+        by_ins = self._config.ship.source == "ins/imu"
+        return result.rejection, replace(result.sample, rate_d=None) if by_ins else result.sample
+
+    def _record_fault(self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False) -> None:
+        """Record the time if the encoder or ship stream was stuck, jumped or repeated a stamp."""
+        if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
+            self._fault_ns[source] = max(time_ns, self._fault_ns.get(source, time_ns))
+
+    def _record_encoder_jump(self, time_ns: int, result: CheckedReading) -> None:
+        """Record a jump of the encoders, or the first of several stuck readings."""
+        if result.jump is not None:
+            self.jumps.append(StreamJump(result.jump))
+        is_stuck = result.rejection is not None and result.rejection.reason is Reason.STUCK
+        if is_stuck and not self._is_stuck:
+            self.jumps.append(stuck_encoder_jump(time_ns))
+        self._is_stuck = is_stuck
+
+    def _check_repeated_time(self) -> None:
+        """Apply exposures again if rejections show that encoders and ship both repeat a range of stamps."""
+        before = self._repeated_time_ns
+        together = self._estimator.stamp_conflicts.common_interval({ENCODER, self._config.ship.source})
+        if together is None:
+            return
+        first_ns = together[0] - self.tracks.reach_ns
+        self._repeated_time_ns = first_ns, together[1]
+        if before is None or before[0] != first_ns:
+            self._estimator.rewind_after(first_ns if before is None else min(before[0], first_ns))
+        elif together[1] > before[1]:
+            self._estimator.rewind_after(before[1])
+
+
+def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:
+    """Return the noise of a reading, rad, and the largest acceleration of an axis, rad/s²."""
+    return config.encoder.sigma_arcsec * ARCSEC, math.radians(config.encoder.max_acceleration_deg_per_s2)
