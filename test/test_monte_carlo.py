@@ -12,6 +12,7 @@ from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_stars.messages.star_messages import ExposingSensor
 from ship_stars.messages.star_messages import star_exposure as read_exposure
 from ship_stars.messages.surroundings_messages import humidity, position_fix, pressure, temperature
 from ship_stars.sky.catalogue import hipparcos
@@ -42,9 +43,8 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
     for index, (message, log) in enumerate(entries):
         assert log == sightings.log_time_ns[index]
         assert message.exposure_s == pytest.approx(0.05)
-        reading = read_exposure(
-            message, "fore", "star_fore", config.camera("camera"), config, hipparcos(), receive_ns=log
-        )
+        sensor = ExposingSensor("fore", "star_fore", config.camera("camera"), config)
+        reading = read_exposure(message, log, sensor, hipparcos())
         held = star_exposure(run, "fore", index)
         read = reading.value
         assert reading.rejected_parts == ()

@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.messages.field_checks import MessageRejected
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import CameraConfig
-from ship_stars.messages.star_messages import MAX_STARS, star_exposure
+from ship_stars.messages.star_messages import MAX_STARS, ExposingSensor, star_exposure
 from ship_stars.sky.catalogue import hipparcos
 
 FACTORY = RosidlFactory()
@@ -42,7 +42,8 @@ def observations(*stars: Any, sensor_id: str = "fore", frame_id: str = "star_for
 
 
 def read(message: Any, **options: bool) -> Any:
-    return star_exposure(message, "fore", "star_fore", CAMERA, CAMERA_CONFIG, hipparcos(), NOW_NS, **options)
+    sensor = ExposingSensor("fore", "star_fore", CAMERA, CAMERA_CONFIG)
+    return star_exposure(message, NOW_NS, sensor, hipparcos(), **options)
 
 
 def read_exposure(message: Any) -> Any:

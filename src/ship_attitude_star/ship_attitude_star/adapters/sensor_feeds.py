@@ -55,16 +55,9 @@ def _star_readers(
     """Return the readers of a star sensor's messages: of single messages, and of blocks (None for some inputs)."""
     if star.input == "observations":
         assert sky_model is not None
-        exposure = functools.partial(
-            star_messages.star_exposure,
-            sensor_id=id_,
-            frame_id=star.frame_id,
-            camera=star.camera.camera(f"star_sensors.{id_}.camera"),
-            camera_config=star.camera,
-            masks=star.sensor_masks,
-            catalogue=sky_model.catalogue,
-        )
-        return exposure, None
+        camera = star.camera.camera(f"star_sensors.{id_}.camera")
+        sensor = star_messages.ExposingSensor(id_, star.frame_id, camera, star.camera, star.sensor_masks)
+        return functools.partial(star_messages.star_exposure, sensor=sensor, catalogue=sky_model.catalogue), None
     if star.input == "inertial_attitude":
         return functools.partial(input_messages.inertial_attitude, sensor_id=id_, config=star), None
     read = functools.partial(input_messages.star_measurement, sensor_id=id_, config=star)

@@ -1,7 +1,6 @@
 """Adapter of the node ``ship_attitude``: input topics, output messages and diagnostics."""
 
 import functools
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from operator import attrgetter
 from typing import Any, ClassVar
@@ -14,25 +13,32 @@ from ship_attitude_star.messages import input_messages
 from ship_attitude_star.messages.attitude_messages import (
     ATTITUDE_TOPIC,
     ATTITUDE_TYPE,
+    DEFLECTION_TOPIC,
+    DEFLECTION_TYPE,
     DEGREES_TOPIC,
     DEGREES_TYPE,
     IMU_TOPIC,
     IMU_TYPE,
     SMOOTHED_TOPIC,
     AttitudeNumbers,
+    alignment_state,
+    attitude_budget,
     attitude_messages,
     attitude_rows,
+    deflection_message,
+    error_arcsec,
+    installed_frames,
     smoothed_message,
+    star_frames,
 )
 from ship_attitude_star.ship_attitude.alignment import (
-    Alignment,
     AlignmentPrior,
     current_alignment,
     installation_rotation,
 )
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.devices import InsConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.devices import InsConfig
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn, recommended_manoeuvre
 from ship_attitude_star.ship_attitude.observability import observability_of
@@ -46,10 +52,6 @@ from ship_estimation.recovery.displacements import TOGETHER
 from ship_estimation.rejections import failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.frames import angle_covariance, angles_from_rotation
-from ship_geometry.ros_axes import (
-    mounting_quaternion,
-)
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.feeds import BlockFeed, Feed, ignore_time
@@ -66,10 +68,8 @@ from ship_node.messages.common_messages import (
     TF_STATIC_TOPIC,
     TF_TOPIC,
     TF_TYPE,
-    ZERO_VECTOR,
     DiagnosticStatus,
     Level,
-    error_budget_message,
 )
 from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.ins_messages import ins_batch, ins_sample, sigma_mismatch_text
@@ -78,11 +78,9 @@ from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
 from ship_stars.messages import surroundings_messages
 from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries
-from ship_stars.samples.readings import DeflectionReading
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 
 INTEGRITY_TOPIC = "ship/integrity"
-DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"
 
 _STATUS_TEXTS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
@@ -357,24 +355,6 @@ def manoeuvre_text(turn: RecommendedTurn | None) -> str:
     return f"{turned}, {on_course} on this course"
 
 
-def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
-    """Return ship_msgs/ErrorBudget of a published attitude; ``sources`` are the names of its error sources."""
-    parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
-    return error_budget_message(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
-
-
-def deflection_message(factory: MessageFactory, known: DeflectionReading, horizon: str) -> Any:
-    """Return ship_msgs/Deflection of the estimated deflection."""
-    assert known.covariance is not None
-    return factory.make(
-        DEFLECTION_TYPE,
-        header={"stamp": known.time_ns, "frame_id": horizon},
-        xi=float(known.deflection[0]),
-        eta=float(known.deflection[1]),
-        covariance=known.covariance.ravel(),
-    )
-
-
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
     """Return a diagnostic of the vertical at the last attitude; empty without a vertical or while INVALID."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
@@ -389,70 +369,6 @@ def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -
     values = {name: f"{value:.1f}" for name, value in zip(names, values_arcsec, strict=True)}
     text = missing or "the deflection of the vertical is known or estimated"
     return [DiagnosticStatus("vertical", Level.WARN if missing else Level.OK, text, values)]
-
-
-def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str) -> Any:
-    """Return ship_msgs/AttitudeErrorArcsec with predicted sigmas; errors are NaN, because the truth is not known."""
-    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
-    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
-    unknown = float("nan")
-    return factory.make(
-        "ship_msgs/msg/AttitudeErrorArcsec",
-        header={"stamp": estimate.time_ns, "frame_id": deck},
-        sigma_heading=float(sigma[0]),
-        sigma_pitch=float(sigma[1]),
-        sigma_roll=float(sigma[2]),
-        error_heading=unknown,
-        error_pitch=unknown,
-        error_roll=unknown,
-    )
-
-
-def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:
-    """Return ship_msgs/AlignmentState of an alignment."""
-    return factory.encode(
-        "ship_msgs/msg/AlignmentState",
-        header={"stamp": now_ns, "frame_id": deck},
-        names=list(alignment.names),
-        values=alignment.values,
-        covariance=alignment.covariance.ravel(),
-        units=list(alignment.units),
-    )
-
-
-def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -> dict[str, str]:
-    """Return the frame of each star sensor by id: its frame_id if no other frame has this name, else star_<id>."""
-    count = Counter(star.frame_id for star in star_sensors.values())
-    frames = {}
-    for id_, star in star_sensors.items():
-        others = {*taken, *(f"star_{other}" for other in star_sensors if other != id_)}
-        is_its_own = star.frame_id and count[star.frame_id] == 1 and star.frame_id not in others
-        frames[id_] = star.frame_id if is_its_own else f"star_{id_}"
-    return frames
-
-
-def installed_frames(
-    factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str
-) -> Any:
-    """Return tf2_msgs/TFMessage of devices on the deck, without translation.
-
-    Args:
-        factory: creates messages.
-        rotations_dv: frame of a device → rotation deck from device, shape (3, 3).
-        now_ns: stamp of the message.
-        deck: name of the deck frame.
-    """
-    transforms = []
-    for frame, rotation_dv in rotations_dv.items():
-        rotation = dict(zip("xyzw", mounting_quaternion(rotation_dv).tolist(), strict=True))
-        transforms.append(
-            {
-                "header": {"stamp": now_ns, "frame_id": deck},
-                "child_frame_id": frame,
-                "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
-            }
-        )
-    return factory.encode(TF_TYPE, transforms=transforms)
 
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:

@@ -31,8 +31,9 @@ from ship_node.messages.ins_messages import ins_batch, ins_sample
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_stars.camera.config import JOINT
-from ship_stars.messages.star_messages import star_exposure
+from ship_stars.messages.star_messages import ExposingSensor, star_exposure
 from ship_stars.messages.surroundings_messages import surroundings_feeds
+from ship_stars.sky.catalogue import StarCatalogue
 from ship_stars.sky.sky_model import load_sky_model
 from ship_stars.solution.exposure import StarExposure
 from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus
@@ -109,15 +110,8 @@ class StarAttitudeAdapter(NodeAdapter):
         """Yield the inputs and the methods of a core that process them."""
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, is_configured=True)
-            read_stars = functools.partial(
-                read_exposure,
-                sensor_id=id_,
-                frame_id=sensor.frame_id,
-                camera=self._cameras[id_],
-                camera_config=sensor.camera,
-                masks=sensor.sensor_masks,
-                catalogue=self._sky_model.catalogue,
-            )
+            exposing = ExposingSensor(id_, sensor.frame_id, self._cameras[id_], sensor.camera, sensor.sensor_masks)
+            read_stars = functools.partial(read_exposure, sensor=exposing, catalogue=self._sky_model.catalogue)
             yield Feed(topic, f"star.{id_}", read_stars, self._process_stars, has_decision=True)
         yield from surroundings_feeds(
             config.sky, ignore_time(lambda reading: StarOutcome(core.add_surroundings(reading)))
@@ -202,17 +196,21 @@ class StarAttitudeAdapter(NodeAdapter):
         self._last_solutions.clear()
 
 
-def read_exposure(message: Any, **sensor: Any) -> ReadMessage[ReadExposure]:
+def read_exposure(
+    message: Any, receive_ns: int, sensor: ExposingSensor, catalogue: StarCatalogue
+) -> ReadMessage[ReadExposure]:
     """Read an observation message; its rejected stars are published with the solution.
 
     Args:
         message: StarObservationArray.
-        sensor: arguments of :func:`star_exposure`.
+        receive_ns: arrival time.
+        sensor: sensor of the topic.
+        catalogue: star catalogue for the numbers.
 
     Raises:
         MessageRejected: the whole message cannot be used.
     """
-    read = star_exposure(message, **sensor, named_by_number=True)
+    read = star_exposure(message, receive_ns, sensor, catalogue, named_by_number=True)
     source, time_ns, rejected_stars = read.value.source, read.value.time_ns, []
     for name, rejection in read.rejected_parts:
         rejected_stars.append(RejectedStar(source, time_ns, name, rejection))

@@ -1,25 +1,34 @@
-"""Messages of attitudes: ship_msgs/ShipAttitude, ship_msgs/AttitudeDeg in degrees, sensor_msgs/Imu and /tf.
+"""Messages of attitudes: ship_msgs/ShipAttitude, ship_msgs/AttitudeDeg in degrees, sensor_msgs/Imu, /tf, slow topics.
 
 One function (``_messages``) fills the fields: with numbers for the single attitude of a live node, with columns of
 numbers for the attitudes of a block, which are serialised together.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.ship_attitude.alignment import Alignment
+from ship_attitude_star.ship_attitude.devices import StarSensorConfig
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.integrity.protection_levels import NORMAL_95
 from ship_estimation.parameters.frame_names import FRAME_NAMES, FrameNames
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import SINGULAR_ELEVATION
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
+from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
+from ship_geometry.ros_axes import (
+    ENU_FROM_HORIZON,
+    FLU_FROM_DEVICE,
+    enu_covariance,
+    flu_from_device_vector,
+    mounting_quaternion,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels.compiled_rotations import angle_covariances, angles, quaternions
 from ship_node.messages.batch import OutputRows
-from ship_node.messages.common_messages import TF_TOPIC, TF_TYPE, ZERO_VECTOR
+from ship_node.messages.common_messages import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget_message
 from ship_node.messages.field_checks import NOT_GIVEN
 from ship_node.messages.output_numbers import (
     Fields,
@@ -32,10 +41,12 @@ from ship_node.messages.output_numbers import (
 )
 from ship_node.messages.topics import OutputMessage
 from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries, StampArray
+from ship_stars.samples.readings import DeflectionReading
 
 ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
 IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
 SMOOTHED_TOPIC = "ship/attitude_smoothed"
+DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"
 DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
 
 _NOT_GIVEN = (NOT_GIVEN, *(0.0,) * 8)
@@ -190,3 +201,85 @@ def _as_imu(
         "linear_acceleration": ZERO_VECTOR,
         "linear_acceleration_covariance": _NOT_GIVEN,
     }
+
+
+def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
+    """Return ship_msgs/ErrorBudget of a published attitude; ``sources`` are the names of its error sources."""
+    parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
+    return error_budget_message(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
+
+
+def deflection_message(factory: MessageFactory, known: DeflectionReading, horizon: str) -> Any:
+    """Return ship_msgs/Deflection of the estimated deflection."""
+    assert known.covariance is not None
+    return factory.make(
+        DEFLECTION_TYPE,
+        header={"stamp": known.time_ns, "frame_id": horizon},
+        xi=float(known.deflection[0]),
+        eta=float(known.deflection[1]),
+        covariance=known.covariance.ravel(),
+    )
+
+
+def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str) -> Any:
+    """Return ship_msgs/AttitudeErrorArcsec with predicted sigmas; errors are NaN, because the truth is not known."""
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
+    unknown = float("nan")
+    return factory.make(
+        "ship_msgs/msg/AttitudeErrorArcsec",
+        header={"stamp": estimate.time_ns, "frame_id": deck},
+        sigma_heading=float(sigma[0]),
+        sigma_pitch=float(sigma[1]),
+        sigma_roll=float(sigma[2]),
+        error_heading=unknown,
+        error_pitch=unknown,
+        error_roll=unknown,
+    )
+
+
+def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:
+    """Return ship_msgs/AlignmentState of an alignment."""
+    return factory.encode(
+        "ship_msgs/msg/AlignmentState",
+        header={"stamp": now_ns, "frame_id": deck},
+        names=list(alignment.names),
+        values=alignment.values,
+        covariance=alignment.covariance.ravel(),
+        units=list(alignment.units),
+    )
+
+
+def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -> dict[str, str]:
+    """Return the frame of each star sensor by id: its frame_id if no other frame has this name, else star_<id>."""
+    count = Counter(star.frame_id for star in star_sensors.values())
+    frames = {}
+    for id_, star in star_sensors.items():
+        others = {*taken, *(f"star_{other}" for other in star_sensors if other != id_)}
+        is_its_own = star.frame_id and count[star.frame_id] == 1 and star.frame_id not in others
+        frames[id_] = star.frame_id if is_its_own else f"star_{id_}"
+    return frames
+
+
+def installed_frames(
+    factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str
+) -> Any:
+    """Return tf2_msgs/TFMessage of devices on the deck, without translation.
+
+    Args:
+        factory: creates messages.
+        rotations_dv: frame of a device → rotation deck from device, shape (3, 3).
+        now_ns: stamp of the message.
+        deck: name of the deck frame.
+    """
+    transforms = []
+    for frame, rotation_dv in rotations_dv.items():
+        rotation = dict(zip("xyzw", mounting_quaternion(rotation_dv).tolist(), strict=True))
+        transforms.append(
+            {
+                "header": {"stamp": now_ns, "frame_id": deck},
+                "child_frame_id": frame,
+                "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
+            }
+        )
+    return factory.encode(TF_TYPE, transforms=transforms)

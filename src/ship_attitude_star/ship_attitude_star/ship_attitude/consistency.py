@@ -1,21 +1,23 @@
 """Consistency of the ship filter's state with its sources and with a stored state, for the recovery."""
 
+import math
 from collections.abc import Mapping, Sequence, Set
 
+import numpy as np
+
 from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator
+from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.ins_input import InsInput
-from ship_attitude_star.ship_attitude.memory import (
-    is_consistent,
-    largest_difference_sigmas,
-    memory_residual,
-    propagate_memory,
-)
+from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.parameters.ins import InsJump
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import Consistency
 from ship_stars.samples.attitude_samples import AttitudeDecision
+
+_CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
+"""Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
 
 
 class ShipConsistency(Consistency[FilterState, InsJump]):
@@ -33,8 +35,14 @@ class ShipConsistency(Consistency[FilterState, InsJump]):
 
     @property
     def is_consistent(self) -> bool:
-        """True if the state is based on stars, no source is excluded and all sources are consistent."""
-        return is_consistent(self._output.filter, self._estimator.state, self._output.config.gate.degraded_after)
+        """True if the state is based on stars, no source is inconsistent or excluded, and no fault is unresolved."""
+        state = self._estimator.state
+        is_unresolved = self.has_unresolved_fault or state.separation_covariance_n is not None
+        if is_unresolved or state.excluded or state.unconfirmed_step is not None:
+            return False
+        most_rejections = max(state.consecutive_rejections.values(), default=0)
+        has_stars = newest_star_ns(self._output.filter, state) is not None
+        return has_stars and most_rejections < self._output.config.gate.degraded_after
 
     @property
     def has_unresolved_fault(self) -> bool:
@@ -48,8 +56,10 @@ class ShipConsistency(Consistency[FilterState, InsJump]):
         return {name for name in sources if name in devices and used_ns.get(name, since_ns - 1) < since_ns}
 
     def propagate_memory(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
-        """Return a stored state propagated to the oldest time that measurements may still have."""
-        return propagate_memory(self._output.filter, memory, jumps, self._estimator.window.oldest_ns)
+        """Return a stored state inflated for jumps, at the oldest time that measurements may still have."""
+        for jump in jumps:
+            memory = self._output.filter.apply_ins_change(memory, jump)
+        return self._output.filter.propagate(memory, self._estimator.window.oldest_ns)
 
     def memory_residuals(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, MemoryResidual]:
         """Return the residual of a star measurement against a stored state; empty for other measurements."""
@@ -60,5 +70,18 @@ class ShipConsistency(Consistency[FilterState, InsJump]):
         return {} if residual is None else {measurement.source: residual}
 
     def largest_difference_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
-        """Return the largest difference of a constant state from the stored state, in standard deviations."""
-        return largest_difference_sigmas(self._output.filter, state, memory, is_later)
+        """Return the largest difference between the constant elements of two filter states, in standard deviations.
+
+        The result is infinite if ``state`` is from before the first measurement. The variance of the difference is the
+        sum of both variances if the two states are independent. A later state of the same estimator contains the
+        information of the stored state, whose variance is then used alone.
+        """
+        if state.time_ns is None:
+            return math.inf
+        memory, model = self._output.filter.propagate(memory, state.time_ns), self._output.filter.model
+        rows = np.concatenate([model.state_indices(name) for name in model.slices if name.endswith(_CONSTANT_STATES)])
+        variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
+        difference = np.abs(state.mean - memory.mean)[rows]
+        # States that are known exactly are not compared; a state with a variance of NaN is compared.
+        varies = variance != 0.0
+        return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))

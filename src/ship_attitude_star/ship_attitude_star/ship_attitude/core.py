@@ -1,9 +1,9 @@
 """Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
-The core uses no ROS, no files and no clock. The core consists of the filter, the INS samples and the sky model, in a
-time-ordered estimator (:mod:`ship_estimation.time_order.time_ordered_estimator`), which decides when a measurement is
-applied and which output may follow. This module adds the parts for the ship attitude. These are the plausibility checks
-of the inputs, and the attitude from star sensors alone when the INS is not available.
+The core uses no ROS, no files and no clock. The core combines the filter, the INS samples
+(:mod:`ship_attitude_star.ship_attitude.ins_input`), the sky model and the published attitudes
+(:mod:`ship_attitude_star.ship_attitude.attitude_output`) with the time-ordered estimator
+(:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies measurements in the order of their stamps.
 """
 
 from collections.abc import Callable, Sequence, Set

@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, diagnosis_hint
+from ship_attitude_star.ship_attitude.acceptance import Acceptance
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.devices import SOURCE_STAR_COMMON
 from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
@@ -19,15 +20,15 @@ from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
 from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_detection.fault_state import with_changes, with_entry, without_entry
+from ship_estimation.fault_detection.fault_state import with_changes, with_entry
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
-from ship_estimation.innovations.gates import GateConfig, chi_square_gate
+from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.parameters.ins import InsChange
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import FloatArray, log_rotation
+from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack, ExtraNoise
 from ship_stars.camera.optics_errors import SOURCE_OPTICS
 from ship_stars.samples.attitude_samples import AttitudeDecision, AttitudeMeasurement
@@ -50,13 +51,16 @@ class ShipFilter:
         vertical: vertical along the track; None if the configuration does not need it.
     """
 
+    fault_detector_class: ClassVar[type[ShipFaultDetector]] = ShipFaultDetector
+
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
         self.devices = config.devices
         deflection_track = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, deflection_track)
-        self.fault_detector = ShipFaultDetector(config, self.model, self.devices)
-        self._gate: GateConfig = config.gate
+        self.fault_detector = self.fault_detector_class(config, self.model, self.devices)
+        self._acceptance = Acceptance(config.gate, self.devices, self.fault_detector)
+        self._gate_probability = config.gate.probability
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, self._ins_index)
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
@@ -214,10 +218,10 @@ class ShipFilter:
             elif again is not None and not again[1].components:
                 # The stars contradict each other with these optics too, so the attitude is not evaluated.
                 rejection = Rejection(again[1].reason, again[1].text)
-                return self._reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
+                return self._acceptance.reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
         if contradiction is not None:
-            return self._reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
+            return self._acceptance.reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
         return result
 
     def _step(
@@ -232,7 +236,7 @@ class ShipFilter:
         if self._is_latitude_missing(measurement.time_ns):
             # An assumed latitude would cause estimation errors that last longer than the wait for a fix.
             missing = Rejection(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
-            return self._reject(state, measurement, NotEvaluable(missing, measurement.time_ns))
+            return self._acceptance.reject(state, measurement, NotEvaluable(missing, measurement.time_ns))
         predicted = self.propagate(state, measurement.time_ns)
         compared = measurement
         if isinstance(measurement, StarExposure):
@@ -243,10 +247,10 @@ class ShipFilter:
         if linearised is None:
             return None
         if isinstance(linearised, NotEvaluable):
-            return self._reject(state, measurement, linearised)
+            return self._acceptance.reject(state, measurement, linearised)
         if state.ins_jump_ns is not None and linearised.matched_ins_ns <= state.ins_jump_ns:
             before = Rejection(Reason.GAP, "the INS attitude at this time is from before the last jump of the INS")
-            return self._reject(state, measurement, NotEvaluable(before, linearised.ins_time_ns))
+            return self._acceptance.reject(state, measurement, NotEvaluable(before, linearised.ins_time_ns))
         if isinstance(linearised.measurement, AttitudeMeasurement):
             predicted = self._with_common_error(predicted, linearised.measurement)
         return self._evaluate(state, predicted, measurement, linearised)
@@ -283,11 +287,12 @@ class ShipFilter:
             The next state and the decision.
         """
         linear, source = linearised.compared.linear, measurement.source
-        gate = chi_square_gate(self._gate.probability, len(linear.residual))
+        gate = chi_square_gate(self._gate_probability, len(linear.residual))
         try:
             predicted, innovations = self._innovations_after_inflation(predicted, source, linearised.compared, gate)
         except np.linalg.LinAlgError:
-            return self._reject(state, measurement, NotEvaluable(singular_covariance(), linearised.ins_time_ns))
+            singular = NotEvaluable(singular_covariance(), linearised.ins_time_ns)
+            return self._acceptance.reject(state, measurement, singular)
         # NaN is not accepted.
         accepted = innovations.nis <= gate
         decision = AttitudeDecision(
@@ -308,11 +313,11 @@ class ShipFilter:
             state, predicted, measurement, linearised.compared, innovations, accepted
         )
         if decision.accepted:
-            after = self._record_accepted(after, linearised.measurement)
+            after = self._acceptance.record_accepted(after, linearised.measurement)
         elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
-            after, decision = self._reject_by_gate(after, decision, linearised)
+            after, decision = self._acceptance.reject_by_gate(after, decision, linearised)
         is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # The rates of the INS do not rule out that it has jumped.
@@ -378,71 +383,6 @@ class ShipFilter:
             return replace(decision, accepted=False, reason=Reason.EXCLUDED, text=text)
         return replace(decision, text=f"{text}; {decision.text}" if decision.text else text)
 
-    def _reject(
-        self, state: FilterState, measurement: Measurement, not_evaluable: NotEvaluable
-    ) -> tuple[FilterState, AttitudeDecision]:
-        """Reject a measurement that cannot be evaluated.
-
-        The rejection is counted for its source only if the measurement contradicts the predicted state.
-        """
-        rejection, text = not_evaluable.rejection, not_evaluable.rejection.text
-        if not_evaluable.is_contradiction:
-            state, inflation_text = self._inflate_after_rejections(
-                self._count_rejection(state, measurement.source), measurement.source
-            )
-            state = self.fault_detector.ins_fault.with_not_evaluable(state, measurement.time_ns)
-            text += inflation_text
-        return state, AttitudeDecision(measurement, rejection.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
-
-    def _count_rejection(self, state: FilterState, source: str) -> FilterState:
-        """Return the state with the consecutive rejections of a source increased by one."""
-        return with_changes(
-            state,
-            consecutive_rejections=with_entry(
-                state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1
-            ),
-        )
-
-    def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
-        """Inflate the covariance after every ``gate.reopen_after`` consecutive rejections of a source.
-
-        The source is then reinstated, and all filters restart from the main filter.
-
-        Returns:
-            The state, and a text about the inflation, which is empty without an inflation.
-        """
-        if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
-            return state, ""
-        state = with_changes(state, stack=state.stack * self._gate.reopen_factor, pixel_dwells=NO_PIXEL_DWELLS)
-        state = with_changes(state, excluded=without_entry(state.excluded, source))
-        state = self.fault_detector.restart_subfilters(state)
-        return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
-
-    def _record_accepted(self, state: FilterState, measurement: Measurement) -> FilterState:
-        """Record an accepted measurement, reset the rejection counter of its source and store the stamp."""
-        source, unconfirmed = measurement.source, state.unconfirmed_step
-        if self.devices[source].is_star:
-            if unconfirmed is not None:
-                unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
-            elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
-                unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        rejection_counts = (
-            state.consecutive_rejections
-            if state.consecutive_rejections.get(source) == 0
-            else with_entry(state.consecutive_rejections, source, 0)
-        )
-        used_ns = with_entry(state.last_used_ns, source, measurement.time_ns)
-        pixel_dwells = state.pixel_dwells
-        if isinstance(measurement, StarExposure) and measurement.pixel_dwell is not None:
-            pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
-        return with_changes(
-            state,
-            consecutive_rejections=rejection_counts,
-            last_used_ns=used_ns,
-            pixel_dwells=pixel_dwells,
-            unconfirmed_step=unconfirmed,
-        )
-
     def _with_common_error(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """Return the state with the covariance of a sensor's correlated error as stated in its message.
 
@@ -460,46 +400,6 @@ class ShipFilter:
         elif is_zero or common_n.tobytes() == state.common_n[source].tobytes():
             return state
         return with_changes(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
-
-    def _reject_by_gate(
-        self, state: FilterState, decision: AttitudeDecision, linearised: LinearisedMeasurement
-    ) -> tuple[FilterState, AttitudeDecision]:
-        """Return state and decision for a measurement that failed the innovation gate.
-
-        After ``gate.conflict_after`` consecutive rejections the reason is a conflict, and the text contains diagnosis
-        hints. After ``gate.reopen_after`` rejections the covariance is inflated.
-        """
-        source, ins, compared = decision.measurement.source, linearised.ins, linearised.compared
-        # The measured deck attitude is the INS attitude, rotated by the rotation from the predicted to the measured
-        # device attitude.
-        measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
-        rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
-        residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
-        state = with_changes(
-            self._count_rejection(state, source),
-            rejected_residuals=with_entry(state.rejected_residuals, source, residual),
-        )
-        count = state.consecutive_rejections[source]
-        reason, text = Reason.GATE, f"NIS {decision.nis:.1f} exceeds gate {decision.gate:.1f}"
-        if count >= self._gate.conflict_after:
-            reason = Reason.ATTITUDE_CONFLICT
-            hint = diagnosis_hint(
-                source,
-                self.devices[source].heading_parameter,
-                state.consecutive_rejections,
-                state.last_used_ns,
-                state.rejected_residuals,
-                ins.rotation_nd,
-                measured_nd,
-            )
-            text = f"{count} rejections in a row: {source} and the INS disagree{hint}"
-        state, inflation_text = self._inflate_after_rejections(state, source)
-        return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)
-
-
-def _unconfirmed_first_star(source: str, time_ns: int) -> UnconfirmedStep:
-    """Return the unconfirmed step that is set by the first accepted star measurement."""
-    return UnconfirmedStep(time_ns - 1, "the attitude depends on a single star measurement", "stars", time_ns, source)
 
 
 def _unconfirmed_ins_jump(since_ns: int) -> UnconfirmedStep:

@@ -1,26 +1,19 @@
-"""Restart of the ship filter from a stored state, and comparison of measurements and states with a stored state.
+"""Restart of the ship filter from a stored state, and comparison of measurements with a stored state.
 
 The recovery rules in :mod:`ship_estimation.recovery` use these functions.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurements.prediction import NotEvaluable
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.fault_state import with_changes
-from ship_estimation.parameters.ins import InsJump
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.attitude_track import AttitudeTrack
 from ship_stars.sky.sky_model import SkyModel
-
-_CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
-"""Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
 
 _OBSERVABLE_RAD = 0.02
 """A measurement observes the rotation of its device if its sigma about every axis is at most this, rad."""
@@ -42,13 +35,6 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
         exclusion_counts=live.exclusion_counts,
         ins_fault_ns=live.ins_fault_ns,
     )
-
-
-def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
-    """Return the stored state propagated to a time, with a covariance inflated by the jumps of the INS."""
-    for jump in jumps:
-        memory = filter_.apply_ins_change(memory, jump)
-    return filter_.propagate(memory, time_ns)
 
 
 def memory_residual(
@@ -76,44 +62,6 @@ def memory_residual(
         by_state @ _growth_per_second(filter_, state) @ by_state.T,
     )
     return MemoryResidual(to_rotation @ linear.residual, noise_n, expected, drift)
-
-
-def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
-    """Return the largest difference between the constant elements of two filter states, in standard deviations.
-
-    The result is infinite if ``state`` is from before the first measurement.
-
-    The variance of the difference is the sum of both variances if the two states are independent. A later state of the
-    same estimator contains the information of the stored state, whose variance is then used alone.
-
-    Args:
-        filter_: filter of the estimator.
-        state: state to compare.
-        memory: stored state.
-        is_later: True if ``state`` is a later state of the estimator that stored ``memory``.
-    """
-    if state.time_ns is None:
-        return np.inf
-    memory = filter_.propagate(memory, state.time_ns)
-    rows = np.concatenate(
-        [filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_CONSTANT_STATES)]
-    )
-    variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
-    difference = np.abs(state.mean - memory.mean)[rows]
-    # States that are known exactly are not compared; a state with a variance of NaN is compared.
-    varies = variance != 0.0
-    return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
-
-
-def is_consistent(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
-    """True if a state is based on stars, no source is inconsistent or excluded, and no fault or jump is unresolved."""
-    is_unresolved = (
-        state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc_step is not None
-    )
-    if is_unresolved or state.excluded or state.unconfirmed_step is not None:
-        return False
-    most_rejections = max(state.consecutive_rejections.values(), default=0)
-    return newest_star_ns(filter_, state) is not None and most_rejections < degraded_after
 
 
 def _growth_per_second(filter_: ShipFilter, state: FilterState) -> np.ndarray:

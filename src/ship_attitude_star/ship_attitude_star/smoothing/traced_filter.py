@@ -1,17 +1,17 @@
 """Ship filter for smoothing, whose states record the last update of the main filter."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.fault_detection.subfilters import FilterInnovations
 from ship_estimation.kalman.rts_smoother import StateUpdate
@@ -35,22 +35,6 @@ class TracedState(FilterState):
     def prediction_input(self) -> LocalVertical | None:
         """Vertical at the time of the state, needed for prediction."""
         return self.vertical
-
-
-class TracedFilter(ShipFilter):
-    """Ship filter whose states record their last update; the results are bit-identical to :class:`ShipFilter`."""
-
-    def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
-        super().__init__(config, vertical)
-        self.fault_detector = _TracedFaultDetector(config, self.model, self.devices)
-
-    def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
-        """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
-        after = super().apply_ins_change(state, change)
-        assert isinstance(after, TracedState)
-        both = GaussianEstimate(after.mean, after.covariance)
-        leads_back = after.excluded.keys() <= state.excluded.keys()
-        return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
 
 
 class _TracedFaultDetector(ShipFaultDetector):
@@ -79,3 +63,17 @@ class _TracedFaultDetector(ShipFaultDetector):
         return with_changes(
             after, last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)
         )
+
+
+class TracedFilter(ShipFilter):
+    """Ship filter whose states record their last update; the results are bit-identical to :class:`ShipFilter`."""
+
+    fault_detector_class: ClassVar[type[ShipFaultDetector]] = _TracedFaultDetector
+
+    def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
+        """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
+        after = super().apply_ins_change(state, change)
+        assert isinstance(after, TracedState)
+        both = GaussianEstimate(after.mean, after.covariance)
+        leads_back = after.excluded.keys() <= state.excluded.keys()
+        return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))

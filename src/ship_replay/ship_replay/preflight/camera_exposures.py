@@ -14,7 +14,7 @@ from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_node.messages.field_checks import MessageRejected
 from ship_stars.camera.config import CameraConfig
-from ship_stars.messages.star_messages import star_exposure
+from ship_stars.messages.star_messages import ExposingSensor, star_exposure
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, identify_stars
 from ship_stars.solution.selection import StarPrior
@@ -94,11 +94,10 @@ def fit_camera(
 
 def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, sky_model: SkyModel) -> list[StarExposure]:
     """Return the exposures that are not rejected and for which the sky is known, with stars identified if possible."""
-    sensor_id, exposures = record.topic.split("/")[1], []
-    geometry = camera.camera("camera")
+    sensor, exposures = ExposingSensor(record.topic.split("/")[1], "", camera.camera("camera"), camera), []
     for message, receive_ns in record.messages:
         try:
-            exposure = star_exposure(message, sensor_id, "", geometry, camera, sky_model.catalogue, receive_ns).value
+            exposure = star_exposure(message, receive_ns, sensor, sky_model.catalogue).value
         except MessageRejected:
             continue
         sky = sky_model.sky_at(exposure.time_ns)

@@ -8,7 +8,7 @@ and the other stars of the message are used.
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,16 +61,26 @@ class _StarColumns:
     magnitude: FloatArray
 
 
+class ExposingSensor(NamedTuple):
+    """Star sensor of a topic.
+
+    Attributes:
+        sensor_id: name of the sensor.
+        frame_id: required frame_id of its messages; empty for any.
+        camera: its camera.
+        camera_config: parameters of the camera, with centroid errors and the width of a star image.
+        masks: obstructions of the field of view on deck; None without obstructions.
+    """
+
+    sensor_id: str
+    frame_id: str
+    camera: StarCamera
+    camera_config: CameraConfig
+    masks: SensorMasks | None = None
+
+
 def star_exposure(
-    message: Any,
-    sensor_id: str,
-    frame_id: str,
-    camera: StarCamera,
-    camera_config: CameraConfig,
-    catalogue: StarCatalogue,
-    receive_ns: int,
-    named_by_number: bool = False,
-    masks: SensorMasks | None = None,
+    message: Any, receive_ns: int, sensor: ExposingSensor, catalogue: StarCatalogue, named_by_number: bool = False
 ) -> ReadMessage[StarExposure]:
     """Read ``star/<sensor>/observations``: directions in the sensor frame, and identities of the stars.
 
@@ -79,15 +89,11 @@ def star_exposure(
 
     Args:
         message: StarObservationArray.
-        sensor_id: sensor of the topic.
-        frame_id: required frame_id of the message; empty for any.
-        camera: camera of the sensor.
-        camera_config: parameters of the camera, with centroid errors and the width of a star image.
-        catalogue: star catalogue for the numbers.
         receive_ns: arrival time.
+        sensor: sensor of the topic.
+        catalogue: star catalogue for the numbers.
         named_by_number: True to name a rejected star by its catalogue number if it has one; other rejected stars are
             named by their index in the message.
-        masks: obstructions of the field of view on deck; None without obstructions.
 
     Returns:
         The exposure with the usable stars; the other stars of the message are rejected.
@@ -96,9 +102,10 @@ def star_exposure(
         MessageRejected: the whole message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    check_device_id("sensor_id", message.sensor_id, sensor_id)
-    check_frame(message.header.frame_id, frame_id)
+    check_device_id("sensor_id", message.sensor_id, sensor.sensor_id)
+    check_frame(message.header.frame_id, sensor.frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
+    camera, camera_config = sensor.camera, sensor.camera_config
     columns = _star_columns(message.stars[:MAX_STARS], camera_config.centroid_sigma_px)
     # Squares of the largest doubles would overflow.
     directions_s, direction_sigma = camera.measured_directions(
@@ -110,7 +117,7 @@ def star_exposure(
     kept = np.flatnonzero([rejection is None for rejection in rejections])
     listed = columns.hip != 0
     exposure = StarExposure(
-        source=f"star.{sensor_id}",
+        source=f"star.{sensor.sensor_id}",
         time_ns=time_ns,
         hip=columns.hip[kept],
         directions_s=directions_s[kept],
@@ -119,7 +126,7 @@ def star_exposure(
         position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
         magnitude=columns.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
-        masks=masks,
+        masks=sensor.masks,
         optics=camera_config.optics_errors(camera),
         spatial=camera_config.spatial_errors(camera),
     )

@@ -34,7 +34,7 @@ from ship_node.messages.common_messages import (
 from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
-from ship_stars.messages.star_messages import star_exposure
+from ship_stars.messages.star_messages import ExposingSensor, star_exposure
 from ship_stars.messages.surroundings_messages import surroundings_feeds
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
@@ -214,14 +214,8 @@ class OpticalAxisAdapter(RecoveringAdapter):
             topic = InputTopic(
                 f"theodolite/{id_}/stars", "ship_msgs/msg/StarObservationArray", False, depth=100, is_occasional=True
             )
-            read = functools.partial(
-                star_exposure,
-                sensor_id=id_,
-                frame_id=camera.frame_id,
-                camera=self._cameras[id_],
-                camera_config=config.star_camera(id_),
-                catalogue=self._sky.catalogue,
-            )
+            sensor = ExposingSensor(id_, camera.frame_id, self._cameras[id_], config.star_camera(id_))
+            read = functools.partial(star_exposure, sensor=sensor, catalogue=self._sky.catalogue)
             yield Feed(topic, f"star.{id_}", read, core.add_exposure, has_decision=True)
         yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings), position_required=False)
 

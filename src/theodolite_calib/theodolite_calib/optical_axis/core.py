@@ -1,10 +1,9 @@
 """Core of ``optical_axis``, shared by node and replay: estimates the main axis from all measurements.
 
-The core, without ROS, files or clock, combines the calibration filter and the tracks of measured samples with the
-time-ordered estimator (:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies exposures and publishes
-pointings in the order of their stamps. This module adds the checks of encoders and ship's attitude, and the queue of
-readings that wait for the ship's attitude. A pointing is published at the stamp of each encoder reading, as soon as the
-ship's attitude of that time is available.
+The core uses no ROS, no files and no clock. The core combines the calibration filter, the sampled streams
+(:mod:`theodolite_calib.optical_axis.streams`) and the published pointings
+(:mod:`theodolite_calib.optical_axis.pointings`) with the time-ordered estimator
+(:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies exposures in the order of their stamps.
 """
 
 from collections.abc import Callable, Sequence, Set
