@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+import ship_attitude_star.ship_attitude.devices as attitude_devices
 import ship_attitude_star.ship_attitude.model as attitude_model
 import theodolite_calib.filter.model as pointing_model
 
@@ -37,7 +38,7 @@ TITLES = {"lichtblickPanelTitle", "foxglovePanelTitle"}
 SERIES = {"value", "label", "enabled", "timestampMethod", "color"}
 ERROR_SOURCES = {
     value
-    for model in (attitude_model, pointing_model)
+    for model in (attitude_devices, attitude_model, pointing_model)
     for name, value in vars(model).items()
     if name.startswith("SOURCE_")
 }
