@@ -14,8 +14,8 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import ns_from_stamp
 from ship_testing.monitored_voyages import BAGS, MonitoredVoyage, monitor_voyage, records, replay_with_faults
-from ship_watch.alert_conditions import conditions
-from ship_watch.limits import Limits
+from ship_watch.alerts.alert_conditions import conditions
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence, Safety
 

@@ -37,8 +37,8 @@ from ship_testing.monitored_voyages import (
     replay_with_faults,
 )
 from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
-from ship_watch.history import History
-from ship_watch.limits import Limits
+from ship_watch.history.history import History
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence, SuiteState
 

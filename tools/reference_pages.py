@@ -20,7 +20,7 @@ from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import topic_rows, usage_text
 from ship_simulation.messages.message_stream import TRUTH_TYPES
 from ship_simulation.scenario.scenario import scenario_keys
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
 

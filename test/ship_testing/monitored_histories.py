@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_geometry.rotations import ARCSEC
 from ship_testing.suite_states import SHIFTED_SENSOR, late_input, source, state_with_mounting_shift
-from ship_watch.history import (
+from ship_watch.history.history import (
     BeaconPoint,
     BudgetPoint,
     ErrorPoint,

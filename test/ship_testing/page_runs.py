@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 from ship_monitor.page.app import page_maker
 from ship_monitor.page.server import PageServer
 from ship_testing import suite_states
-from ship_watch.history import History
+from ship_watch.history.history import History
 from ship_watch.suite_state import SuiteState
 
 _END_S = 20.0

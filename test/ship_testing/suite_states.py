@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC
-from ship_watch.history import History, SafetyPoint
-from ship_watch.limits import Limits
+from ship_watch.history.history import History, SafetyPoint
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_state import (
     ANGLES,
     AlertEntry,

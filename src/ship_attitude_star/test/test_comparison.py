@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters.schema import build

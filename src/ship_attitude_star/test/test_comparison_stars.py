@@ -20,7 +20,7 @@ from ship_stars.camera.spatial_errors import FIELD_MODES, SOURCE_PIXEL, SpatialE
 from ship_stars.samples.attitude_samples import AttitudeMeasurement
 from ship_stars.samples.readings import InertialAttitude, PositionFix
 from ship_stars.sky.shared_states import sky_slice
-from ship_stars.solution.residuals import SOURCE_STAR_NOISE, star_residuals
+from ship_stars.solution.residuals import SOURCE_STAR_NOISE, PredictedSensor, star_residuals
 from ship_testing.star_sky import (
     ROTATION_ND,
     SENSORS,
@@ -56,12 +56,10 @@ def residuals(ship_filter, sky_model, exposure, mean):
     field_rows = model.state_indices(field) if field in model.slices else None
     return star_residuals(
         exposure,
-        predicted.rotation_nv,
-        predicted.jacobian_v,
+        PredictedSensor(predicted.rotation_nv, predicted.jacobian_v, mean),
         prior,
         sky_model,
         sky_slice(model.slices),
-        mean,
         camera_indices=field_rows,
     )
 

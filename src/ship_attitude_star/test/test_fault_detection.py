@@ -20,7 +20,7 @@ from scipy.stats import binom
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
+from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, corrected_estimates
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns, corrected_attitudes, corrected_estimates
 from ship_estimation.fault_detection.exclusions import ExcludedSource
 from ship_estimation.fault_detection.fault_state import UnresolvedFault
 from ship_estimation.fault_detection.subfilters import filter_covariances

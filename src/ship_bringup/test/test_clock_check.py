@@ -19,7 +19,7 @@ from ship_bringup.checks.clock_check import (
     read_clock_state,
     turn_angle_arcsec,
 )
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 CHRONY = """\
 Reference ID    : 1.2.3.4 (a.b.c)

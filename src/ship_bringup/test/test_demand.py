@@ -14,7 +14,7 @@ from ship_bringup.security.demand import enclave_command, require_profile, secur
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import SuiteOptions, check_nodes, make_plan
 from ship_testing.keystores import Keystore, new_authority
-from ship_watch.limits import Limits, MachineLimits, read_limits
+from ship_watch.safety.limits import Limits, MachineLimits, read_limits
 
 ROOT = Path(__file__).parents[3]
 REQUIRED = Limits(machine=MachineLimits(require_security=True))

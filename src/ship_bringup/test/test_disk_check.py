@@ -18,7 +18,7 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_testing.bag_parts import write_beginning
 from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_black_box
-from ship_watch.limits import Limits, MachineLimits
+from ship_watch.safety.limits import Limits, MachineLimits
 
 ROOT = Path(__file__).parents[3]
 GB, HOUR_S = 1e9, 3600.0

@@ -8,7 +8,7 @@ import yaml
 
 from ship_bringup.commands.suite import main as suite
 from ship_simulation.simulate_command import main as simulate
-from ship_watch.limits import Limits, read_limits
+from ship_watch.safety.limits import Limits, read_limits
 
 ROOT = Path(__file__).parents[3]
 DEMO = ROOT / "bags" / "demo.mcap"

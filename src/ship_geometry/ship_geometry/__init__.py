@@ -218,7 +218,7 @@ Terms of estimation
         Module: ship_estimation.kalman.kalman_filter.
     Covariance inflation
         Addition of the covariance of a possible jump or fault to that of the estimate.
-        Unit: rad², n; module: ship_attitude_star.ship_attitude.ins_fault_handling.
+        Unit: rad², n; module: ship_attitude_star.ship_attitude.faults.ins_fault_handling.
     Prior
         Estimate before a measurement, with its covariance.
         Module: ship_estimation.kalman.kalman_filter.
@@ -244,7 +244,7 @@ Terms of integrity
         Module: ship_estimation.fault_detection.exclusions.
     Mounting shift
         Step of the installation of a device.
-        Unit: rad, d; module: ship_watch.mounting_shifts.
+        Unit: rad, d; module: ship_watch.sources.mounting_shifts.
     Drift
         Slow change of an attitude or of a mounting.
         Unit: rad, n or d; module: ship_estimation.fault_detection.rate_drift_detector.
@@ -257,7 +257,7 @@ Terms of integrity
         Module: ship_estimation.time_order.outcome.
     SAFE, CAUTION, UNSAFE
         An angle is within the limits of the ship; usable with care; not usable.
-        Module: ship_watch.safety.
+        Module: ship_watch.safety.safety.
 
 Terms of running
     Stamp, log time, timeout clock

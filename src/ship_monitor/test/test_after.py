@@ -13,8 +13,8 @@ from ship_monitor.after.bag_playback import BagPlayback
 from ship_monitor.after.recorded_suite import THINNING_PERIOD_NS, RecordedSuite
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
-from ship_watch.history import HISTORY_S
-from ship_watch.limits import Limits
+from ship_watch.history.history import HISTORY_S
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence
 

@@ -9,7 +9,7 @@ from ship_testing.browser import Browser
 from ship_testing.hand_made_bags import write_imu_bag
 from ship_testing.page_runs import run_page_server
 from ship_testing.recorded_suites import write_suite
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_monitor.page.budget_panel import (
+from ship_monitor.plots.budget_panel import (
     BudgetPanel,
     band_labels,
     largest_sources,
@@ -12,8 +12,8 @@ from ship_monitor.page.budget_panel import (
     top_of_axis,
     variances_arcsec2,
 )
-from ship_monitor.page.streamed_lines import TimeAxis
-from ship_monitor.page.themes import THEMES
+from ship_monitor.plots.streamed_lines import TimeAxis
+from ship_monitor.themes import THEMES
 from ship_testing.monitored_histories import ARCSEC, simulated_history
 
 

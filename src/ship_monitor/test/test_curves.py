@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 
-from ship_monitor.page.curves import gap_rows, label_positions, next_step, rows_to_draw, signed_text
-from ship_monitor.page.streamed_lines import StreamedLine, TimeAxis
-from ship_watch.history import points_after
+from ship_monitor.plots.curves import gap_rows, label_positions, next_step, rows_to_draw, signed_text
+from ship_monitor.plots.streamed_lines import StreamedLine, TimeAxis
+from ship_watch.history.history import points_after
 
 SECOND_NS = 1_000_000_000
 

@@ -10,7 +10,7 @@ import pytest
 from ship_geometry.rotations import ARCSEC
 from ship_monitor.page.first_screen import first_screen
 from ship_testing import suite_states
-from ship_watch.history import History, SafetyPoint
+from ship_watch.history.history import History, SafetyPoint
 from ship_watch.suite_state import ANGLES, Presence, Priority, Safety
 
 WELL = suite_states.suite_state()

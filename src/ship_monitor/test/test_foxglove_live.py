@@ -22,7 +22,7 @@ from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
 from ship_testing.foxglove_client import FoxgloveClient, client_that_never_reads
 from ship_testing.publishing_ship import SuitePublisher, attitude
 from ship_testing.trials.live_process import LiveProcess
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 pytestmark = pytest.mark.live
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from ship_monitor.page.alignment_panel import state_text
+from ship_monitor.plots.alignment_panel import state_text
 from ship_testing import browser as browser_module
 from ship_testing import suite_states
 from ship_testing.browser import Browser
 from ship_testing.monitored_histories import simulated_history, simulated_state
 from ship_testing.page_runs import StateSource, run_page_server
-from ship_watch.history import ParameterEstimate
+from ship_watch.history.history import ParameterEstimate
 from ship_watch.suite_state import Event, InputState, Presence
 
 NAMES = {

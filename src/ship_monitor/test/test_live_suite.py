@@ -15,7 +15,7 @@ from ship_monitor.live.live_suite import LiveSuite, queue_depth
 from ship_monitor.live.topic_reader import DISCOVERY_NS, MAX_QUEUE_DEPTH
 from ship_msgs.msg import Alert, AlertArray, SuiteSource, SuiteState
 from ship_testing.publishing_ship import SuitePublisher, attitude
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_state import Safety
 
 pytestmark = pytest.mark.live

@@ -16,7 +16,7 @@ from bokeh.application.handlers import FunctionHandler
 from bokeh.server.server import Server
 
 from ship_monitor.page.panels import build_panels
-from ship_monitor.page.themes import THEMES
+from ship_monitor.themes import THEMES
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
 from ship_testing.monitored_histories import NOW_NS, simulated_history, simulated_state

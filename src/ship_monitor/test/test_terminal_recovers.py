@@ -12,7 +12,7 @@ from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.terminal.app import TerminalApp, _Lines
 from ship_monitor.terminal.styled_text import plain_text
 from ship_testing.publishing_ship import SuitePublisher, attitude
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 pytestmark = pytest.mark.live
 

@@ -4,7 +4,7 @@ from dataclasses import fields
 
 import pytest
 
-from ship_monitor.page.themes import THEMES, Theme
+from ship_monitor.themes import THEMES, Theme
 
 
 def test_night_colours_are_red_light() -> None:

@@ -23,7 +23,7 @@ from ship_node.saved_files.saved_document import (
     texts,
 )
 from ship_node.saved_files.saved_start import SavedStart
-from ship_replay.offline.black_box_replay import RecordedFiles
+from ship_replay.verification.black_box_replay import RecordedFiles
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ship_attitude.ins_input import InsInput
+from ship_attitude_star.ship_attitude.ins.ins_input import InsInput
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory

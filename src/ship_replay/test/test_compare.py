@@ -15,16 +15,16 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.commands.compare import main
+from ship_replay.comparison.configurations import parameter_differences, text_differences
+from ship_replay.comparison.pair import input_sentences, read_pair
+from ship_replay.comparison.pair_page import PAIR_SECTIONS, pair_page
+from ship_replay.comparison.pair_summary import pair_summary
+from ship_replay.comparison.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
+from ship_replay.comparison.pair_warnings import pair_warnings
+from ship_replay.comparison.published import differences, read_published
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_replay.report.configurations import parameter_differences, text_differences
-from ship_replay.report.pair import input_sentences, read_pair
-from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
-from ship_replay.report.pair_summary import pair_summary
-from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
-from ship_replay.report.pair_warnings import pair_warnings
-from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import write_beginning, write_part
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude

@@ -12,7 +12,7 @@ from ship_node.pages.figure_files import MAX_ROWS, save_figure, settled_slice
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AcceptedInnovation, AttitudeErrors, SourceInnovations
 from ship_replay.report.drawings import budget_svg
-from ship_watch.history import BudgetPoint
+from ship_watch.history.history import BudgetPoint
 
 COUNT = 200
 CHANNELS = ("heading", "pitch", "roll")

@@ -16,18 +16,18 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.rejections import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_watch.angles import Angles
-from ship_watch.events import START_UP_NS, EventLog, alerts_from_message
-from ship_watch.history import History
-from ship_watch.history_recorder import HistoryRecorder
-from ship_watch.limits import Limits
-from ship_watch.mounting_shifts import MountingShifts
+from ship_watch.history.events import START_UP_NS, EventLog, alerts_from_message
+from ship_watch.history.history import History
+from ship_watch.history.history_recorder import HistoryRecorder
 from ship_watch.names import has_room
-from ship_watch.outputs import AttitudeRecord, OutputRecord, PointingRecord
-from ship_watch.overload import OverloadedNodes
 from ship_watch.published_state import PublishedState, published_state
-from ship_watch.safety import COUNTDOWN
-from ship_watch.sources import STAR_INNOVATION, SourceRecords, newest_age_s
+from ship_watch.safety.angles import Angles
+from ship_watch.safety.limits import Limits
+from ship_watch.safety.outputs import AttitudeRecord, OutputRecord, PointingRecord
+from ship_watch.safety.safety import COUNTDOWN
+from ship_watch.sources.mounting_shifts import MountingShifts
+from ship_watch.sources.overload import OverloadedNodes
+from ship_watch.sources.sources import STAR_INNOVATION, SourceRecords, newest_age_s
 from ship_watch.suite_state import (
     ANGLES,
     AlertEntry,

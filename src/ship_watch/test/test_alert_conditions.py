@@ -19,11 +19,11 @@ from ship_testing.suite_states import (
     unsafe_angle,
 )
 from ship_watch.alert_advice import ADVICE, kind_of
-from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
-from ship_watch.alert_states import Condition
-from ship_watch.alerts import AlertList
-from ship_watch.functions import diagnostic_entries, functions
-from ship_watch.limits import InputLimits, Limits
+from ship_watch.alerts.alert_conditions import ComputerState, NodeStatus, conditions
+from ship_watch.alerts.alert_states import Condition
+from ship_watch.alerts.alerts import AlertList
+from ship_watch.safety.functions import diagnostic_entries, functions
+from ship_watch.safety.limits import InputLimits, Limits
 from ship_watch.suite_state import Presence, Priority, Safety, SuiteState
 
 S = 1_000_000_000

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_watch.alert_states import AlertState, Condition
-from ship_watch.alerts import AlertChange, AlertList
-from ship_watch.limits import AlertTimes
+from ship_watch.alerts.alert_states import AlertState, Condition
+from ship_watch.alerts.alerts import AlertChange, AlertList
+from ship_watch.safety.limits import AlertTimes
 from ship_watch.suite_state import AlertEntry, Priority
 
 S = 1_000_000_000

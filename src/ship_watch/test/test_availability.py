@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ship_testing.monitored_voyages import records, replay_with_faults
-from ship_watch.availability import REQUIRED_SHARE, START_UP_S, AvailabilityRecord
-from ship_watch.limits import Limits
+from ship_watch.safety.availability import REQUIRED_SHARE, START_UP_S, AvailabilityRecord
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Safety
 

@@ -6,7 +6,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_estimation.parameters.schema import build
-from ship_watch.limits import INPUT_KINDS, InputLimits, Limits, read_limits
+from ship_watch.safety.limits import INPUT_KINDS, InputLimits, Limits, read_limits
 from ship_watch.suite_state import ANGLES
 
 ARCSEC = 4.84813681109536e-06

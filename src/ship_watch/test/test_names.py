@@ -9,10 +9,10 @@ import pytest
 from ship_bags.stamps import make_header
 from ship_testing.hand_made_bags import FACTORY, innovation
 from ship_watch import names
-from ship_watch.alert_states import Condition
-from ship_watch.alerts import MAX_ALERTS, AlertList
-from ship_watch.limits import AlertTimes, Limits
+from ship_watch.alerts.alert_states import Condition
+from ship_watch.alerts.alerts import MAX_ALERTS, AlertList
 from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES, has_room
+from ship_watch.safety.limits import AlertTimes, Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Priority
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from ship_watch.reports import TopicReports
+from ship_watch.sources.reports import TopicReports
 
 SECOND = 1_000_000_000
 UTC = 1_404_906_607 * SECOND

@@ -11,7 +11,7 @@ import pytest
 from ship_estimation.integrity.protection_levels import IntegrityState
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
-from ship_watch.safety import (
+from ship_watch.safety.safety import (
     AngleInputs,
     AngleProtection,
     AngleSafety,

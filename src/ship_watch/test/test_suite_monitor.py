@@ -10,10 +10,10 @@ import pytest
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
-from ship_watch.alert_conditions import conditions
-from ship_watch.alerts import AlertList
-from ship_watch.limits import Limits
+from ship_watch.alerts.alert_conditions import conditions
+from ship_watch.alerts.alerts import AlertList
 from ship_watch.published_state import STATE_TYPE, suite_state_fields
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import ANGLES, Presence, Safety
 from ship_watch.topics import TOPICS, monitored_topic, source_of_name, source_of_topic

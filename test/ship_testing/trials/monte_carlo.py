@@ -12,7 +12,7 @@ import numpy as np
 from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.ins_batch import InsBatch
+from ship_attitude_star.ship_attitude.ins.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.measurements.baseline import BaselineMeasurement
 from ship_estimation.innovations.gates import normalized_error_squared
 from ship_estimation.parameters.schema import build

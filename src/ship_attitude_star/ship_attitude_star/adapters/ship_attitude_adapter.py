@@ -39,7 +39,7 @@ from ship_attitude_star.ship_attitude.alignment import (
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.devices import InsConfig
-from ship_attitude_star.ship_attitude.integrity import QUANTITIES
+from ship_attitude_star.ship_attitude.faults.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn, recommended_manoeuvre
 from ship_attitude_star.ship_attitude.observability import observability_of
 from ship_attitude_star.ship_attitude.output import invalid_estimate

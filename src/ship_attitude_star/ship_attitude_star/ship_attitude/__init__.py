@@ -4,9 +4,7 @@
 - ``devices`` defines the parameters of the sensors, and the device and states that follow from them. ``model`` defines
   the state vector.
 - ``measurements`` linearises the measurements of all kinds of sensors, iteratively for an uncertain state.
-- ``fault_detection`` excludes faulty sources.
-- ``corrected_ins`` and ``output`` compute the published attitude. ``alignment`` defines the alignment that is saved for
-  the next voyage.
-
-The folder may import measurements, sky, stars, guards, ins_errors and vertical, but not the core of ``star_attitude``.
+- ``faults`` excludes faulty sources; ``ins`` checks the INS samples and corrects them by the filter.
+- ``attitude_output`` and ``output`` compute the published attitude. ``alignment`` defines the alignment that is saved
+  for the next voyage.
 """

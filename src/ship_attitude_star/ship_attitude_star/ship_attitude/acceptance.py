@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, diagnosis_hint
-from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
+from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.measurements.kind import Device
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate_from_star
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters.ins import InsChange

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence, Set
 import numpy as np
 
 from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator
-from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
-from ship_attitude_star.ship_attitude.ins_input import InsInput
+from ship_attitude_star.ship_attitude.ins.corrected_ins import newest_star_ns
+from ship_attitude_star.ship_attitude.ins.ins_input import InsInput
 from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS

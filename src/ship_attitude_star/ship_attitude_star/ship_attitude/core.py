@@ -1,7 +1,7 @@
 """Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
 The core uses no ROS, no files and no clock. The core combines the filter, the INS samples
-(:mod:`ship_attitude_star.ship_attitude.ins_input`), the sky model and the published attitudes
+(:mod:`ship_attitude_star.ship_attitude.ins.ins_input`), the sky model and the published attitudes
 (:mod:`ship_attitude_star.ship_attitude.attitude_output`) with the time-ordered estimator
 (:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies measurements in the order of their stamps.
 """
@@ -14,9 +14,9 @@ from ship_attitude_star.ship_attitude.alignment import AlignmentPrior, prior_fro
 from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.consistency import ShipConsistency
+from ship_attitude_star.ship_attitude.faults.integrity import integrity_of
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins_input import InsInput
-from ship_attitude_star.ship_attitude.integrity import integrity_of
+from ship_attitude_star.ship_attitude.ins.ins_input import InsInput
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, record_accepted
 from ship_attitude_star.ship_attitude.memory import start_from_memory
 from ship_attitude_star.ship_attitude.output import invalid_estimate

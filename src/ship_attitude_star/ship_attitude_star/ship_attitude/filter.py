@@ -9,7 +9,8 @@ import numpy as np
 from ship_attitude_star.ship_attitude.acceptance import Acceptance
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.devices import SOURCE_STAR_COMMON
-from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
+from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
+from ship_attitude_star.ship_attitude.faults.subfilter_set import INS
 from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
 from ship_attitude_star.ship_attitude.measurements.prediction import (
     Linearisation,
@@ -18,7 +19,6 @@ from ship_attitude_star.ship_attitude.measurements.prediction import (
 )
 from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
-from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.fault_detection.fault_state import with_changes, with_entry
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
@@ -346,7 +346,7 @@ class ShipFilter:
         """Return the innovations of all filters, where necessary after an inflation of the INS error covariance.
 
         A filter that does not use the INS must not reject measurements because of a change of the INS error
-        (:meth:`~ship_attitude_star.ship_attitude.ins_fault_handling.InsFaultHandling.inflate_against`).
+        (:meth:`~ship_attitude_star.ship_attitude.faults.ins_fault_handling.InsFaultHandling.inflate_against`).
 
         Args:
             predicted: state propagated to the time of the measurement.

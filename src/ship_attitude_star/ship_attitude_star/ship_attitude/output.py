@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY
-from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.rejections import Rejection
 from ship_estimation.time_order.outcome import Measurement, Status

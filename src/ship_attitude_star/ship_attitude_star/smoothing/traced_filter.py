@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ship_attitude.fault_detection import ShipFaultDetector
+from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
+from ship_attitude_star.ship_attitude.faults.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.vertical.vertical_track import LocalVertical

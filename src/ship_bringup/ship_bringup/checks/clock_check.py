@@ -11,7 +11,7 @@ import subprocess
 from dataclasses import dataclass
 
 from ship_bringup.checks.check_line import CheckLine, Result, format_number
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 TURN_DEG_PER_S = 5.0
 """Rate of turn used to express an offset as an angle: a hard turn of a ship."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_state import ObservedTopic
 from ship_node.adapters.adapter import Adapter
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 ENTRY_BYTES = 31
 """Overhead of a message in MCAP: opcode, length, channel, sequence, two times."""

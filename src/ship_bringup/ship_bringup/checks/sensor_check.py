@@ -9,7 +9,7 @@ from ship_bags.topic_names import resolve_topic
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_state import STRONGER_QOS, NetworkState, ObservedTopic
 from ship_node.health.input_record import MAX_AGE_S
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 from ship_watch.topics import source_of_topic
 
 _CHECK = "sensors"

@@ -33,7 +33,7 @@ from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 from ship_replay.preflight.load import load_text, load_warnings, measured_slowness, node_loads
-from ship_watch.limits import Limits, read_limits
+from ship_watch.safety.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Checks before the voyage that a suite can run here: its file, DDS security with the ship's keystore and policies, the

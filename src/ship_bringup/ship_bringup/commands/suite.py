@@ -18,7 +18,7 @@ from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
 from ship_bringup.suite.plan import SuiteOptions, make_plan, read_attached_suite
 from ship_bringup.suite.suite_log import SuiteLog, log_path
 from ship_bringup.suite.supervisor import Supervisor
-from ship_watch.limits import Limits, read_limits
+from ship_watch.safety.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import ENABLE, STRATEGY, is_security_requested
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"

@@ -12,7 +12,7 @@ from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
 from ship_bringup.security.keystore import KeystoreUse, require_keystore
 from ship_bringup.security.rights import Rights
 from ship_bringup.suite.program import Program
-from ship_watch.limits import Limits
+from ship_watch.safety.limits import Limits
 
 
 def add_enclaves(

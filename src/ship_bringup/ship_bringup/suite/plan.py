@@ -22,7 +22,7 @@ from ship_replay.offline.adapter_chain import AdapterChain, suite_text
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
-from ship_watch.limits import Limits, read_limits
+from ship_watch.safety.limits import Limits, read_limits
 
 SAVED_FILES = "alignment_file", "calibration_file"
 """Parameters with a file that a node reads at its start and writes periodically."""

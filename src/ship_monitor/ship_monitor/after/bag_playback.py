@@ -17,8 +17,8 @@ from bokeh.models.ui import UIElement
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.after.recorded_suite import RecordedMessage, RecordedSuite
 from ship_monitor.after.time_controls import TimeControls
-from ship_watch.history import HISTORY_S, History
-from ship_watch.limits import Limits
+from ship_watch.history.history import HISTORY_S, History
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import SuiteState
 

@@ -13,11 +13,11 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_node.saved_files.saved_document import DISK, Files
-from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
-from ship_watch.alerts import AlertChange, AlertList
-from ship_watch.functions import DiagnosticEntry, diagnostic_entries
-from ship_watch.limits import Limits
+from ship_watch.alerts.alert_conditions import ComputerState, NodeStatus, conditions
+from ship_watch.alerts.alerts import AlertChange, AlertList
 from ship_watch.names import has_room
+from ship_watch.safety.functions import DiagnosticEntry, diagnostic_entries
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import AlertEntry, SuiteState
 

@@ -31,10 +31,10 @@ from ship_node.messages.common_messages import (
     Level,
     diagnostic_array,
 )
-from ship_watch.alert_conditions import NodeStatus
-from ship_watch.alerts import AlertChange
-from ship_watch.limits import Limits, read_limits
+from ship_watch.alerts.alert_conditions import NodeStatus
+from ship_watch.alerts.alerts import AlertChange
 from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_key, suite_state_fields
+from ship_watch.safety.limits import Limits, read_limits
 from ship_watch.suite_state import AlertEntry, Priority
 from ship_watch.topics import monitored_topic
 

@@ -19,8 +19,8 @@ from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.page.app import page_maker
 from ship_monitor.page.page_source import PageSource
 from ship_monitor.page.server import PageServer
-from ship_monitor.page.themes import THEMES
-from ship_watch.limits import Limits, read_limits
+from ship_monitor.themes import THEMES
+from ship_watch.safety.limits import Limits, read_limits
 
 FOXGLOVE_PORT = 8765
 """Default port of Foxglove."""

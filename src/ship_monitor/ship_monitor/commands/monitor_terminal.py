@@ -12,9 +12,9 @@ from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.live.live_suite import LiveSuite
-from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp
-from ship_watch.limits import Limits, read_limits
+from ship_monitor.themes import THEMES
+from ship_watch.safety.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Shows a suite in a terminal of 80 by 24 or more, also over ssh: heading, pitch, roll, azimuth and elevation with their

@@ -14,9 +14,9 @@ from typing import Any
 from ship_monitor.live.acknowledge import acknowledge
 from ship_monitor.live.topic_reader import MAX_QUEUE_DEPTH, ReceivedBatch, TopicReader, steady_ns
 from ship_monitor.live.topic_relay import TopicReceiver, TopicRelay
-from ship_watch.history import History
-from ship_watch.limits import Limits
+from ship_watch.history.history import History
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import SuiteState
 from ship_watch.topics import monitored_topic

@@ -16,7 +16,7 @@ from jinja2 import Template
 from ship_monitor.page.first_screen import first_screen
 from ship_monitor.page.page_source import PageSource
 from ship_monitor.page.panels import Panels, build_panels
-from ship_monitor.page.themes import THEMES, Theme
+from ship_monitor.themes import THEMES, Theme
 from ship_watch.suite_state import ANGLES
 from ship_watch.value_texts import local_clock
 

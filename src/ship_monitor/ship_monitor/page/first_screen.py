@@ -8,8 +8,8 @@ from typing import Any
 
 from ship_geometry.rotations import ARCSEC
 from ship_watch import value_texts
-from ship_watch.history import History, SafetyPoint
-from ship_watch.safety import OVER_THE_LIMIT
+from ship_watch.history.history import History, SafetyPoint
+from ship_watch.safety.safety import OVER_THE_LIMIT
 from ship_watch.suite_state import (
     ANGLES,
     CAUSE_NODE,

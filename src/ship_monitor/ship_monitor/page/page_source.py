@@ -9,7 +9,7 @@ from typing import Protocol
 
 from bokeh.models.ui import UIElement
 
-from ship_watch.history import History
+from ship_watch.history.history import History
 from ship_watch.suite_state import SuiteStateSource
 
 

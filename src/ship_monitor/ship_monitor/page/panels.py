@@ -9,17 +9,17 @@ from typing import Any
 
 from bokeh.models import Column, InlineStyleSheet
 
-from ship_monitor.page.alignment_panel import AlignmentPanel
-from ship_monitor.page.budget_panel import BudgetPanel
-from ship_monitor.page.error_panel import ErrorPanel, has_truth
-from ship_monitor.page.figures import NARROW, GrowingRows, PanelBox, batched_model_changes, tooltip_style
-from ship_monitor.page.innovation_panel import InnovationPanel
-from ship_monitor.page.lights_panel import LightsPanel
-from ship_monitor.page.sky_panel import SkyPanel
-from ship_monitor.page.streamed_lines import TimeAxis
 from ship_monitor.page.tables import EventsPanel, InputsPanel
-from ship_monitor.page.themes import Theme
-from ship_watch.history import HISTORY_S, History
+from ship_monitor.plots.alignment_panel import AlignmentPanel
+from ship_monitor.plots.budget_panel import BudgetPanel
+from ship_monitor.plots.error_panel import ErrorPanel, has_truth
+from ship_monitor.plots.figures import NARROW, GrowingRows, PanelBox, batched_model_changes, tooltip_style
+from ship_monitor.plots.innovation_panel import InnovationPanel
+from ship_monitor.plots.lights_panel import LightsPanel
+from ship_monitor.plots.sky_panel import SkyPanel
+from ship_monitor.plots.streamed_lines import TimeAxis
+from ship_monitor.themes import Theme
+from ship_watch.history.history import HISTORY_S, History
 from ship_watch.suite_state import SuiteState
 
 

@@ -17,7 +17,7 @@ from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.web import RequestHandler, StaticFileHandler
 
-from ship_monitor.page.themes import THEMES
+from ship_monitor.themes import THEMES
 from ship_monitor.web.bounded_server import (
     MAX_MESSAGE_BYTES,
     BoundedServer,

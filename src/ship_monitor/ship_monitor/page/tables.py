@@ -7,9 +7,9 @@ from html import escape
 from bokeh.models import Div, InlineStyleSheet
 
 from ship_geometry.earth.time_scales import utc_text
-from ship_monitor.page.figures import NARROW, PanelBox
-from ship_monitor.page.marking import is_event_of_source, with_mark
-from ship_monitor.page.themes import FONT, Theme
+from ship_monitor.plots.figures import NARROW, PanelBox
+from ship_monitor.plots.marking import is_event_of_source, with_mark
+from ship_monitor.themes import FONT, Theme
 from ship_watch.suite_state import Event, InputState, Presence, SourceDetails, SuiteState
 
 MAX_EVENTS = 16

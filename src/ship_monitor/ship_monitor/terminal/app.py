@@ -16,10 +16,10 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from ship_bags.command_line import EXIT_INTERRUPTED
-from ship_monitor.page.themes import THEMES, Theme
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.screen import View, alert_to_show, screen, selectable_names
 from ship_monitor.terminal.styled_text import Line, TextStyle
+from ship_monitor.themes import THEMES, Theme
 from ship_watch.suite_state import SuiteState, SuiteStateSource
 
 READ_PERIOD_S = 0.25

@@ -35,8 +35,8 @@ def _run(options: argparse.Namespace) -> int:
     check_file(path, options.force)
     limits = limits_of(options)
     # The import of the figure libraries is slow, so the arguments are checked first.
-    from ship_replay.report.pair import read_pair
-    from ship_replay.report.pair_page import pair_page
+    from ship_replay.comparison.pair import read_pair
+    from ship_replay.comparison.pair_page import pair_page
 
     pair = read_pair(options.a, options.b, options.truth, limits, options.namespace)
     write_atomically(path, pair_page(pair))

@@ -10,12 +10,12 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.offline.black_box_identity import is_black_box
-from ship_replay.offline.black_box_replay import replay_black_box
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.verification import Verification, verify_bag
+from ship_replay.verification.black_box_identity import is_black_box
+from ship_replay.verification.black_box_replay import replay_black_box
+from ship_replay.verification.verification import Verification, verify_bag
 
 _with_progress = partial(with_bag_progress, doing="replaying")
 

@@ -8,7 +8,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_watch.limits import Limits, read_limits
+from ship_watch.safety.limits import Limits, read_limits
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

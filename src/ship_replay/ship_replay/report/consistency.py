@@ -14,7 +14,14 @@ from scipy.stats import binom, chi2, norm
 
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
-from ship_watch.nis_consistency import BAND_SIGMAS, MAX_BAND, WINDOW_NS, NisWindow, consistent_text, inconsistent_text
+from ship_watch.sources.nis_consistency import (
+    BAND_SIGMAS,
+    MAX_BAND,
+    WINDOW_NS,
+    NisWindow,
+    consistent_text,
+    inconsistent_text,
+)
 from ship_watch.suite_state import NisConsistency
 
 TOO_FEW_TEXT = "too few"

@@ -25,7 +25,7 @@ from ship_replay.evaluation.figures import attitude_error_figure, innovation_fig
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.time_axis import gap_times, utc_axis, with_gaps
-from ship_watch.history import BudgetPoint, extreme_rows
+from ship_watch.history.history import BudgetPoint, extreme_rows
 from ship_watch.suite_state import ANGLES, Safety
 from ship_watch.topics import source_of_name, source_of_topic
 

@@ -19,12 +19,12 @@ from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.digests import content_sha256
 from ship_replay.offline.status_history import STATUS_NAMES
-from ship_watch.alert_conditions import conditions
-from ship_watch.alert_states import AlertState
-from ship_watch.alerts import AlertChange, AlertList
-from ship_watch.history import BudgetPoint, ParameterEstimate, points_after
-from ship_watch.history_recorder import HistoryRecorder
-from ship_watch.limits import Limits
+from ship_watch.alerts.alert_conditions import conditions
+from ship_watch.alerts.alert_states import AlertState
+from ship_watch.alerts.alerts import AlertChange, AlertList
+from ship_watch.history.history import BudgetPoint, ParameterEstimate, points_after
+from ship_watch.history.history_recorder import HistoryRecorder
+from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import ANGLES, AlertEntry, Event, Safety, SuiteState
 from ship_watch.topics import monitored_topic

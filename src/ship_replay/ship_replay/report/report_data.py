@@ -15,8 +15,8 @@ from ship_bags.renamed_topics import current_names
 from ship_bags.topic_names import relative_topics
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.report.recording import RecordedHistory, read_recording
-from ship_watch.limits import Limits
 from ship_watch.orientations import ORIENTATIONS
+from ship_watch.safety.limits import Limits
 
 SHORT_BYTES = 8_000_000
 """Size up to which a bag is read in less time than another process needs to start, bytes."""

@@ -9,7 +9,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.wording import duration, number, rounded_to_sigma, utc
-from ship_watch.history import ParameterEstimate
+from ship_watch.history.history import ParameterEstimate
 from ship_watch.suite_state import ANGLES, Safety
 
 _NEEDS = "needs "

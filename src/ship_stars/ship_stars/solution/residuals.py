@@ -13,6 +13,7 @@ direction.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,21 @@ from ship_stars.solution.solution import SolutionStatus, solve_stars
 
 SOURCE_STAR_NOISE = "star_noise"
 """Error source of the stars' noise; this noise includes the errors of the catalogue."""
+
+
+class PredictedSensor(NamedTuple):
+    """Attitude of a sensor predicted from a state.
+
+    Attributes:
+        rotation_ns: predicted attitude (horizon from sensor), shape (3, 3).
+        to_sensor: derivative of this attitude, as rotation vector in the sensor frame, with respect to the n states,
+            shape (3, n).
+        mean: mean of the state, shape (n,).
+    """
+
+    rotation_ns: FloatArray
+    to_sensor: FloatArray
+    mean: FloatArray
 
 
 @dataclass(frozen=True)
@@ -60,12 +76,10 @@ class StarResiduals:
 
 def star_residuals(
     exposure: StarExposure,
-    rotation_ns: FloatArray,
-    to_sensor: FloatArray,
+    predicted: PredictedSensor,
     prior: StarPrior,
     sky_model: SkyModel,
     sky_slice: slice,
-    mean: FloatArray,
     initial_ns: FloatArray | None = None,
     camera_indices: NDArray[np.intp] | None = None,
 ) -> StarResiduals | Rejection:
@@ -73,13 +87,10 @@ def star_residuals(
 
     Args:
         exposure: the stars at mid-exposure.
-        rotation_ns: predicted attitude of the sensor (horizon from sensor) at ``mean``, shape (3, 3).
-        to_sensor: derivative of this attitude, as rotation vector in the sensor frame, with respect to the states,
-            shape (3, n).
+        predicted: predicted attitude of the sensor.
         prior: attitude of the sensor with its error covariance, used to select the stars.
         sky_model: the sky model.
         sky_slice: slice of the states of the shared errors.
-        mean: mean of the state, shape (n,).
         initial_ns: attitude within a degree of the truth, shape (3, 3); None if the prior is that near.
         camera_indices: state indices of the correlated errors of the sensor's camera; None without such states.
 
@@ -87,23 +98,22 @@ def star_residuals(
         The residuals, or the rejection of the whole exposure: the sky model gives no directions at the exposure's time,
         no star can be used, or the stars contradict the focal length of the camera.
     """
-    found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, initial_ns, camera_indices)
+    found = _compare(exposure, predicted, prior, sky_model, sky_slice, initial_ns, camera_indices)
     used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2
     return check_focal_length(exposure, sky_model, prior, used_count) or found
 
 
 def _compare(
     exposure: StarExposure,
-    rotation_ns: FloatArray,
-    to_sensor: FloatArray,
+    predicted: PredictedSensor,
     prior: StarPrior,
     sky_model: SkyModel,
     sky_slice: slice,
-    mean: FloatArray,
     initial_ns: FloatArray | None,
     camera_indices: NDArray[np.intp] | None,
 ) -> StarResiduals | Rejection:
     """Compare the correctly identified stars with the prediction; see :func:`star_residuals`."""
+    rotation_ns, to_sensor, mean = predicted
     visible = visible_stars(exposure, sky_model, prior)
     if isinstance(visible, Rejection):
         return visible

@@ -24,7 +24,7 @@ from ship_geometry.rotations import FloatArray
 from ship_stars.camera.camera_states import camera_state_indices
 from ship_stars.sky.shared_states import sky_slice
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.residuals import StarResiduals, star_residuals
+from ship_stars.solution.residuals import PredictedSensor, StarResiduals, star_residuals
 from ship_stars.solution.scale_check import check_estimated_focal_length
 from ship_stars.solution.selection import StarPrior
 from theodolite_calib.config import OpticalAxisConfig
@@ -126,12 +126,10 @@ class StarModel:
         to_camera = camera.rotation_ns.T @ camera.by_state_n
         stars = star_residuals(
             sighting.exposure,
-            camera.rotation_ns,
-            to_camera,
+            PredictedSensor(camera.rotation_ns, to_camera, mean * self._in_sigmas),
             prior,
             sky,
             self._sky_indices,
-            mean * self._in_sigmas,
             nearby_rotation_ns,
             self._lens_indices[sighting.camera_id],
         )

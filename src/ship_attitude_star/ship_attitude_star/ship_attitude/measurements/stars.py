@@ -19,7 +19,7 @@ from ship_geometry.tracks.exposure_mean import exposure_motion
 from ship_stars.camera.camera_states import camera_state_indices
 from ship_stars.sky.shared_states import sky_slice
 from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
-from ship_stars.solution.residuals import star_residuals
+from ship_stars.solution.residuals import PredictedSensor, star_residuals
 from ship_stars.solution.solution import initial_attitude
 
 
@@ -61,12 +61,10 @@ class StarCameraDevice(Device):
         rotation_nv, model = at.predicted.rotation_nv, at.model
         stars = star_residuals(
             measurement,
-            rotation_nv,
-            at.predicted.jacobian_v,
+            PredictedSensor(rotation_nv, at.predicted.jacobian_v, at.mean),
             (at.expected or at.predicted).prior(at.covariance),
             at.sky_model,
             sky_slice(model.slices),
-            at.mean,
             None if at.expected is None else rotation_nv,
             camera_state_indices(model.slices, self.name),
         )

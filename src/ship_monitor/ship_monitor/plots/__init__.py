@@ -1,0 +1,1 @@
+"""Plots of the live page: panels, lines, figures and the map of the sky."""

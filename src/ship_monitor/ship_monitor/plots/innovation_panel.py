@@ -1,0 +1,213 @@
+"""Innovation panel: measured minus predicted values by source, with the band of ±3 sigma.
+
+A dot or square is the mean innovation of a measurement along one axis; a cross is that of a rejected measurement. The
+times during which a source was OUT are shaded.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from bokeh.models import ColumnDataSource, Range1d
+
+from ship_geometry.rotations import FloatArray
+from ship_monitor.plots.curves import STEPS_ARCSEC, label_positions, next_step, signed_text
+from ship_monitor.plots.figures import (
+    ARCSEC_PER_RAD,
+    GrowingRows,
+    PanelBox,
+    SideLabels,
+    add_hover,
+    draw_frame,
+    empty_time_plot,
+    without_formulas,
+)
+from ship_monitor.plots.marking import with_mark
+from ship_monitor.plots.streamed_lines import BAND, MS, StreamedLine, TimeAxis, three_sigma_band
+from ship_monitor.themes import Theme
+from ship_watch.history.history import History, InnovationPoint, points_after
+from ship_watch.suite_state import Presence, SourceDetails, SuiteState
+
+MEAN_WINDOW_NS = 10_000_000_000
+"""Window of the means at a plot, ns; the height of the plot is determined by the last six windows."""
+
+AXES_DRAWN = (("up", "z"), ("right", "x"))
+"""Drawn axes of star sensors and lights, one marker each; rotations about the boresight are far less accurate."""
+
+_MARKERS = (("circle", "●"), ("square", "■"))
+
+
+class InnovationPanel:
+    """Panel with a plot for each source with innovations.
+
+    Attributes:
+        box: the panel.
+        plots: plots, one for each source.
+    """
+
+    def __init__(self, theme: Theme, times: TimeAxis) -> None:
+        self.box = PanelBox(theme, "Innovations by source", [])
+        self.plots: GrowingRows[str, _SourceRow] = GrowingRows(
+            self.box, lambda name, is_last: _SourceRow(theme, times, name, has_axis=is_last)
+        )
+
+    def update(self, history: History, suite_state: SuiteState, marked: str, *, has_truth: bool) -> None:
+        """Draw the new points; the subtitle states if there is no truth.
+
+        Args:
+            history: history with the innovations.
+            suite_state: state with the sources.
+            marked: marked source; empty if no source is marked.
+            has_truth: True if the errors against truth are known.
+        """
+        sources = {source.name: source for source in suite_state.sources}
+        names = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
+        names.sort(key=lambda name: (not name.startswith("star"), name))
+        rows = self.plots.grow(names)
+        for name, row in rows.items():
+            row.update(history.innovations[name], sources.get(name), suite_state.utc_ns, is_marked=name == marked)
+        self.plots.show()
+        nothing = "" if rows else "no innovations yet. "
+        markers = "means, ″ · ● up, z · ■ right, x · ✕ rejected"
+        self.box.set_subtitle(nothing + (markers if has_truth else f"no truth data, errors unknown · {markers}"))
+
+
+class _SourceRow:
+    """Plot of one source."""
+
+    def __init__(self, theme: Theme, times: TimeAxis, name: str, *, has_axis: bool) -> None:
+        self._theme, self._name = theme, name
+        self._height = Range1d(-15.0, 15.0)
+        self.figure = empty_time_plot(theme, times, 150 if has_axis else 128, self._height, has_axis=has_axis)
+        self._labels = SideLabels(theme, self.figure)
+        self._out = ColumnDataSource({"start": [], "end": []})
+        shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
+        hatch = {"hatch_pattern": "right_diagonal_line", "hatch_color": theme.caution_border, "hatch_alpha": 0.25}
+        self.figure.vstrip(x0="start", x1="end", source=self._out, **shade, **hatch, hatch_scale=14)
+        self._trails = [
+            StreamedLine(("value", "used", "refused", *BAND), by="value", filled=BAND[:2]) for _ in AXES_DRAWN
+        ]
+        for trail, (marker, _), colour in zip(self._trails, _MARKERS, theme.series, strict=False):
+            self._draw(trail, marker, colour)
+
+    def _draw(self, trail: StreamedLine, marker: str, colour: str) -> None:
+        source, theme = trail.source, self._theme
+        self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.13)
+        for edge in BAND[2:]:
+            self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed", line_alpha=0.5)
+        dots = self.figure.scatter(
+            "t",
+            "used",
+            source=source,
+            marker=marker,
+            size=2.8 if marker == "circle" else 3.6,
+            line_color=None if marker == "circle" else colour,
+            line_width=0.8,
+            fill_color=colour if marker == "circle" else None,
+        )
+        crosses = self.figure.scatter(
+            "t", "refused", source=source, marker="x", size=6, line_color=theme.caution_border, line_width=1.5
+        )
+        add_hover(theme, self.figure, "@value{+0.0}″, ±3σ to @edge_high{0.0}″", [dots, crosses])
+
+    def update(
+        self, points: Sequence[InnovationPoint], source: SourceDetails | None, utc_ns: int, *, is_marked: bool
+    ) -> None:
+        """Draw the new points of the source."""
+        for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
+            trail.stream_new(points, partial(_columns, axes=axes))
+        recent = points_after(points, utc_ns - 6 * MEAN_WINDOW_NS)
+        step = next_step(_axis_limit(recent))
+        self._height.update(start=-step, end=step)
+        self._labels.write(_side_texts(points_after(points, utc_ns - MEAN_WINDOW_NS), step))
+        text, is_out = source_line(self._name, source, step)
+        colour = self._theme.caution_border if is_out else self._theme.text
+        self.figure.title.update(text=without_formulas(with_mark(text, is_marked)), text_color=colour)
+        draw_frame(self._theme, self.figure, is_marked)
+        self.figure.title.text_font_style = "bold" if is_out else "normal"
+        self._shade_outages(source, utc_ns)
+
+    def _shade_outages(self, source: SourceDetails | None, utc_ns: int) -> None:
+        """Shade the times for which the source was OUT; shades after now are removed."""
+        now = MS * utc_ns
+        spans = [
+            (start, min(end, now))
+            for start, end in zip(self._out.data["start"], self._out.data["end"], strict=True)
+            if start < now
+        ]
+        if source is not None and source.presence is Presence.OUT and source.out_since_ns:
+            since = MS * source.out_since_ns
+            spans = [*(span for span in spans if span[0] < since), (since, now)]
+        shade = {"start": [start for start, _ in spans], "end": [end for _, end in spans]}
+        if shade != self._out.data:  # unchanged data would be sent again
+            self._out.data = shade
+
+
+def source_line(name: str, source: SourceDetails | None, step: float) -> tuple[str, bool]:
+    """Return the title of a source's plot, with presence and reason or NIS consistency, and True if the source is OUT.
+
+    Args:
+        name: name of the source.
+        source: state of the source; None if unknown.
+        step: half the height of the axis, arcsec; stated in the title if it is not the smallest step.
+    """
+    axis = f" · axis ±{step:g}″" if step > STEPS_ARCSEC[0] else ""
+    if source is None:
+        return name + axis, False
+    if source.presence is Presence.OUT:
+        disagreement = f" · {source.disagreement}" if source.disagreement else ""
+        sigmas = f" · residual {abs(source.residual):.1f} σ" if np.isfinite(source.residual) else ""
+        return f"✕ {name}  OUT{axis} · {source.reason}{disagreement}{sigmas}", True
+    consistency = f" · {source.nis_consistency.text}" if source.nis_consistency and source.nis_consistency.text else ""
+    return f"✓ {name}  {source.presence.value}{axis}{consistency}", False
+
+
+def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
+    """Return the columns of one axis, arcsec; NaN for measurements without this axis."""
+    # Nearly all points have the same axes. One look-up for each set of axes is faster than one for each point.
+    places = {
+        point_axes: next((place for place, axis in enumerate(point_axes) if axis in axes), None)
+        for point_axes in {p.axes for p in points}
+    }
+    rows = [
+        (math.nan, math.nan) if (place := places[point.axes]) is None else (point.mean[place], point.sigma[place])
+        for point in points
+    ]
+    value, sigma = ARCSEC_PER_RAD * np.array(rows, float).reshape(-1, 2).T
+    used = np.array([point.is_accepted for point in points], bool)
+    return {
+        "value": value,
+        "used": np.where(used, value, np.nan),
+        "refused": np.where(used, np.nan, value),
+        **three_sigma_band(sigma),
+    }
+
+
+def _axis_limit(points: Sequence[InnovationPoint]) -> float:
+    """Return the size that the height of a plot must contain, arcsec.
+
+    The size contains 98 % of the values and the narrowest 10 % of the bands. While another source is OUT, the band of a
+    prediction may be so wide that nothing else would be visible.
+    """
+    largest = 0.0
+    for axes in AXES_DRAWN:
+        columns = _columns(points, axes)
+        for column, share in (("value", 0.98), ("edge_high", 0.1)):
+            known = np.abs(columns[column][np.isfinite(columns[column])])
+            largest = max(largest, float(np.quantile(known, share)) if len(known) else 0.0)
+    return largest
+
+
+def _side_texts(points: Sequence[InnovationPoint], step: float) -> dict[float, str]:
+    """Return height → text of the recent mean of each axis."""
+    means: list[tuple[float, str]] = []
+    for axes, (_, glyph) in zip(AXES_DRAWN, _MARKERS, strict=True):
+        known = (values := _columns(points, axes)["value"])[np.isfinite(values)]
+        if len(known):
+            name = next(axis for point in points for axis in point.axes if axis in axes)
+            means.append((float(np.mean(known)), f"{glyph} {name} {signed_text(float(np.mean(known)))}″"))
+    # Labels are at one of forty heights: otherwise labels that move by a pixel would be sent at each update.
+    wanted = [round(20.0 * mean / step) * step / 20.0 for mean, _ in means]
+    heights = label_positions(wanted, 0.32 * step, -0.9 * step, 0.9 * step)
+    return {height: text for height, (_, text) in zip(heights, means, strict=True)}

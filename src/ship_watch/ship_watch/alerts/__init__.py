@@ -1,0 +1,1 @@
+"""Alerts of a suite: their situations, states and priorities."""
