@@ -102,7 +102,12 @@ def evaluate_reinstatement(
 def with_consistency(
     excluded: AnyExclusion, is_consistent: bool, time_ns: int, return_after_s: float
 ) -> tuple[AnyExclusion, bool]:
-    """Return the excluded source after a test of its consistency, and True if it is reinstated."""
+    """Return the excluded source after a test of its consistency, and True if it is reinstated.
+
+    Example:
+        >>> with_consistency(ExcludedSource(since_ns=0, consistent_since_ns=0), True, 30 * SECOND_NS, 30.0)[1]
+        True
+    """
     if not is_consistent:
         return replace(excluded, consistent_since_ns=None), False
     since_ns = time_ns if excluded.consistent_since_ns is None else excluded.consistent_since_ns

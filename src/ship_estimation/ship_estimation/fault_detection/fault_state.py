@@ -26,6 +26,10 @@ else:
 
         The function takes a fifth of the time of ``dataclasses.replace``, because ``__init__`` and ``__post_init__``
         are not called. A filter step replaces fields several times.
+
+        Example:
+            >>> with_changes(UnresolvedFault("a contradiction", None), consistent_since_ns=5).consistent_since_ns
+            5
         """
         after = object.__new__(type(of))
         after.__dict__.update(of.__dict__, **fields)
@@ -73,10 +77,20 @@ class FaultState:
 
 
 def with_entry(mapping: Mapping[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:
-    """Return a copy of a mapping with one entry set."""
+    """Return a copy of a mapping with one entry set.
+
+    Example:
+        >>> dict(with_entry({"ins": 1}, "star.fore", 2))
+        {'ins': 1, 'star.fore': 2}
+    """
     return MappingProxyType({**mapping, key: value})
 
 
 def without_entry(mapping: Mapping[str, Value], key: str) -> MappingProxyType[str, Value]:
-    """Return a copy of a mapping without one key."""
+    """Return a copy of a mapping without one key.
+
+    Example:
+        >>> dict(without_entry({"ins": 1, "star.fore": 2}, "ins"))
+        {'star.fore': 2}
+    """
     return MappingProxyType({name: value for name, value in mapping.items() if name != key})

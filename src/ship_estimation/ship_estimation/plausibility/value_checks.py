@@ -51,7 +51,12 @@ StuckValue = tuple[FloatArray, float, str]
 
 
 def largest_sigma(covariance: FloatArray) -> float:
-    """Return the largest standard deviation of a covariance's axes."""
+    """Return the largest standard deviation of a covariance's axes.
+
+    Example:
+        >>> largest_sigma(np.diag([1.0, 4.0, 9.0]))
+        3.0
+    """
     return math.sqrt(max(covariance.diagonal().tolist()))
 
 

@@ -61,6 +61,13 @@ def propagate_by_differences(
     Returns:
         Attitude, rate (rad/s), noise gain and error covariance (rad²) as in
         :class:`ship_geometry.tracks.attitude_track.InterpolatedAttitude`.
+
+    Example:
+        The rate after two samples that are 1 s and 0.1 rad apart:
+
+        >>> turns, nodes_s = np.array([[0.0, 0.0, 0.0], [-0.1, 0.0, 0.0]]), np.array([0.0, -1.0])
+        >>> print(np.abs(propagate_by_differences(np.eye(3), turns, nodes_s, 0.5)[1]))
+        [0.1 0.  0. ]
     """
     if len(nodes_s) == 2:
         rate = turns[1] / nodes_s[1]
