@@ -28,6 +28,9 @@ SUITE_ATTACHMENT = "suite.yaml"
 SCENARIO_ATTACHMENT = "scenario.yaml"
 """Name of the attachment with the scenario of a simulated bag."""
 
+_FEW_MESSAGES = 16
+"""Number of messages below which it is faster to write them one by one than together."""
+
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 _EXCLUSIVE, _REPLACING = _NEW | os.O_EXCL, _NEW | os.O_TRUNC
 
@@ -197,6 +200,10 @@ class BagWriter:
             BadInput: a topic already has another type, or the type is unknown.
             OSError: the file cannot be written.
         """
+        if len(data) < _FEW_MESSAGES:
+            for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
+                self.write_raw(*topics[number], content, time_ns)
+            return
         sequences = np.empty(len(data), dtype=np.int64)
         channel_ids = np.empty(len(data), dtype=np.int64)
         # Channels are made in the order of their first messages.

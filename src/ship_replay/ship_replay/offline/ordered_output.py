@@ -52,6 +52,9 @@ class OrderedOutput:
         data = self._data + self._row_data
         if not data:
             return
+        if not self._rows:
+            self._flush_single()
+            return
         single = np.array(self._single, dtype=np.int64).reshape(-1, 4).T
         places, orders, topics, log_times_ns = (
             np.concatenate(columns) for columns in zip(single, *self._rows, strict=True)
@@ -61,6 +64,14 @@ class OrderedOutput:
         order = np.lexsort((orders, places))
         ordered = [data[number] for number in order.tolist()]
         self._sink.write_many(list(self._topics), topics[order], ordered, log_times_ns[order])
+
+    def _flush_single(self) -> None:
+        """Write the buffered messages, of which none is in a block."""
+        order = sorted(range(len(self._data)), key=lambda number: self._single[number][:2])
+        single, data = self._single, self._data
+        self._single, self._data = [], []
+        _, _, topics, log_times_ns = np.array([single[number] for number in order], dtype=np.int64).T
+        self._sink.write_many(list(self._topics), topics, [data[number] for number in order], log_times_ns)
 
     def _topic(self, topic: str, type_name: str) -> int:
         return self._topics.setdefault((topic, type_name), len(self._topics))
