@@ -7,6 +7,7 @@ The core uses no ROS, no files and no clock. The core combines the filter, the I
 """
 
 from collections.abc import Callable, Sequence, Set
+from functools import partial
 from typing import ClassVar
 
 from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
@@ -79,11 +80,11 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: EstimatorModel[FilterState, Measurement, AttitudeDecision, InsChange] = EstimatorModel(
             step=self._step,
-            inflate=lambda state, change: self.filter.apply_ins_change(state, change),  # noqa: PLW0108 - filter changes
+            inflate=partial(_apply_ins_change, self),
             failure_decision=_failure_decision,
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             drop_before=self._drop_before,
-            on_decision=lambda decision: record_accepted(self.recent_sources, decision),
+            on_decision=partial(_record_decision, self),
             on_commit=on_commit,
         )
         reach_ns = round(config.ins.max_gap_s * SECOND_NS) + self._stamp_reach_ns
@@ -270,6 +271,17 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         if self.vertical is not None:
             state_ns = self._estimator.oldest_state.time_ns
             self.vertical.drop_before(time_ns, needed_since_ns if state_ns is None else min(needed_since_ns, state_ns))
+
+
+# Functions of the core instead of closures, so that a copy of a core refers to itself.
+
+
+def _apply_ins_change(core: ShipAttitudeCore, state: FilterState, change: InsChange) -> FilterState:
+    return core.filter.apply_ins_change(state, change)
+
+
+def _record_decision(core: ShipAttitudeCore, decision: AttitudeDecision) -> None:
+    record_accepted(core.recent_sources, decision)
 
 
 def _failure_decision(measurement: Measurement, rejection: Rejection) -> AttitudeDecision:

@@ -202,7 +202,8 @@ class BagWriter:
         """
         if len(data) < _FEW_MESSAGES:
             for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
-                self.write_raw(*topics[number], content, time_ns)
+                topic, type_name = topics[number]
+                self.write_raw(topic, type_name, content, time_ns)
             return
         sequences = np.empty(len(data), dtype=np.int64)
         channel_ids = np.empty(len(data), dtype=np.int64)

@@ -8,6 +8,7 @@ The core uses no ROS, no files and no clock. The core combines the calibration f
 
 from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from ship_estimation.integrity.protection_levels import IntegrityReport
@@ -80,11 +81,11 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self._start: tuple[CalibrationPrior, int] | None = None
         model: EstimatorModel[CalibrationState, AnyExposure, ExposureDecision, Jump] = EstimatorModel(
             step=self._step,
-            inflate=lambda state, jump: self.filter.inflate_covariance(state, jump),  # noqa: PLW0108 - filter changes
+            inflate=partial(_inflate_covariance, self),
             failure_decision=lambda exposure, why: ExposureDecision(exposure, why.reason, text=why.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             drop_before=self._drop_before,
-            on_decision=lambda decision: self.streams.record_decision(decision),  # noqa: PLW0108 - made later
+            on_decision=partial(_record_decision, self),
             on_commit=on_commit,
         )
         reach_ns = MeasuredTracks(config).reach_ns
@@ -93,7 +94,7 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         )
         self.streams = MeasuredStreams(config, self._estimator)
         self.pointings = Pointings(
-            config, self.filter, self._estimator, self.streams, sky, lambda: self.pending, on_pointing
+            config, self.filter, self._estimator, self.streams, sky, partial(getattr, self, "pending"), on_pointing
         )
         self.consistency = AxisConsistency(self._estimator, self.streams, self.pointings)
         self._build_steps()
@@ -264,6 +265,17 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self.streams.tracks.drop_before(time_ns)
         if self.sky_model is not None:
             self.sky_model.surroundings.drop_before(time_ns)
+
+
+# Functions of the core instead of closures, so that a copy of a core refers to itself.
+
+
+def _inflate_covariance(core: OpticalAxisCore, state: CalibrationState, jump: Jump) -> CalibrationState:
+    return core.filter.inflate_covariance(state, jump)
+
+
+def _record_decision(core: OpticalAxisCore, decision: ExposureDecision) -> None:
+    core.streams.record_decision(decision)
 
 
 def _escort_advisor(
