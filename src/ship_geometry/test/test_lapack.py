@@ -28,7 +28,8 @@ def test_no_other_module_of_scipy_is_imported(tmp_path: Path) -> None:
 def test_lapack_and_erfa_are_imported_on_first_use(tmp_path: Path) -> None:
     check = """
 import sys
-from ship_geometry import lapack, late_erfa, geodetic, star_directions, wahba
+from ship_geometry import lapack, wahba
+from ship_geometry.earth import geodetic, late_erfa, star_directions
 assert "erfa" not in sys.modules and "scipy.linalg._flapack" not in sys.modules
 lapack.dposv
 import erfa

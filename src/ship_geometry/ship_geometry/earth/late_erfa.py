@@ -1,4 +1,4 @@
-"""The functions of ERFA, imported on first use: ``from ship_geometry import late_erfa as erfa``.
+"""The functions of ERFA, imported on first use: ``from ship_geometry.earth import late_erfa as erfa``.
 
 Nodes that use neither stars nor positions do not need ERFA, whose import would be a tenth of their start time.
 """
