@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.acceptance import Acceptance
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.decision_effects import DecisionEffects
 from ship_attitude_star.ship_attitude.devices import SOURCE_STAR_COMMON
 from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.faults.subfilter_set import INS
@@ -59,7 +59,7 @@ class ShipFilter:
         deflection_track = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, deflection_track)
         self.fault_detector = self.fault_detector_class(config, self.model, self.devices)
-        self._acceptance = Acceptance(config.gate, self.devices, self.fault_detector)
+        self._effects = DecisionEffects(config.gate, self.devices, self.fault_detector)
         self._gate_probability = config.gate.probability
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, self._ins_index)
@@ -218,10 +218,10 @@ class ShipFilter:
             elif again is not None and not again[1].components:
                 # The stars contradict each other with these optics too, so the attitude is not evaluated.
                 rejection = Rejection(again[1].reason, again[1].text)
-                return self._acceptance.reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
+                return self._effects.reject(state, measurement, NotEvaluable(rejection, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
         if contradiction is not None:
-            return self._acceptance.reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
+            return self._effects.reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
         return result
 
     def _step(
@@ -236,7 +236,7 @@ class ShipFilter:
         if self._is_latitude_missing(measurement.time_ns):
             # An assumed latitude would cause estimation errors that last longer than the wait for a fix.
             missing = Rejection(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
-            return self._acceptance.reject(state, measurement, NotEvaluable(missing, measurement.time_ns))
+            return self._effects.reject(state, measurement, NotEvaluable(missing, measurement.time_ns))
         predicted = self.propagate(state, measurement.time_ns)
         compared = measurement
         if isinstance(measurement, StarExposure):
@@ -247,10 +247,10 @@ class ShipFilter:
         if linearised is None:
             return None
         if isinstance(linearised, NotEvaluable):
-            return self._acceptance.reject(state, measurement, linearised)
+            return self._effects.reject(state, measurement, linearised)
         if state.ins_jump_ns is not None and linearised.matched_ins_ns <= state.ins_jump_ns:
             before = Rejection(Reason.GAP, "the INS attitude at this time is from before the last jump of the INS")
-            return self._acceptance.reject(state, measurement, NotEvaluable(before, linearised.ins_time_ns))
+            return self._effects.reject(state, measurement, NotEvaluable(before, linearised.ins_time_ns))
         if isinstance(linearised.measurement, AttitudeMeasurement):
             predicted = self._with_common_error(predicted, linearised.measurement)
         return self._evaluate(state, predicted, measurement, linearised)
@@ -292,7 +292,7 @@ class ShipFilter:
             predicted, innovations = self._innovations_after_inflation(predicted, source, linearised.compared, gate)
         except np.linalg.LinAlgError:
             singular = NotEvaluable(singular_covariance(), linearised.ins_time_ns)
-            return self._acceptance.reject(state, measurement, singular)
+            return self._effects.reject(state, measurement, singular)
         # NaN is not accepted.
         accepted = innovations.nis <= gate
         decision = AttitudeDecision(
@@ -313,11 +313,11 @@ class ShipFilter:
             state, predicted, measurement, linearised.compared, innovations, accepted
         )
         if decision.accepted:
-            after = self._acceptance.record_accepted(after, linearised.measurement)
+            after = self._effects.record_accepted(after, linearised.measurement)
         elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
-            after, decision = self._acceptance.reject_by_gate(after, decision, linearised)
+            after, decision = self._effects.reject_by_gate(after, decision, linearised)
         is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # The rates of the INS do not rule out that it has jumped.

@@ -18,7 +18,7 @@ from ship_stars.samples.attitude_samples import AttitudeDecision
 from ship_stars.solution.exposure import StarExposure
 
 
-class Acceptance:
+class DecisionEffects:
     """Records accepted and rejected measurements in the filter state.
 
     Args:
