@@ -35,8 +35,8 @@ This page is written by `python tools/architecture.py`; a test compares it with 
 ## Packages
 
 An arrow points from a package to a package that it imports, or whose messages it uses. Arrows that follow from others
-are left out. `lint-imports` checks the directions, and the directions between rooms, by the contracts in
-`pyproject.toml`.
+are left out. `lint-imports` checks the directions, and the directions between the rooms of most packages, by the
+contracts in `pyproject.toml`.
 
 """
 

@@ -15,7 +15,6 @@ setup(
     install_requires=[
         "setuptools",
         "ship_bags",
-        "ship_estimation",
         "ship_geometry",
         "ship_msgs",
         "ship_node",

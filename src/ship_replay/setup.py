@@ -28,13 +28,12 @@ setup(
         "PyYAML",
         "rich",
         "matplotlib",
-        "mcap",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
-    description="Suites offline: replay, verify, evaluate, report, calibrate, check before the voyage.",
+    description="Suites offline: replay, smooth, verify, evaluate, report, compare, check before the voyage.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -6,7 +6,7 @@
 - ``star_attitude`` is the core of the node that publishes attitudes by stars; ``ship_attitude`` is the core of the node
   that fuses an INS with attitudes by stars or with single stars.
 - ``plausibility`` checks the inputs; ``ins_errors`` are the error processes of an INS.
-- ``vertical`` has the deflection of the vertical along the track, ``samples`` the measurements of this package alone.
+- ``vertical`` has the deflection of the vertical along the track.
 
 Each folder imports only folders named below it. Sky, camera and star solution are in :mod:`ship_stars`.
 """

@@ -188,7 +188,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return {"ins": 3.0, **dict.fromkeys(self.config.devices, 10.0)}
 
     def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`NodeAdapter`; smoothed attitudes follow."""
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`; smoothed attitudes follow."""
         published = super().report_outcome(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
@@ -233,7 +233,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return reading
 
     def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[OutputRows]:
-        """See :class:`NodeAdapter`."""
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
         rows = attitude_rows(self.factory, AttitudeNumbers.from_runs(runs), self._rate_sigma, self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
@@ -259,7 +259,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [*published, ("ship/alignment", alignment_state(factory, alignment, now_ns, deck))]
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
-        """See :class:`NodeAdapter`."""
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
         core: ShipAttitudeCore = self.core
         return invalid_estimate(core.filter, core.state, now_ns, text)
 

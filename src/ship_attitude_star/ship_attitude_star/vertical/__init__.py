@@ -1,4 +1,5 @@
 """Deflection of the vertical along the ship's track, and the distance run since a measurement.
 
-The folder imports the ship position (``sky``) and ``measurements``, but neither ``stars`` nor the filter.
+The folder imports the ship's position and samples from :mod:`ship_stars`, but neither camera, star solution nor the
+filter.
 """

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from importlib import metadata
 from typing import Any
 
-SUITE_PACKAGES = "ship_msgs", "ship_kernels", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite that determine the results of every node; ``ship_bags`` only transports numbers."""
+SUITE_PACKAGES = "ship_msgs", "ship_kernels", "ship_geometry", "ship_estimation", "ship_stars", "ship_node"
+"""Packages of the suite that determine the results of nodes; ``ship_bags`` only transports numbers."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"
 """Libraries whose versions a black box contains."""

@@ -1,9 +1,9 @@
 """Checks of the messages of a batch before any of them reaches a filter, as array operations.
 
 Each check returns, for every message, True only if :mod:`ship_node.messages.field_checks` accepts the message without
-remark. The values of these messages are bit for bit the values that ``messages_in`` returns. The other messages are
-read one by one and may still be used. A message with NaN in a checked value is not valid, because NaN is within no
-limit.
+remark. The values of these messages are bit for bit the values that :mod:`ship_node.messages.field_checks` returns. The
+other messages are read one by one and may still be used. A message with NaN in a checked value is not valid, because
+NaN is within no limit.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,1 +1,1 @@
-"""Figures and HTML pages of studies."""
+"""Frame of all HTML pages, figures and printed tables, of reports and studies."""

@@ -1,4 +1,4 @@
 """Command lines: arguments, printed text and exit codes.
 
-The folder imports all other folders except ``trials/``.
+The folder imports all other folders.
 """

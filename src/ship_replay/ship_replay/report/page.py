@@ -50,7 +50,7 @@ SECTIONS = (
 """Ids and titles of the sections, in order."""
 
 _PACKAGES = (
-    *SUITE_PACKAGES, "ship_stars", "ship_attitude_star", "theodolite_calib", "ship_watch", "ship_replay",
+    *SUITE_PACKAGES, "ship_attitude_star", "theodolite_calib", "ship_watch", "ship_replay",
     *LIBRARIES, "scipy", "matplotlib",
 )
 

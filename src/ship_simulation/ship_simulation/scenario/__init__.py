@@ -1,5 +1,5 @@
 """Scenario files, read and checked, as frozen dataclasses, and the names that follow from them.
 
-The folder draws no random numbers and imports no other folder. From the packages of the nodes it imports the parameters
-of star cameras, masks and INS errors (``ship_attitude_star``).
+The folder draws no random numbers and imports no other folder. It imports the parameters of star cameras and masks
+from :mod:`ship_stars`, those of devices and INS errors from :mod:`ship_estimation.parameters`.
 """

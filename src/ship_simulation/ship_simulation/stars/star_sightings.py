@@ -26,7 +26,7 @@ from ship_stars.sky.catalogue import UNKNOWN
 MAGNITUDE_SIGMA = 0.2
 """Standard deviation of measured magnitudes."""
 
-# Error that the estimator assumes for a star position that is not from its catalogue (star_messages_in).
+# Error that the estimator assumes for a star position that is not from its catalogue (``star_messages``).
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 
 

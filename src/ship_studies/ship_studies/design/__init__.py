@@ -1,5 +1,5 @@
 """Study before the voyage: accuracy of the pointing from beacons on drones, by source of error.
 
-The folder ``escort`` computes the accuracies with the model of the calibration filter. This folder imports ``escort``,
-the folders that :mod:`theodolite_calib` names below ``escort``, and modules that write files.
+:mod:`theodolite_calib.escort` computes the accuracies with the model of the calibration filter. Of ``theodolite_calib``
+this folder imports ``escort`` and the folders below it.
 """

@@ -10,5 +10,5 @@ Data flow from the bag:
 6. :mod:`identification`: model selection and warnings.
 7. :mod:`parameter_output`: parameter file and text of the result.
 
-Of this package the folder imports only ``offline/``.
+Of ``ship_replay`` the folder imports only ``offline/``.
 """

@@ -220,7 +220,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
         yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings), position_required=False)
 
     def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`NodeAdapter`; the directions of targets come first.
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`; the directions of targets come first.
 
         A direction of a target has no innovation, because the image of the target is not compared with a prediction.
         """
@@ -232,7 +232,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
         return published + super().report_outcome(outcome, now_ns, waiting_ns)
 
     def batch_messages(self, series: Sequence[PointingSeries]) -> Iterator[OutputRows]:
-        """See :class:`NodeAdapter`."""
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
         rows = pointing_rows(self.factory, self._lever, PointingNumbers.from_series(series), self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
@@ -262,7 +262,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
         return [*published, ("theodolite/calibration", calibration)]
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
-        """See :class:`NodeAdapter`."""
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
         core: OpticalAxisCore = self.core
         return invalid_pointing(core.filter, core.state, now_ns, text)
 

@@ -1,5 +1,5 @@
 """Advised positions of the drones: best pointing within limits, and the accuracy at these positions.
 
-The folder uses the error model of the calibration filter. The folder imports ``filter``, ``measured``, ``lights``,
-``config`` and folders below them.
+The folder uses the error model of the calibration filter. The folder imports ``filter``, ``samples`` and
+``config``.
 """

@@ -207,7 +207,7 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         return outcome
 
     def compute_pending(self) -> list[tuple[slice, PointingSeries | Rejection]]:
-        """Compute and return the pending pointings; see :meth:`PointingOutput.compute_pending`."""
+        """Compute and return the pending pointings; see ``PointingOutput.compute_pending``."""
         pending, self.pending = self.pending or [], []
         return self.pointings.output.compute_pending(pending)
 

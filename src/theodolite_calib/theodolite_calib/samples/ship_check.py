@@ -10,7 +10,6 @@ from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.parameters.ins import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.ins_check import InsCheck
-from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.rejections import resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
@@ -45,11 +44,6 @@ class ShipCheck:
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply a changed noise."""
         self._ins_check.reconfigure(_check_config(config))
-
-    @property
-    def has_measured_rates(self) -> bool:
-        """True if the rates are measured, so that every step of some standard deviations of a sample is detected."""
-        return self._ins_check.rate_status is RateStatus.MEASURED
 
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; later samples will not be older than ``oldest_ns``."""

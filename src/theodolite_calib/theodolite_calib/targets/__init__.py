@@ -1,5 +1,5 @@
-"""Targets: direction from an image on the main detector and the pointing; position from a range or several directions.
+"""Targets: direction from an image on the main detector and the pointing, and position from a range.
 
-The folder has no ROS, files or clock. ``direction`` and ``triangulation`` are pure functions; ``triangulation_core`` is
-the core of the node ``triangulation``. The folder imports ``lights`` and ``measured``.
+The folder has no ROS, files or clock. ``direction`` has pure functions; ``pending_targets`` keeps images until their
+pointing is known. The folder imports ``samples``.
 """
