@@ -1,4 +1,4 @@
-"""Rejections of inputs and their reasons, the same for every estimator of the suite.
+"""Rules by which inputs are rejected, and their reasons, the same for every estimator of the suite.
 
 A measurement is checked in this order:
 

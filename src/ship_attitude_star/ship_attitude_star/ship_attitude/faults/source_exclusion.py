@@ -3,6 +3,9 @@
 Star sensors that contradict the INS together are excluded together, and reinstated together once most of their offset
 is gone. An offset that keeps growing is a drift of the INS, which is then excluded in their place. After a mounting
 shift of a single device its mounting is estimated again, and the device is reinstated once it is consistent.
+
+Which source is at fault, and when it is excluded, is decided by
+:mod:`ship_attitude_star.ship_attitude.faults.fault_detection`.
 """
 
 import math
