@@ -14,7 +14,7 @@ import pytest
 
 import ship_simulation.stars.sky as simulated_sky
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.earth_orientation import earth_orientation_table
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, hand_over, sort_by_arrival, stamp_of

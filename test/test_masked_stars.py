@@ -9,7 +9,7 @@ import yaml
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay

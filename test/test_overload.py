@@ -22,7 +22,7 @@ from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_msgs.msg import Innovation, Integrity, OpticalAxisPointing, ShipAttitude
 from ship_testing.places import ROOT

@@ -14,7 +14,7 @@ import pytest
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_replay.commands.replay import main as replay
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_stars.messages.surroundings_messages import position_fix

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,

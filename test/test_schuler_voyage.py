@@ -16,7 +16,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.ins_errors import SchulerConfig
 from ship_estimation.parameters.schema import build
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_simulation.run import SimulatedRun, simulate

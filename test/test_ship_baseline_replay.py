@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from ship_bags.mcap.bag_reader import read_bag
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_simulation.scenario.scenario_file import load_scenario

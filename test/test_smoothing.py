@@ -16,7 +16,7 @@ from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.frame_names import FRAME_NAMES
 from ship_estimation.parameters.schema import build
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample

@@ -14,7 +14,7 @@ import pytest
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.air.refraction import elevation_of, raised_directions
 from ship_geometry.earth.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.earth.star_directions import RefreshedSky

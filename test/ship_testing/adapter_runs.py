@@ -14,7 +14,7 @@ import pytest
 from ship_bags.cdr_template import CdrMessage
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.time_ordered_log import MOST_REPEATS_PER_S
 from ship_node.adapters.adapter import Adapter
 from ship_node.live.node_clock import TickGrid

@@ -4,7 +4,7 @@ import numpy as np
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.hand_made_bags import START_NS, innovation, ship_attitude
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
     stamp_of,

@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.parameters.schema import build
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample

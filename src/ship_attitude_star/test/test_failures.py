@@ -9,7 +9,7 @@ from ship_attitude_star.adapters import ship_attitude_adapter
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns
 from ship_attitude_star.star_attitude import core as star_core
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_testing import star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exact_value, index_at, stamp_of, without

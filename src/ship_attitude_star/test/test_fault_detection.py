@@ -26,7 +26,7 @@ from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState
 from ship_estimation.parameters.ins import InsJump
 from ship_estimation.parameters.schema import ParameterError, build
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles

@@ -9,7 +9,7 @@ import pytest
 
 from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,

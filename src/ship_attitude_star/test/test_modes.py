@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON

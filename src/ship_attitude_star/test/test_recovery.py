@@ -21,7 +21,7 @@ from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of

@@ -18,7 +18,7 @@ from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE, Bas
 from ship_attitude_star.ship_attitude.measurements.kind import LinearisationPoint
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.parameters.schema import ParameterError, build
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, wrap_pi

@@ -10,7 +10,7 @@ import pytest
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_estimation.parameters.schema import ParameterError
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, log_rotation

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import log_rotation
 from ship_node.health.time_base import TimeBase

@@ -9,7 +9,7 @@ from ship_attitude_star.vertical.config import GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.parameters.schema import ParameterError
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, exp_rotation

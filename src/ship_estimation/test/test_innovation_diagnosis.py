@@ -14,7 +14,7 @@ from ship_estimation.innovations.innovation_diagnosis import (
 )
 from ship_estimation.innovations.innovation_statistics import LEAST_COUNT
 from ship_estimation.kalman.kalman_filter import StateModel, block
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray

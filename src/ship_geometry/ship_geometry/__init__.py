@@ -206,7 +206,7 @@ Terms of estimation
     Rejection, conflict
         A measurement that is not used, with its reason; a series of rejections of one source, or different data with
         one stamp.
-        Module: ship_estimation.rejections.
+        Module: ship_estimation.rejection_rules.
     Innovation diagnosis
         Statistical test of a source's innovations: are sigma, alignment and clock as configured?
         Module: ship_estimation.innovations.innovation_diagnosis.

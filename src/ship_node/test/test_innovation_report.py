@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from ship_estimation.kalman.kalman_filter import StateModel, block
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.rotations import ARCSEC
 from ship_node.health.innovation_report import InnovationReport, clock_status

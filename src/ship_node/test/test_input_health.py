@@ -4,7 +4,7 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import duration_text
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import Level
 from ship_node.messages.topics import InputTopic

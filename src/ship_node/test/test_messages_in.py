@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import LONGEST_TEXT, Reason, Rejection, shorten
+from ship_estimation.rejection_rules import LONGEST_TEXT, Reason, Rejection, shorten
 from ship_msgs.msg import Innovation
 from ship_node.messages.field_checks import (
     MessageRejected,

@@ -13,7 +13,7 @@ import pytest
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters.fields import autosave_period, parameter, sources_off
 from ship_estimation.parameters.schema import ParameterError
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
 from ship_node.adapters.feeds import Feed, ignore_time
 from ship_node.adapters.node_adapter import NodeAdapter

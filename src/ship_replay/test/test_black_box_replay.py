@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_node.messages.common_messages import INTEGRITY_TYPE
 from ship_node.saved_files.saved_start import SavedStart
 from ship_replay.commands.check_config import main as check_config

@@ -15,7 +15,7 @@ from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_estimation.parameters.fields import parameter
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.topics import InputTopic, OutputTopic

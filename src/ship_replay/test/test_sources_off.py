@@ -12,7 +12,7 @@ import yaml
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory, message_store
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun

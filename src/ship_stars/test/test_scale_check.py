@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_stars.camera.camera import StarCamera

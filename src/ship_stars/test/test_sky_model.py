@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import ARCSEC
 from ship_stars.samples.readings import AirReading, PositionFix

@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.parameters.schema import ParameterError
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Measurement, Status
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance

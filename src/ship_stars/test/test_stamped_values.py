@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_stars.sky.stamped_values import JumpLimits, StampedValues
 
 SECOND_NS = 1_000_000_000

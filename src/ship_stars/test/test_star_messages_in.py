@@ -7,7 +7,7 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_node.messages.field_checks import MessageRejected
 from ship_stars.camera.camera import StarCamera

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
 from ship_kernels.compiled_innovations import square_root
 from ship_stars.solution.fit import MatchedStars, StarFitSolution, linearise_stars

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.air.refraction import Weather
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_stars.samples.readings import AirReading, PositionFix

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_testing import ship_observations, star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, delay_arrivals, sort_by_arrival

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_stars.samples.readings import PositionFix
 from ship_stars.sky.config import SkyConfig

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_watch.history.events import START_UP_NS, EventLog, alerts_from_message
 from ship_watch.history.history import History

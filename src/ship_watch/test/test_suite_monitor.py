@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_bags.message_factory import RosidlFactory
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_watch.alerts.alert_conditions import conditions
 from ship_watch.alerts.alerts import AlertList

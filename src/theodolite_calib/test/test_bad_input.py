@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import LONGEST_TEXT, Reason
+from ship_estimation.rejection_rules import LONGEST_TEXT, Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.vector_track import VectorTrack
 from theodolite_calib.samples.encoder_check import EncoderCheck

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_testing.adapter_runs import AdapterRun, index_at, stamp_of, without
 from ship_testing.small_session import BEACONS, ENCODER, fault_free_run, new_adapter, run_adapter, session
 from theodolite_calib.filter.step import SightingStep

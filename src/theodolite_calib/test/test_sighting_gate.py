@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.mount.image import Image
 from ship_geometry.rotations import ARCSEC, angle_between
 from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation

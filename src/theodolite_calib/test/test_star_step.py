@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew

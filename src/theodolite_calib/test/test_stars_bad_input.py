@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from ship_bags.stamps import make_header
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_testing.adapter_runs import FACTORY, START_NS
 from ship_testing.mount_stars import CAMERA, MOUNTED_DEG
 from ship_testing.one_message import process_message

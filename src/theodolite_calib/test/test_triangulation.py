@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_testing.theodolite_stations import (
     AIR,

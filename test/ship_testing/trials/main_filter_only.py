@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedM
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.kalman.kalman_filter import innovation, update
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement
 from ship_stars.samples.attitude_samples import AttitudeDecision
 from theodolite_calib.config import OpticalAxisConfig

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
 from ship_replay.offline.sinks import DecodingSink
@@ -56,7 +56,7 @@ class FaultIndication(NamedTuple):
         source: name of the source as published; in ``input_health`` this is the topic.
         log_ns: time of the report.
         stamp_ns: stamp of the measurement, or of the report.
-        reason: a word of :class:`ship_estimation.rejections.Reason`, EXCLUSION or NO_DATA.
+        reason: a word of :class:`ship_estimation.rejection_rules.Reason`, EXCLUSION or NO_DATA.
     """
 
     source: str

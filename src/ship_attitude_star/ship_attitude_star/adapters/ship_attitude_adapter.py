@@ -49,7 +49,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.plausibility.rate_consistency import RateStatus
 from ship_estimation.recovery.displacements import TOGETHER
-from ship_estimation.rejections import failure_rejection
+from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC

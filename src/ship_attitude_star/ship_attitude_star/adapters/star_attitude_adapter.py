@@ -11,7 +11,7 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.star_attitude.exposure_solver import AttitudeSolution, RejectedStar, StarOutcome
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.devices import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.measurements.baseline import BaselineMeasurement
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import (

@@ -27,7 +27,7 @@ from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.parameters.ins import InsChange, InsJump
 from ship_estimation.recovery.recoverable_core import RecoverableCore
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
 from ship_estimation.time_order.time_shift import with_shifted_stamps

@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
 from ship_estimation.fault_detection.fault_state import with_changes, with_entry, without_entry
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.innovations.gates import GateConfig
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import log_rotation
 from ship_stars.samples.attitude_samples import AttitudeDecision

@@ -25,7 +25,7 @@ from ship_estimation.fault_detection.subfilters import FilterInnovations, add_er
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.parameters.ins import InsChange
-from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray

@@ -8,7 +8,7 @@ from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import exp_rotation, left_jacobian

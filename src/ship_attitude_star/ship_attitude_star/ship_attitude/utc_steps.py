@@ -13,7 +13,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UtcStep
 from ship_estimation.fault_detection.fault_state import UnresolvedFault, with_changes
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_stars.samples.attitude_samples import AttitudeDecision

@@ -26,12 +26,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
 )
 from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, MotionBatch
 from ship_attitude_star.star_attitude.received_exposures import ReceivedExposures
-from ship_estimation.rejections import (
-    Reason,
-    Rejection,
-    StampConflicts,
-    failure_rejection,
-)
+from ship_estimation.rejection_rules import Reason, Rejection, StampConflicts, failure_rejection
 from ship_estimation.time_order.time_ordered_estimator import LagWindow
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray

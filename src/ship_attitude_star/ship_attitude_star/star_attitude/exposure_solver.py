@@ -7,7 +7,7 @@ from itertools import accumulate
 import numpy as np
 
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import FloatArray
 from ship_stars.camera.camera import tangent_basis
 from ship_stars.camera.config import JOINT

@@ -3,7 +3,7 @@
 from collections.abc import Set
 from dataclasses import replace
 
-from ship_estimation.rejections import CONFLICT_HOLD_S, Reason, Rejection, StampConflicts, resolve_same_stamp
+from ship_estimation.rejection_rules import CONFLICT_HOLD_S, Reason, Rejection, StampConflicts, resolve_same_stamp
 from ship_stars.solution.exposure import StarExposure
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
-from ship_estimation.rejections import Reason, Rejection, resolve_same_stamp
+from ship_estimation.rejection_rules import Reason, Rejection, resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.samples.readings import DeflectionReading, PositionFix

@@ -21,7 +21,7 @@ from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Program, Role
 from ship_bringup.suite.restarts import end_text, exit_code_of
 from ship_bringup.suite.supervised_program import SupervisedProgram
-from ship_estimation.rejections import failure_rejection
+from ship_estimation.rejection_rules import failure_rejection
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_TIMEOUT_S = 10.0

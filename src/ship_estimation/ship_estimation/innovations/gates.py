@@ -1,7 +1,8 @@
 """Parameters of innovation gates, and NEES and NIS with their acceptance bands.
 
 The filters compare with the gate and reject: ``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``. All
-checks of a measurement are listed in :mod:`ship_estimation.rejections`. Source: Bar-Shalom, Li, Kirubarajan 2001, §5.4.
+checks of a measurement are listed in :mod:`ship_estimation.rejection_rules`. Source: Bar-Shalom, Li, Kirubarajan 2001,
+§5.4.
 """
 
 from dataclasses import dataclass

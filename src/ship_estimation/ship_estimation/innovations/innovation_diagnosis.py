@@ -98,7 +98,7 @@ class InnovationHistory:
         The stated sigma of a sensor is 1″ about each axis; its true sigma is 2″:
 
         >>> import numpy as np
-        >>> from ship_estimation.rejections import Reason
+        >>> from ship_estimation.rejection_rules import Reason
         >>> from ship_geometry.rotations import ARCSEC
         >>> from ship_geometry.tracks.vector_track import VectorSample
 

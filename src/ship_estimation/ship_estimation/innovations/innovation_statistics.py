@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.innovations.chi_square import normal_value_above, probability_above, value_above
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels import compiled_innovations

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from ship_estimation.parameters.ins import InsJump
 from ship_estimation.plausibility.integrated_rates import StampArray
 from ship_estimation.plausibility.motion_check import MotionReference
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, ExtraNoise
 

@@ -31,7 +31,7 @@ from ship_estimation.plausibility.value_checks import (
     StuckCheck,
     vector_length,
 )
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 

@@ -23,7 +23,7 @@ from ship_estimation.recovery.displacements import Displacements
 from ship_estimation.recovery.memory import BEFORE_STEP_NS, StateMemory
 from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.recovery.trouble import TroubleDetector
-from ship_estimation.rejections import Rejection, failure_rejection
+from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -8,7 +8,7 @@ stamps, or a correction of the system clock, cause no timeout.
 from collections.abc import Callable
 from typing import Any
 
-from ship_estimation.rejections import failure_rejection
+from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Estimate, Outcome
 from ship_geometry.earth.time_scales import SECOND_NS
 

@@ -32,7 +32,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
+from ship_estimation.rejection_rules import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_estimation.time_order.outcome import DecisionT, Estimate, Measurement, Outcome
 from ship_estimation.time_order.time_ordered_log import MOST_OVERTAKEN_PER_S, TimeOrderedLog
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.rejections import shorten
+from ship_estimation.rejection_rules import shorten
 from ship_nmea.link_opening import error_text, permanent_error
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet

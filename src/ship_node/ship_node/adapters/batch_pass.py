@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_node.adapters.adapter import TICK_PERIOD_NS
 from ship_node.adapters.feeds import BlockFeed, EvaluatedBatch, Feed
 from ship_node.messages.batch import (

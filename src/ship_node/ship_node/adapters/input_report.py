@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_node.adapters.feeds import Feed
 from ship_node.adapters.result_report import ResultReport
 from ship_node.adapters.sources_off import SOURCE_OFF, disabled_topics

@@ -13,7 +13,7 @@ from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.parameters.schema import with_changes
-from ship_estimation.rejections import Reason, Rejection, failure_rejection
+from ship_estimation.rejection_rules import Reason, Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.adapters.adapter import ServiceResult

@@ -14,7 +14,7 @@ from typing import Any
 
 from ship_estimation.integrity.protection_levels import alert_limit_text
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
-from ship_estimation.rejections import failure_rejection
+from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_node.adapters.feeds import Feed
 from ship_node.adapters.input_report import PRESENCE_REASONS

@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.integrity.published_levels import PublishedLevels
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.adapters.batch_pass import BatchPass

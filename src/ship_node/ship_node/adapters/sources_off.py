@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable
 
 from ship_estimation.parameters.schema import ParameterError
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_node.adapters.feeds import Feed
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from ship_bags.stamps import duration_text
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.health.time_base import TimeBase
 from ship_node.messages.common_messages import DiagnosticStatus, Level

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import duration_text
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_node.health.input_record import DELAY_BIN_EDGES_S, MAX_AGE_S, InputRecord, InputRecords
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.topics import InputTopic

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.topics import InputTopic

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from ship_estimation.rejections import failure_rejection
+from ship_estimation.rejection_rules import failure_rejection
 from ship_node.adapters.adapter import Adapter
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import DiagnosticStatus, Level

@@ -28,7 +28,7 @@ from ship_estimation.parameters.schema import (
     nest,
     with_changes,
 )
-from ship_estimation.rejections import shorten
+from ship_estimation.rejection_rules import shorten
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_log import NodeLog
 from ship_node.messages.common_messages import DiagnosticStatus, Level

@@ -4,7 +4,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import FloatArray
 from ship_node.messages.field_checks import (

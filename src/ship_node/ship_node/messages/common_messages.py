@@ -13,7 +13,7 @@ from ship_bags.cdr_encoder import cdr_text
 from ship_bags.cdr_template import HEADER, CdrMessage
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.integrity.protection_levels import IntegrityConfig, IntegrityReport, IntegrityState
-from ship_estimation.rejections import Reason, Rejection, shorten
+from ship_estimation.rejection_rules import Reason, Rejection, shorten
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ship_bags.stamps import duration_text
-from ship_estimation.rejections import Reason, Rejection, shorten
+from ship_estimation.rejection_rules import Reason, Rejection, shorten
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 

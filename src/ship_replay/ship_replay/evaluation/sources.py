@@ -12,7 +12,7 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.parameters.ins import InsInputConfig
 from ship_estimation.parameters.theodolite_devices import AxesConfig
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.innovations.gates import normalized_error_squared
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_watch.orientations import Orientation

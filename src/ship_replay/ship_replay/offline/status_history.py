@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_node.adapters.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded_limits
 from ship_watch.orientations import ORIENTATIONS

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_node.messages.field_checks import MessageRejected
 from ship_stars.camera.config import CameraConfig

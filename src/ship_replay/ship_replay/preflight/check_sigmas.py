@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_estimation.innovations.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.messages.field_checks import MessageRejected

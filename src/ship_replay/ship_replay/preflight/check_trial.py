@@ -6,7 +6,7 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.rejections import LONGEST_TEXT, Reason, shorten
+from ship_estimation.rejection_rules import LONGEST_TEXT, Reason, shorten
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary

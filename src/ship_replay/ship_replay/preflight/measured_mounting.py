@@ -20,7 +20,7 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S, stamp_of_bytes
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_node.messages.field_checks import MessageRejected
 from ship_node.messages.ins_messages import ins_sample

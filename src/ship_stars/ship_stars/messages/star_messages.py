@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.star_directions import StarPositions, fixed_stars
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S

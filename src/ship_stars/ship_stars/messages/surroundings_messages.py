@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_node.adapters.feeds import Feed

@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.air.refraction import LOWEST_ELEVATION, ModelName, refraction, refraction_slopes, seen_through_air
 from ship_geometry.earth import late_erfa as erfa
 from ship_geometry.earth.earth_orientation import EarthOrientationTable, earth_orientation_table

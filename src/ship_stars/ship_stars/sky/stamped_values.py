@@ -26,7 +26,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-from ship_estimation.rejections import Content, Reason, Rejection, resolve_same_stamp
+from ship_estimation.rejection_rules import Content, Reason, Rejection, resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 
 _NOISE_SIGMAS = 5.0

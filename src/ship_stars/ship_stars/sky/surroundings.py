@@ -11,7 +11,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.air.refraction import Weather
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_stars.samples.readings import AirReading, PositionFix, SkyInput

@@ -12,7 +12,7 @@ is constant while the stars stay in place, so each tracker has a correlated erro
 
 import numpy as np
 
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.air.refraction import elevation_of, raising_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_stars.samples.attitude_samples import AttitudeMeasurement, SolvedAttitude

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.plausibility.value_checks import StuckValue
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.star_directions import StarPositions
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.exposure_mean import Nodes, exposure_nodes

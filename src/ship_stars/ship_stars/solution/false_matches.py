@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.innovations.gates import chi_square_gate
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import FloatArray, skew
 from ship_stars.solution.fit import MatchedStars
 

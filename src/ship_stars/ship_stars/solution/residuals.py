@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_kernels import compiled_stars
 from ship_stars.camera.spatial_errors import SOURCE_PIXEL, PixelDwell

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_stars.camera.optics_errors import OpticsErrors
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, visible_stars

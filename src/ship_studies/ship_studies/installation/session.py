@@ -22,7 +22,7 @@ from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.adapters.adapter import Adapter
 from ship_node.saved_files.saved_document import DISK, Files

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
 
 _REJECTIONS_KEPT = 5

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ship_estimation.rejections import Reason
+from ship_estimation.rejection_rules import Reason
 from ship_watch.sources.decision_history import MIN_DISPLAY_NS, NO_DISAGREEMENT, DecisionHistory
 from ship_watch.sources.nis_consistency import NisWindow
 from ship_watch.sources.reports import TopicReports

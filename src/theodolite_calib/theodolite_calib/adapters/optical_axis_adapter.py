@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.recovery.displacements import TOGETHER
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC

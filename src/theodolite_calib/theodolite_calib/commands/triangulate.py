@@ -13,7 +13,7 @@ from ship_bags.output_files import add_force_option, check_file, write_csv
 from ship_bags.parameter_yaml import read_nested_parameters
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters.schema import ParameterError, build
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from theodolite_calib.commands.recorded_directions import read_directions, target_positions
 from theodolite_calib.commands.triangulation_file import RecordedTriangulationConfig
 from theodolite_calib.triangulation.common_times import TargetPosition

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.mount.image import Camera
 from ship_geometry.mount.line_of_sight import LinesOfSight
 from ship_geometry.rotations import ARCSEC, FloatArray

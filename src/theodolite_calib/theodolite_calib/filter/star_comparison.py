@@ -17,7 +17,7 @@ import numpy as np
 
 from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.mount.axes import axis_geometry
 from ship_geometry.mount.parallelism import telescope_rotation
 from ship_geometry.rotations import FloatArray

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ship_estimation.innovations.gates import chi_square_gate
-from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import record_acceptance

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate
 from ship_estimation.integrity.protection_levels import separation_sigma
-from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import (

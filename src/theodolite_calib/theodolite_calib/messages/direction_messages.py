@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.parameters.frame_names import FRAME_NAMES
-from ship_estimation.rejections import Reason, shorten
+from ship_estimation.rejection_rules import Reason, shorten
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_node.messages.field_checks import (

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection, shorten
+from ship_estimation.rejection_rules import Reason, Rejection, shorten
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
 from ship_geometry.ros_axes import (

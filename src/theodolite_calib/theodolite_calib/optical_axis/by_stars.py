@@ -6,7 +6,7 @@ The main axis follows from the estimated parallelism: R_main = R_camera · R(azi
 
 import numpy as np
 
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from ship_stars.sky.sky_model import SkyModel

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.recovery.recoverable_core import RecoverableCore
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
 from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_stars.samples.readings import SkyInput

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.integrity.protection_levels import IntegrityReport, alert_limit_text, separation_inflation
-from ship_estimation.rejections import Rejection, failure_rejection
+from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles

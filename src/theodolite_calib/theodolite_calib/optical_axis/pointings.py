@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ship_estimation.rejections import StampConflicts
+from ship_estimation.rejection_rules import StampConflicts
 from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_stars.sky.sky_model import SkyModel

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection
+from ship_estimation.rejection_rules import Reason, Rejection, StampConflicts, failure_rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.mount.axes import AXES, SHIP, AxisErrors, axis_geometry

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.vector_track import VectorTrack

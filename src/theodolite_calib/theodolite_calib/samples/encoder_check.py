@@ -25,7 +25,7 @@ from ship_estimation.plausibility.value_checks import (
     step_by_motion,
     vector_length,
 )
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.vector_track import VectorTrack
 from theodolite_calib.samples.encoder_steps import EncoderStep, EncoderStepDetector, wrap_angles

@@ -10,7 +10,7 @@ from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.parameters.ins import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.ins_check import InsCheck
-from ship_estimation.rejections import resolve_same_stamp
+from ship_estimation.rejection_rules import resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation

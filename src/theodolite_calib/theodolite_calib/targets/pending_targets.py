@@ -5,7 +5,7 @@ Images of targets do not affect the pointings, which are equal to the last bit w
 
 from collections import deque
 
-from ship_estimation.rejections import Rejection, StampConflicts, resolve_same_stamp
+from ship_estimation.rejection_rules import Rejection, StampConflicts, resolve_same_stamp
 from theodolite_calib.samples.samples import TargetSample
 
 MAX_WAITING = 1000

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_estimation.innovations.gates import chi_square_gate
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
 from ship_geometry.mount.image import unit_vector_jacobian
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M

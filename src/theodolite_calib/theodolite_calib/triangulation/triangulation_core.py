@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
+from ship_estimation.rejection_rules import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_estimation.time_order.outcome import Measurement, MeasurementDecision, Outcome, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray

@@ -15,7 +15,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns, corrected_estimates
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.plausibility.checked_ins import CheckedBlock
-from ship_estimation.rejections import Rejection, failure_rejection
+from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.tracks.attitude_track import (
     AttitudeSample,

@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.ins.ins_batch import InsBatch
 from ship_estimation.parameters.ins import InsJump
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock

@@ -13,7 +13,7 @@ from ship_attitude_star.ship_attitude.measurements.kind import (
     LinearisationPoint,
 )
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude

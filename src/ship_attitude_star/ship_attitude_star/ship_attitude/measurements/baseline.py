@@ -13,7 +13,7 @@ from ship_attitude_star.ship_attitude.measurements.kind import (
 )
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_estimation.plausibility.value_checks import StuckValue, largest_sigma
-from ship_estimation.rejections import Reason, Rejection
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import FloatArray, exp_rotation
 
 BASELINE = "baseline"

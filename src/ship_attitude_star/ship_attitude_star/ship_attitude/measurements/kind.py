@@ -8,7 +8,7 @@ import numpy as np
 
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateBlock, StateModel
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack, InterpolatedAttitude

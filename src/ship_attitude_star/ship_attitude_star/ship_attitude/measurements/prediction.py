@@ -23,7 +23,7 @@ from ship_attitude_star.ship_attitude.measurements.kind import (
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
-from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry import lapack
 from ship_geometry.earth.time_scales import SECOND_NS

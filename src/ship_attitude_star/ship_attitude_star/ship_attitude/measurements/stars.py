@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.measurements.kind import (
     LinearisationPoint,
 )
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
-from ship_estimation.rejections import Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude
 from ship_geometry.tracks.exposure_mean import exposure_motion
