@@ -20,7 +20,7 @@ from ship_stars.sky.config import SkyConfig
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 from ship_testing.trials.monte_carlo import attitude_outcomes, core_for, measurement_of, sky_input, star_exposure
 
-SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 OBSERVATIONS = "star/fore/observations"
 
 

@@ -98,8 +98,7 @@ def test_a_checkout_without_cython_ends_in_one_line(checkout: Path, cython: str,
 @pytest.mark.parametrize("cython", [NO_CYTHON, OLD_CYTHON], ids=["none", "3.0.8"])
 def test_a_release_is_compiled_from_its_c_without_cython(checkout: Path, cython: str) -> None:
     made = generate_c(checkout.parent)
-    assert made[0].name == "compiled_sources.sha256"
-    assert "compiled_stars.c" in {path.name for path in made}
+    assert {"compiled_sources.sha256", "compiled_stars.c"} <= {path.name for path in made}
     answer = build(checkout, cython)
     assert answer.returncode == 0, answer.stderr
     (wheel,) = (checkout / "made").iterdir()
