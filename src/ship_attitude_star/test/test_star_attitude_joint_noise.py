@@ -18,6 +18,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_stars.camera.camera import tangent_basis
 from ship_stars.camera.config import JOINT
+from ship_stars.messages.star_messages import ExposingSensor
 from ship_stars.messages.surroundings_messages import surroundings_reader
 from ship_stars.samples.readings import SkyInput
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
@@ -74,15 +75,8 @@ def exact_exposure(topic: str, since_ns: int) -> StarExposure:
     id_ = topic.split("/")[1]
     message = observations(topic, since_ns)
     sensor = CONFIG.star_sensors[id_]
-    return read_exposure(
-        message,
-        sensor_id=id_,
-        frame_id=sensor.frame_id,
-        camera=CAMERA,
-        camera_config=sensor.camera,
-        catalogue=sky().catalogue,
-        receive_ns=START_NS + since_ns,
-    ).value.exposure
+    exposing = ExposingSensor(id_, sensor.frame_id, CAMERA, sensor.camera)
+    return read_exposure(message, START_NS + since_ns, exposing, sky().catalogue).value.exposure
 
 
 @functools.cache
