@@ -36,7 +36,7 @@ class ShipFilterWithoutSubfilters(ShipFilter):
         correction, parts = update(predicted.covariance_by_source, linear, gain)
         after = with_changes(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
-        return self._acceptance.record_accepted(after, measurement), decision
+        return self._effects.record_accepted(after, measurement), decision
 
 
 class _NoSubfilters:
