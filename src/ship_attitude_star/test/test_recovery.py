@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.messages.input_messages import star_measurement
 from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
@@ -53,10 +54,16 @@ def calm() -> tuple[Arrival, ...]:
 
 
 def run_voyage(
-    arrivals: Iterable[Arrival], faulty_s: float = FAULTY_S, then: Callable[[Run, float], None] | None = None,
+    arrivals: Iterable[Arrival],
+    faulty_s: float = FAULTY_S,
+    then: Callable[[Run, float], None] | None = None,
+    process: Callable[..., Any] = process_message,
     **changes: Any,
 ) -> Run:
-    """Run a voyage whose filter state is replaced; call ``then`` after each arrival with the time since the start."""
+    """Run a voyage whose filter state is replaced; call ``then`` after each arrival with the time since the start.
+
+    ``process`` passes a message to the adapter.
+    """
     run, is_faulty = Run(new_adapter(**changes)), False
     grid_ns = 100_000_000
     tick_ns = START_NS // grid_ns * grid_ns
@@ -70,7 +77,7 @@ def run_voyage(
             make_overconfident(run.adapter)
         run.published += [
             (arrival.receive_ns, *item)
-            for item in process_message(run.adapter, arrival.topic, arrival.message, arrival.receive_ns)
+            for item in process(run.adapter, arrival.topic, arrival.message, arrival.receive_ns)
         ]
         run.now_ns = arrival.receive_ns
         if then is not None:
@@ -294,6 +301,63 @@ def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() 
     run = run_voyage(calm(), then=change)
     assert run.adapter.recovery.adopted == 1
     assert run.adapter.core.config.ins.white_sigma_arcsec == 2.5
+
+
+def test_an_exception_of_the_second_estimator_does_not_prevent_new_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed = []
+
+    def change(run: Run, since_s: float) -> None:
+        if since_s >= FAULTY_S + 20.0 and not changed:
+            monkeypatch.setattr(run.adapter.recovery.candidate.core, "reconfigure", lambda _config: 1 / 0)
+            changed.append(run.adapter.set_parameters({"ins.white_sigma_arcsec": 2.5}))
+
+    run = run_voyage(voyage(150.0), then=change)
+    assert run.adapter.recovery.adopted == 1
+    assert run.adapter.core.config.ins.white_sigma_arcsec == 2.5
+    (report,) = [one for one in run.innovations(Reason.FAILED) if one.source == "recovery"]
+    assert "ZeroDivisionError" in report.reason_text
+
+
+def test_the_second_estimator_gets_each_input_although_the_first_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, started_s = [], FAULTY_S + 30.0
+
+    def raise_for_a_while(run: Run, since_s: float) -> None:
+        candidate = run.adapter.recovery.candidate
+        if since_s >= started_s and not calls and candidate is not None:
+            calls.append("start")
+            add = candidate.core.add_measurement
+            candidate.core.add_measurement = lambda *given: calls.append("second") or add(*given)
+            run.adapter.core.add_measurement = fail
+            run.adapter.bind()
+        if since_s >= started_s + 5.0 and "end" not in calls:
+            calls.append("end")
+            del run.adapter.core.add_measurement
+            run.adapter.bind()
+
+    def fail(*_: Any) -> Any:
+        calls.append("first")
+        raise ArithmeticError
+
+    def process(adapter: Any, topic: str, *given: Any) -> Any:
+        try:
+            return process_message(adapter, topic, *given)
+        except ArithmeticError:  # the node runtime reports it
+            return []
+
+    run = run_voyage(calm(), then=raise_for_a_while, process=process)
+    during = calls[1 : calls.index("end")]
+    assert len(during) > 20
+    assert during == ["first", "second"] * (len(during) // 2)
+    assert run.adapter.recovery.adopted == 1
+
+
+def test_an_exception_before_the_adoption_does_not_prevent_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ShipAttitudeAdapter, "before_adoption", lambda _adapter: 1 / 0)
+    run = run_voyage(calm())
+    assert run.adapter.recovery.adopted == 1
+    assert statuses(run, FAULTY_S + CONFIRMED_S) == {Status.VALID}
+    (report,) = [one for one in run.innovations(Reason.FAILED) if one.source == "recovery"]
+    assert "ZeroDivisionError" in report.reason_text
 
 
 def test_a_step_of_all_clocks_in_trouble() -> None:

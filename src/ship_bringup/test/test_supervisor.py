@@ -98,6 +98,27 @@ def test_suite_ends_with_its_player_in_the_opposite_order():
     assert any(line.endswith("exit code 1; not started again; the suite ends with it") for line in lines)
 
 
+def test_another_end_sends_no_second_request_to_a_slow_program():
+    """A second SIGINT may interrupt a program while it saves its state."""
+    slow = (
+        "import signal, time\n"
+        "signal.signal(signal.SIGINT, lambda *_: print('asked', flush=True))\nprint('ready', flush=True)\n"
+        "signal.pause()\ntime.sleep(3.0)\nprint('ends', flush=True)"
+    )
+    _, lines = run_suite(
+        program("node", "import time; print('runs', flush=True); time.sleep(4.0)"),
+        program("slow", slow, Role.WATCHER),
+        program("player", "import time; time.sleep(2.0)", Role.PLAYER),
+    )
+    assert [line for line in lines if line.startswith("[slow]")] == ["[slow] ready", "[slow] asked", "[slow] ends"]
+
+
+def test_time_without_a_heartbeat_does_not_shorten_the_restart_delay(monkeypatch):
+    monkeypatch.setattr("ship_bringup.suite.restarts.STEADY_S", 0.2)
+    _, lines = run_suite(program("node", "import time; time.sleep(0.5)"), until="node ended", count=2)
+    assert lines[-1].endswith("; started again in 1 s (restart 2 in a row)")
+
+
 def test_feeder_ends_before_the_nodes():
     code, lines = run_suite(
         program("node", WAITS),

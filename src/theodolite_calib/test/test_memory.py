@@ -11,13 +11,12 @@ from ship_geometry.rotations import ARCSEC
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.optical_axis.memory import (
-    StreamJump,
     largest_difference_sigmas,
     memory_residuals,
     propagate_memory,
     start_from_memory,
-    stuck_encoder_jump,
 )
+from theodolite_calib.optical_axis.streams import StreamJump, stuck_encoder_jump
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting
 

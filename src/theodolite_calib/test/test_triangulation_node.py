@@ -16,6 +16,7 @@ from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_node.health.overload import Overload
 from ship_testing.garbage import paths, put_garbage
 from ship_testing.one_message import process_message
 from ship_testing.theodolite_stations import FACTORY, buoy_direction, buoy_n, direction_message, triangulation_values
@@ -142,6 +143,31 @@ def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     assert published_reasons(give_message(adapter, 2, buoy_message(2, time_ns), later_ns + LATENCY_NS)) == [
         ("station.t2", Reason.LATE)
     ]
+
+
+def test_a_node_that_is_behind_reports_no_position_as_published() -> None:
+    adapter = adapter_of(2)
+
+    def positions(first: int, last: int) -> list[Any]:
+        stamps_ns = range(START_NS + first * PERIOD_NS, START_NS + last * PERIOD_NS, PERIOD_NS)
+        return [
+            position
+            for time_ns in stamps_ns
+            for number in range(2)
+            for position in published_positions(give_message(adapter, number, buoy_message(number, time_ns)))
+        ]
+
+    def status_text(index: int) -> str:
+        (status,) = adapter.own_statuses(START_NS + index * PERIOD_NS)
+        return status.message
+
+    assert positions(0, 5)
+    adapter.overload(Overload(3.2, 2, 12.0), START_NS + 5 * PERIOD_NS)
+    assert positions(5, 123) == []
+    assert status_text(123).startswith("no position for 12 s")
+    adapter.overload(Overload(0.0, 2, 1.0), START_NS + 123 * PERIOD_NS)
+    assert positions(123, 128)
+    assert status_text(128).startswith("VALID: ")
 
 
 def test_single_theodolite_is_invalid_with_the_reason() -> None:

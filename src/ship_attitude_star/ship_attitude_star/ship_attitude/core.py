@@ -7,7 +7,6 @@ The core uses no ROS, no files and no clock. The core combines the filter, the I
 """
 
 from collections.abc import Callable, Sequence, Set
-from functools import partial
 from typing import ClassVar
 
 from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
@@ -80,11 +79,11 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: EstimatorModel[FilterState, Measurement, AttitudeDecision, InsChange] = EstimatorModel(
             step=self._step,
-            inflate=partial(_apply_ins_change, self),
+            inflate=self._apply_ins_change,
             failure_decision=_failure_decision,
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             drop_before=self._drop_before,
-            on_decision=partial(_record_decision, self),
+            on_decision=self._record_decision,
             on_commit=on_commit,
         )
         reach_ns = round(config.ins.max_gap_s * SECOND_NS) + self._stamp_reach_ns
@@ -95,11 +94,6 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self.ins = InsInput(config, self._estimator, self.output)
         self.consistency = ShipConsistency(self._estimator, self.output, self.ins)
         self.reset()
-
-    def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
-        """Reset to a saved alignment; return remarks for the operator."""
-        self._start = (prior, now_ns)
-        return self.reset()
 
     def reset(self, clock_jumped: bool = False) -> list[str]:
         """Discard all measurements; see :meth:`RecoverableCore.reset`."""
@@ -149,7 +143,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self.config = config
         self.filter = self.filter_class(config, self.vertical)
         self.output.reconfigure(config, self.filter)
-        self.ins.checks.ins.reconfigure(config.ins)
+        self.ins.reconfigure(config)
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
         """Add a position fix or an air reading; affected measurements are evaluated again."""
@@ -262,6 +256,12 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
             return self.filter.step(compared[0], measurement, self.ins.track, self.sky_model, may_wait)
         return compared
 
+    def _apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
+        return self.filter.apply_ins_change(state, change)
+
+    def _record_decision(self, decision: AttitudeDecision) -> None:
+        record_accepted(self.recent_sources, decision)
+
     def _drop_before(self, time_ns: int, needed_since_ns: int | None = None) -> None:
         """Discard data that no measurement at or after a stamp needs; keep the data of the ship since another stamp."""
         needed_since_ns = time_ns if needed_since_ns is None else needed_since_ns
@@ -271,17 +271,6 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         if self.vertical is not None:
             state_ns = self._estimator.oldest_state.time_ns
             self.vertical.drop_before(time_ns, needed_since_ns if state_ns is None else min(needed_since_ns, state_ns))
-
-
-# Functions of the core instead of closures, so that a copy of a core refers to itself.
-
-
-def _apply_ins_change(core: ShipAttitudeCore, state: FilterState, change: InsChange) -> FilterState:
-    return core.filter.apply_ins_change(state, change)
-
-
-def _record_decision(core: ShipAttitudeCore, decision: AttitudeDecision) -> None:
-    record_accepted(core.recent_sources, decision)
 
 
 def _failure_decision(measurement: Measurement, rejection: Rejection) -> AttitudeDecision:

@@ -68,11 +68,11 @@ class SmoothingCore(ShipAttitudeCore):
         self._committed_ns = 0
         self._pending: deque[_RealTimeEstimate] = deque()
         self._is_smoothing = True
-        super().__init__(config, sky_model, self._committed.extend, self._record_estimate)
+        super().__init__(config, sky_model, self._record_committed, self._record_estimate)
 
     def _new_estimator(self, sky_model: SkyModel | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeCore._new_estimator`; the new core smooths only after :meth:`take_over_outputs`."""
-        another = SmoothingCore(self.config, sky_model, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
+        another = type(self)(self.config, sky_model, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
         another._is_smoothing = False
         return another
 
@@ -100,10 +100,14 @@ class SmoothingCore(ShipAttitudeCore):
         super().reconfigure(config)
         self._smoother.predictor = self._new_predictor()
 
+    def _record_committed(self, states: Sequence[FilterState]) -> None:
+        """Store states that can no longer change, for the smoother."""
+        if self._is_smoothing:
+            self._committed.extend(states)
+
     def _record_estimate(self, estimate: AttitudeEstimate) -> None:
         """Store a real-time attitude, to be smoothed later."""
         if not self._is_smoothing:
-            self._committed.clear()
             return
         has_fault = estimate.state.unresolved_fault is not None or INS in estimate.state.excluded
         separation_n = estimate.state.separation_covariance_n

@@ -26,13 +26,13 @@ class Restarts:
 
     consecutive_count: int = field(default=0, init=False)
 
-    def delay_s(self, ran_s: float) -> float:
+    def delay_s(self, worked_s: float) -> float:
         """Count an end of the program; return the delay before its next start, s.
 
         Args:
-            ran_s: run time of the program.
+            worked_s: run time of the program, s; 0 if it never sent a heartbeat.
         """
-        self.consecutive_count = 1 if ran_s >= STEADY_S else self.consecutive_count + 1
+        self.consecutive_count = 1 if worked_s >= STEADY_S else self.consecutive_count + 1
         if self.consecutive_count == 1:
             return 0.0
         # The exponent is limited, because a program may end ten thousand times.

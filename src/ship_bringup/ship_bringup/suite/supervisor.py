@@ -54,6 +54,7 @@ class Supervisor:
         self._write = write
         self._selector = selectors.DefaultSelector()
         self._is_end_requested = self._is_ending = False
+        self._requested: Process | None = None
         self._kill_due_s: float | None = None
         self._exit_code = EXIT_DONE
         self._reserved_ports = ReservedPorts()
@@ -106,7 +107,7 @@ class Supervisor:
         try:
             entry.process = self._start_process(entry)
         except Exception as problem:
-            delay_s = max(1.0, entry.restarts.delay_s(ran_s=0.0))
+            delay_s = max(1.0, entry.restarts.delay_s(worked_s=0.0))
             entry.due_s = time.monotonic() + delay_s
             reason = (isinstance(problem, OSError) and problem.strerror) or failure_rejection(problem).text
             self._log(_SUITE, f"{entry.program.name} cannot be started: {reason}; tried again in {delay_s:.0f} s")
@@ -158,12 +159,11 @@ class Supervisor:
         self._unregister(process)
         code, ran_s = process.close(), time.monotonic() - process.start_s
         entry.process = None
-        if self._is_ending:
-            self._kill_due_s = None
-        else:
-            self._handle_unrequested_end(entry, code, ran_s)
+        if not self._is_ending:
+            # A program that never sent a heartbeat has not worked.
+            self._handle_unrequested_end(entry, code, ran_s, ran_s if process.heartbeat_age.has_heartbeat else 0.0)
 
-    def _handle_unrequested_end(self, entry: SupervisedProgram, code: int, ran_s: float) -> None:
+    def _handle_unrequested_end(self, entry: SupervisedProgram, code: int, ran_s: float, worked_s: float) -> None:
         """Handle an end that the suite did not request."""
         text = f"{entry.program.name} ended after {ran_s:.1f} s: {end_text(code)}"
         if entry.program.role is Role.PLAYER:
@@ -178,7 +178,7 @@ class Supervisor:
             self._log(_SUITE, f"{text}; bad input at the start: the suite ends")
             self._end()
             return
-        delay_s = entry.restarts.delay_s(ran_s)
+        delay_s = entry.restarts.delay_s(worked_s)
         when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
         self._log(_SUITE, f"{text}; started again {when} (restart {entry.restarts.consecutive_count} in a row)")
         entry.due_s = time.monotonic() + delay_s
@@ -198,7 +198,7 @@ class Supervisor:
 
     def _end(self) -> None:
         """Begin to end all programs; pending starts are cancelled."""
-        self._is_ending, self._kill_due_s = True, None
+        self._is_ending = True
         for entry in self._programs:
             if entry.process is None or not entry.has_run:
                 self._exit_code = self._exit_code or entry.failure
@@ -212,10 +212,10 @@ class Supervisor:
         ending = min(reversed(running), key=lambda kept: _END_ORDER.index(kept.program.role))
         process = ending.process
         assert process is not None
-        if self._kill_due_s is None:
-            self._kill_due_s = time.monotonic() + _END_TIMEOUT_S
+        if process is not self._requested:
+            self._requested, self._kill_due_s = process, time.monotonic() + _END_TIMEOUT_S
             process.request_end()
-        elif time.monotonic() >= self._kill_due_s:
+        elif self._kill_due_s is not None and time.monotonic() >= self._kill_due_s:
             self._log(_SUITE, f"{ending.program.name} does not end: killed")
             self._kill_due_s = time.monotonic() + _END_TIMEOUT_S
             process.kill()

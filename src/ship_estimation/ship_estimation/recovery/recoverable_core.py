@@ -103,6 +103,11 @@ class RecoverableCore(ABC, Generic[State, AnyJump]):
     def excluded_sources(self) -> Set[str]:
         """Names of the excluded sources."""
 
+    def start_from(self, prior: Any, now_ns: int) -> list[str]:
+        """Reset to a saved estimate; return remarks for the operator."""
+        self._start = (prior, now_ns)
+        return self.reset()
+
     @abstractmethod
     def reset(self, clock_jumped: bool = False) -> list[str]:
         """Discard all measurements; after a jump of the clock, outputs may start again at earlier times.

@@ -58,12 +58,17 @@ class SecondEstimator:
     def give_input(self, give: Callable[[], Outcome[Any, Any]]) -> None:
         """Give an input to the estimator and record the status of its estimates; exceptions are stored."""
         try:
-            outcome = give()
+            for estimate in give().estimates:
+                self._status = estimate.status
         except Exception as error:
             self.failure = failure_rejection(error)
-            return
-        for estimate in outcome.estimates:
-            self._status = estimate.status
+
+    def call(self, call: Callable[[Any], None]) -> None:
+        """Call a function with the estimator; exceptions are stored."""
+        try:
+            call(self.core)
+        except Exception as error:
+            self.failure = failure_rejection(error)
 
     def update_status(self, waiting_ns: int) -> None:
         """Record the time since which the status is VALID; called once a second."""

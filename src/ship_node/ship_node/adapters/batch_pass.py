@@ -34,8 +34,8 @@ _BACKOFF_MESSAGES = 8
 """Number of messages processed one by one after a block could not be evaluated."""
 
 
-class DeferringCore(Protocol):
-    """Core that computes several outputs together.
+class DeferringPart(Protocol):
+    """Part of a core that computes several outputs together.
 
     Attributes:
         pending: data of each pending output, with its stamp ``time_ns``; None if each output is published at once.
@@ -115,15 +115,15 @@ class BatchPass:
         self._outputs = BatchOutputs()
         self._estimates: list[_Estimates] = []
         # Place and order of each pending output, and the outputs computed so far.
-        self._defers = adapter.can_defer_outputs and len(batch.arrivals) > 1
+        self._deferring = adapter.deferring_part if len(batch.arrivals) > 1 else None
         self._pending_places: list[tuple[int, int]] = []
         self._computed: list[_Part] = []
         self._computed_count = 0
 
     def run(self) -> BatchOutputs:
         """Process all arrivals, then convert the estimates to messages."""
-        if self._defers:
-            self._adapter.core.pending = []
+        if self._deferring is not None:
+            self._deferring.pending = []
         try:
             for place, arrival in enumerate(self._batch.arrivals):
                 if not arrival.topic:
@@ -134,8 +134,8 @@ class BatchPass:
                     self._process_message(place, arrival)
             self._publish_pending()
         finally:
-            if self._defers:
-                self._adapter.core.pending = None
+            if self._deferring is not None:
+                self._deferring.pending = None
         if self._estimates:
             places = np.concatenate([some.places for some in self._estimates])
             orders = np.concatenate([some.orders for some in self._estimates])
@@ -146,11 +146,10 @@ class BatchPass:
 
     def compute_pending(self) -> None:
         """Compute the pending outputs, because the next output or report must follow them."""
-        core = self._adapter.core
-        if not self._defers or not core.pending:
+        if self._deferring is None or not self._deferring.pending:
             return
-        times_ns = [pending.time_ns for pending in core.pending]
-        for some, found in core.compute_pending():
+        times_ns = [pending.time_ns for pending in self._deferring.pending]
+        for some, found in self._deferring.compute_pending():
             parts = self._estimate_parts(some, found, times_ns)
             self._computed += [part._replace(number=self._computed_count + part.number) for part in parts]
         self._computed_count += len(times_ns)
@@ -238,8 +237,8 @@ class BatchPass:
         receive_ns, reading, count = block.receive_ns, block.reading, block.evaluated.checked.accepted_count
         samples = reading.samples.subset(slice(len(receive_ns)))
         adapter.duplicates.add_batch(feed.input.topic, samples.times_ns, samples.rotations_nd)
-        adapter.record_usable(feed, None, int(receive_ns[-1]))
         if count:
+            adapter.record_usable(feed, None, int(receive_ns[count - 1]))
             times_ns = samples.times_ns[:count]
             adapter.health.record_batch(feed.input.topic, receive_ns[:count], times_ns, reading.covariance_known)
         parts = [
@@ -298,8 +297,8 @@ class BatchPass:
         if published:
             self._outputs.messages.append(PlacedMessages(place, self._order, published))
             self._order += 1
-        if self._defers:
-            while len(self._pending_places) < self._computed_count + len(self._adapter.core.pending):
+        if self._deferring is not None:
+            while len(self._pending_places) < self._computed_count + len(self._deferring.pending or ()):
                 self._pending_places.append((place, self._order))
                 self._order += 2  # one for the messages published before the output, one for the output
 

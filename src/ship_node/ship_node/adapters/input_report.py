@@ -163,8 +163,8 @@ class InputReport(ResultReport):
         """Pass the duplicate publishers of an input to health and core; if the source is off, to health only."""
         feed, text = self.feeds[topic], self.duplicates.text(topic)
         self.health.set_duplicate_publishers(topic, text)
-        for core in self.cores:
-            core.set_duplicate_publishers(feed.measurement_source or feed.source, "" if self.is_off(topic) else text)
+        source, core_text = feed.measurement_source or feed.source, "" if self.is_off(topic) else text
+        self.call_cores(lambda core: core.set_duplicate_publishers(source, core_text))
 
     def update_all_duplicate_publishers(self) -> None:
         """Pass the duplicate publishers of all inputs to a new or changed core."""
@@ -180,6 +180,7 @@ class InputReport(ResultReport):
 
     def step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
+        self.compute_pending()
         self.core.step_time_base(step_ns, self.time_steps.accept_step(self.core, waiting_ns))
         self.restart_streams()
         self.health.reset_stamps()

@@ -17,7 +17,7 @@ from ship_estimation.rejection_rules import Reason, Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.adapters.adapter import ServiceResult
-from ship_node.adapters.batch_pass import BatchPass
+from ship_node.adapters.batch_pass import BatchPass, DeferringPart
 from ship_node.adapters.input_report import InputReport
 from ship_node.adapters.sources_off import disabled_topics, off_statuses
 from ship_node.adapters.time_steps import step_text
@@ -60,8 +60,6 @@ class NodeAdapter(InputReport):
     outputs: tuple[OutputTopic, ...]
     has_idle_ticks: ClassVar[bool] = True
     """True if a tick among the messages of a block does not change the core."""
-    can_defer_outputs: ClassVar[bool] = False
-    """True if the core can compute several outputs together (:class:`ship_node.adapters.batch_pass.DeferringCore`)."""
     reset_text: ClassVar[str] = "the filter was reset"
     start_warnings: tuple[str, ...] = ()
 
@@ -96,6 +94,11 @@ class NodeAdapter(InputReport):
             now_ns: the node's time.
             text: the reason.
         """
+        return None
+
+    @property
+    def deferring_part(self) -> DeferringPart | None:
+        """Part of the core that can compute several outputs of a batch together; None if there is none."""
         return None
 
     @property
@@ -196,8 +199,7 @@ class NodeAdapter(InputReport):
         config = with_changes(self.config, changes)
         self.off_topics = disabled_topics(self.feeds.values(), config.sources_off, self.required_sources)
         self.config = config
-        for core in self.cores:
-            core.reconfigure(config)
+        self.call_cores(lambda core: core.reconfigure(config))
         self.bind()
         self.update_all_duplicate_publishers()
 

@@ -118,24 +118,27 @@ class RecoveringAdapter(NodeAdapter):
             super().idle_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS
         )
 
-    @property
-    def cores(self) -> tuple[Any, ...]:
-        """See :class:`NodeAdapter`; also the second estimator."""
-        return (self.core,) if self.recovery.candidate is None else (self.core, self.recovery.candidate.core)
+    def call_cores(self, call: Callable[[Any], None]) -> None:
+        """See :class:`NodeAdapter`; also calls the second estimator, whose exceptions are stored."""
+        super().call_cores(call)
+        if self.recovery.candidate is not None:
+            self.recovery.candidate.call(call)
 
     # -- once a second --------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """See :class:`NodeAdapter`; the second estimator is started, adopted or ended at intervals of 1 s."""
-        published = super().tick(now_ns, waiting_ns)
-        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        timeout_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate
-        if candidate is not None:
-            candidate.give_input(lambda: candidate.core.tick(now_ns, waiting_ns))
-        if self._last_decision_ns is None or waiting_ns - self._last_decision_ns >= _DECISION_PERIOD_NS:
-            self._last_decision_ns = waiting_ns
+        try:
+            published = super().tick(now_ns, waiting_ns)
+        finally:
+            if candidate is not None:
+                candidate.give_input(lambda: candidate.core.tick(now_ns, timeout_ns))
+        if self._last_decision_ns is None or timeout_ns - self._last_decision_ns >= _DECISION_PERIOD_NS:
+            self._last_decision_ns = timeout_ns
             try:
-                published += self._decide(now_ns, waiting_ns)
+                published += self._decide(now_ns, timeout_ns)
             except Exception as error:
                 # The outputs of the current estimator are published nevertheless.
                 published.append(self.report_failure(_RECOVERY, now_ns, failure_rejection(error)))
@@ -156,19 +159,25 @@ class RecoveringAdapter(NodeAdapter):
         published: list[OutputMessage] = []
         if before is not None and before.failure is not None:
             published.append(self.report_failure(_RECOVERY, now_ns, before.failure))
-        if self.recovery.update(waiting_ns, self.core, is_as_expected, present_sources):
-            published += self._adopt(waiting_ns)
-        if self.recovery.candidate is not before:
-            self.bind()
-            self.update_all_duplicate_publishers()
+        try:
+            if self.recovery.update(waiting_ns, self.core, is_as_expected, present_sources):
+                published += self._adopt(now_ns, waiting_ns)
+        finally:
+            if self.recovery.candidate is not before:
+                self.bind()
+                self.update_all_duplicate_publishers()
         return published
 
-    def _adopt(self, waiting_ns: int) -> list[OutputMessage]:
+    def _adopt(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Replace the estimator by the second estimator; the outputs continue in order."""
         candidate = self.recovery.candidate
         assert candidate is not None
         self.compute_pending()
-        published = self.before_adoption()
+        try:
+            published = self.before_adoption()
+        except Exception as error:
+            # The estimator that fails here is the one that is replaced.
+            published = [self.report_failure(_RECOVERY, now_ns, failure_rejection(error))]
         candidate.core.take_over_outputs(self.core)
         self.core = candidate.core
         self.recovery.record_adoption(waiting_ns)
@@ -217,11 +226,15 @@ def _is_valid_or_above_limit(latest: Any, core: Any, config: Any, quantities: Se
 def _process_in_both(
     first: Callable[..., Any], second: Callable[..., Any], candidate: SecondEstimator
 ) -> Callable[[Any, int], Any]:
-    """Return a function that passes a value to both estimators and returns the outcome of the first."""
+    """Return a function that passes a value to both estimators and returns the outcome of the first.
+
+    The second estimator gets the value also if the first raises an exception.
+    """
 
     def process(value: Any, waiting_ns: int) -> Any:
-        outcome = first(value, waiting_ns)
-        candidate.give_input(lambda: second(value, waiting_ns))
-        return outcome
+        try:
+            return first(value, waiting_ns)
+        finally:
+            candidate.give_input(lambda: second(value, waiting_ns))
 
     return process

@@ -66,10 +66,9 @@ class ResultReport(ABC):
         self.overload_report = OverloadReport(self.node_name)
         self.batch_pass: BatchPass | None = None
 
-    @property
-    def cores(self) -> tuple[Any, ...]:
-        """All estimators of the node."""
-        return (self.core,)
+    def call_cores(self, call: Callable[[Any], None]) -> None:
+        """Call a function with each estimator of the node."""
+        call(self.core)
 
     @abstractmethod
     def record_decision(self, decision: Any, now_ns: int) -> Feed:

@@ -13,6 +13,7 @@ from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
+from ship_node.adapters.batch_pass import DeferringPart
 from ship_node.adapters.feeds import Feed, ignore_time
 from ship_node.adapters.input_report import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
@@ -119,7 +120,6 @@ class OpticalAxisAdapter(RecoveringAdapter):
     integrity_frame: str = MAIN_FRAME
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
     required_sources: ClassVar[tuple[str, ...]] = ("encoder", "ship")
-    can_defer_outputs: ClassVar[bool] = True
     redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (
@@ -166,6 +166,12 @@ class OpticalAxisAdapter(RecoveringAdapter):
         """Return the calibration of the present estimator."""
         core: OpticalAxisCore = self.core
         return core.calibration_to_save()
+
+    @property
+    def deferring_part(self) -> DeferringPart:
+        """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
+        pointings: DeferringPart = self.core.pointings
+        return pointings
 
     def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
         """Return the estimator; a subclass returns an estimator that smooths the pointings."""
@@ -223,9 +229,10 @@ class OpticalAxisAdapter(RecoveringAdapter):
         """See :class:`ship_node.adapters.node_adapter.NodeAdapter`; the directions of targets come first.
 
         A direction of a target has no innovation, because the image of the target is not compared with a prediction.
+        A node that is behind publishes no directions.
         """
         published: list[OutputMessage] = []
-        for target in outcome.targets:
+        for target in outcome.targets if self.overload_report.behind is None else ():
             if target.status is not Status.INVALID:
                 self.health.record_accepted(TARGET_IMAGE_TOPIC, target.time_ns, now_ns)
             published.append((TARGET_TOPIC, target_message(self.factory, target, self.config.frames.horizon)))

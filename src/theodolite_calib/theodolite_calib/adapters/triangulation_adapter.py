@@ -69,8 +69,8 @@ class TriangulationAdapter(NodeAdapter):
             yield Feed(topic, f"station.{name}", read, core.add_direction)
 
     def report_outcome(self, outcome: TriangulationOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """See :class:`NodeAdapter`."""
-        if outcome.estimates:
+        """See :class:`NodeAdapter`; the positions of a node that is behind are not published."""
+        if outcome.estimates and self.overload_report.behind is None:
             self._published_ns = waiting_ns
         return super().report_outcome(outcome, now_ns, waiting_ns)
 

@@ -9,14 +9,13 @@ from ship_estimation.recovery.recoverable_core import Consistency
 from theodolite_calib.filter.filter import CalibrationState
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.optical_axis.memory import (
-    StreamJump,
     is_consistent,
     largest_difference_sigmas,
     memory_residuals,
     propagate_memory,
 )
 from theodolite_calib.optical_axis.pointings import Pointings
-from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams
+from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams, StreamJump
 from theodolite_calib.samples.samples import Exposure, ExposureDecision
 
 

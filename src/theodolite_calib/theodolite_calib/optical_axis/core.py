@@ -8,7 +8,6 @@ The core uses no ROS, no files and no clock. The core combines the calibration f
 
 from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from ship_estimation.integrity.protection_levels import IntegrityReport
@@ -25,16 +24,15 @@ from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.calibration import CalibrationPrior, prior_from_state, state_from_prior
 from theodolite_calib.optical_axis.consistency import AxisConsistency
-from theodolite_calib.optical_axis.memory import StreamJump, start_from_memory
+from theodolite_calib.optical_axis.memory import start_from_memory
 from theodolite_calib.optical_axis.output import PendingPointing
 from theodolite_calib.optical_axis.pointings import Pointings
-from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams
+from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams, StreamJump
 from theodolite_calib.samples.samples import (
     AnyExposure,
     ExposureDecision,
     PointingEstimate,
     PointingOutcome,
-    PointingSeries,
     TargetSample,
 )
 from theodolite_calib.samples.star_sighting import star_sighting
@@ -60,8 +58,6 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         streams: streams of encoders, ship's attitude and drones, and their checks.
         pointings: published pointings; encoder readings, ship's attitudes and target images are added there.
         escort: advisor for the drones; None if advice is disabled.
-        pending: offline, the pointings that :meth:`compute_pending` computes together; None if each pointing is
-            computed immediately.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter
@@ -75,17 +71,16 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         on_commit: Callable[[Sequence[CalibrationState]], None] | None = None,
         on_pointing: Callable[[PointingEstimate, PendingPointing | None], None] | None = None,
     ) -> None:
-        self.pending: list[PendingPointing] | None = None
         self.config, self.filter = config, self.filter_class(config)
         self.sky_model = sky
         self._start: tuple[CalibrationPrior, int] | None = None
         model: EstimatorModel[CalibrationState, AnyExposure, ExposureDecision, Jump] = EstimatorModel(
             step=self._step,
-            inflate=partial(_inflate_covariance, self),
+            inflate=self._inflate_covariance,
             failure_decision=lambda exposure, why: ExposureDecision(exposure, why.reason, text=why.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             drop_before=self._drop_before,
-            on_decision=partial(_record_decision, self),
+            on_decision=self._record_decision,
             on_commit=on_commit,
         )
         reach_ns = MeasuredTracks(config).reach_ns
@@ -93,17 +88,10 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
             model, self.filter.initial_state(), config.lag_s, reach_ns
         )
         self.streams = MeasuredStreams(config, self._estimator)
-        self.pointings = Pointings(
-            config, self.filter, self._estimator, self.streams, sky, partial(getattr, self, "pending"), on_pointing
-        )
+        self.pointings = Pointings(config, self.filter, self._estimator, self.streams, sky, on_pointing)
         self.consistency = AxisConsistency(self._estimator, self.streams, self.pointings)
         self._build_steps()
         self.reset()
-
-    def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
-        """Reset to a saved calibration; return remarks for the operator."""
-        self._start = (prior, now_ns)
-        return self.reset()
 
     def reset(self, clock_jumped: bool = False) -> list[str]:
         """Discard all measurements; see :meth:`RecoverableCore.reset`."""
@@ -206,11 +194,6 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self.pointings.tick(outcome, now_ns, now_ns if waiting_ns is None else waiting_ns)
         return outcome
 
-    def compute_pending(self) -> list[tuple[slice, PointingSeries | Rejection]]:
-        """Compute and return the pending pointings; see ``PointingOutput.compute_pending``."""
-        pending, self.pending = self.pending or [], []
-        return self.pointings.output.compute_pending(pending)
-
     def calibration_to_save(self) -> CalibrationPrior | None:
         """Return the prior for the next session.
 
@@ -237,7 +220,6 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
         """Continue the outputs of the estimator ``live``, which ends and has no pending output."""
         self.pointings.take_over(live.pointings)
-        self.pending = None if live.pending is None else []
 
     def _step(
         self, state: CalibrationState, exposure: AnyExposure, may_wait: bool
@@ -260,22 +242,17 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
         return state, replace(decision, rejected_parts=assembled.rejected_beacons + decision.rejected_parts)
 
+    def _inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
+        return self.filter.inflate_covariance(state, jump)
+
+    def _record_decision(self, decision: ExposureDecision) -> None:
+        self.streams.record_decision(decision)
+
     def _drop_before(self, time_ns: int) -> None:
         """Drop the data that no exposure at or after a stamp needs."""
         self.streams.tracks.drop_before(time_ns)
         if self.sky_model is not None:
             self.sky_model.surroundings.drop_before(time_ns)
-
-
-# Functions of the core instead of closures, so that a copy of a core refers to itself.
-
-
-def _inflate_covariance(core: OpticalAxisCore, state: CalibrationState, jump: Jump) -> CalibrationState:
-    return core.filter.inflate_covariance(state, jump)
-
-
-def _record_decision(core: OpticalAxisCore, decision: ExposureDecision) -> None:
-    core.streams.record_decision(decision)
 
 
 def _escort_advisor(

@@ -5,7 +5,7 @@ state, because beacons reinstate excluded sources.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,36 +14,10 @@ from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.mount.axes import axis_geometry
 from ship_geometry.mount.parallelism import telescope_rotation
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
-from theodolite_calib.samples.encoder_check import EncoderJump
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.optical_axis.streams import StreamJump
 from theodolite_calib.samples.sighting import Sighting
 from theodolite_calib.samples.tracks import EncoderAt, ShipAt
-
-_STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
-"""Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""
-
-
-@dataclass(frozen=True)
-class StreamJump:
-    """Jump that was detected in the encoder or ship stream itself.
-
-    Attributes:
-        jump: jump of the encoders or of the ship's attitude.
-    """
-
-    jump: Jump
-
-    @property
-    def covariance_n(self) -> FloatArray:
-        """Covariance of the change of directions to beacons, to the right and up, rad², shape (2, 2)."""
-        if isinstance(self.jump, EncoderJump):
-            return float(self.jump.jump @ self.jump.jump + self.jump.sigma_rad**2) * np.eye(2)
-        return float(np.trace(self.jump.covariance_n)) * np.eye(2)
-
-
-def stuck_encoder_jump(time_ns: int) -> StreamJump:
-    """Return the possible jump of encoders that were stuck until a time."""
-    return StreamJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
 
 
 def is_consistent(state: CalibrationState) -> bool:

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ship_estimation.rejection_rules import StampConflicts
+from ship_estimation.rejection_rules import Rejection, StampConflicts
 from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_stars.sky.sky_model import SkyModel
@@ -15,7 +15,14 @@ from theodolite_calib.optical_axis.by_stars import pointing_by_stars
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, invalid_pointing
 from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams
 from theodolite_calib.optical_axis.targets import TargetProcessor
-from theodolite_calib.samples.samples import EncoderSample, PointingEstimate, PointingOutcome, ShipSample, TargetSample
+from theodolite_calib.samples.samples import (
+    EncoderSample,
+    PointingEstimate,
+    PointingOutcome,
+    PointingSeries,
+    ShipSample,
+    TargetSample,
+)
 
 
 class _WaitingReading(NamedTuple):
@@ -35,7 +42,6 @@ class Pointings:
         estimator: time-ordered estimator of the filter.
         streams: streams of encoders and ship's attitude.
         sky: sky model; None if no camera observes stars.
-        pending: returns the list of pointings that are computed together; None if each is computed immediately.
         on_pointing: called with each pointing that is computed immediately, and its inputs, None if from stars alone;
             None if the pointings are not stored.
 
@@ -44,6 +50,8 @@ class Pointings:
         sequence: order and timeout of the pointings.
         output: computes the pointings.
         target_conflicts: stamp conflicts of the source of target images.
+        pending: in a batch, the pointings that :meth:`compute_pending` computes together; None if each pointing is
+            computed immediately.
     """
 
     def __init__(
@@ -53,11 +61,11 @@ class Pointings:
         estimator: AxisEstimator,
         streams: MeasuredStreams,
         sky: SkyModel | None,
-        pending: Callable[[], list[PendingPointing] | None],
         on_pointing: Callable[[PointingEstimate, PendingPointing | None], None] | None,
     ) -> None:
         self._estimator, self._streams, self._sky = estimator, streams, sky
-        self._pending, self._on_pointing = pending, on_pointing
+        self._on_pointing = on_pointing
+        self.pending: list[PendingPointing] | None = None
         self._config, self.filter = config, filter_
         self.sequence, self.target_conflicts = OutputSequence(), StampConflicts()
         self.output = PointingOutput(config, filter_)
@@ -82,6 +90,12 @@ class Pointings:
         self.sequence.continue_from(before.sequence)
         self.target_conflicts = before.target_conflicts
         self._targets.take_over(before._targets)
+        self.pending = None if before.pending is None else []
+
+    def compute_pending(self) -> list[tuple[slice, PointingSeries | Rejection]]:
+        """Compute and return the pending pointings; see ``PointingOutput.compute_pending``."""
+        pending, self.pending = self.pending or [], []
+        return self.output.compute_pending(pending)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
         """Add an encoder reading; publish the pointings of waiting readings that the ship's attitudes cover.
@@ -161,9 +175,8 @@ class Pointings:
         """Publish or queue a pointing; skip the pointing if a later output has been published."""
         if not self.sequence.can_publish(pending.time_ns):
             return
-        queue = self._pending()
-        if queue is not None:
-            queue.append(pending)
+        if self.pending is not None:
+            self.pending.append(pending)
             self.sequence.record(pending.time_ns, waiting_ns)
         else:
             self.sequence.add(outcome, pending.time_ns, waiting_ns, lambda: self.output.estimate(pending))

@@ -2,21 +2,22 @@
 
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_geometry.tracks.sample_track import OrderedSamples
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationState, Jump
 from theodolite_calib.filter.subfilters import ENCODER, SHIP, TELESCOPE
-from theodolite_calib.optical_axis.memory import StreamJump, stuck_encoder_jump
-from theodolite_calib.samples.encoder_check import CheckedReading, EncoderCheck
+from theodolite_calib.samples.encoder_check import CheckedReading, EncoderCheck, EncoderJump
 from theodolite_calib.samples.samples import (
     AnyExposure,
     BaselineSample,
@@ -36,6 +37,32 @@ AxisEstimator = TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDeci
 
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
+
+_STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
+"""Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""
+
+
+@dataclass(frozen=True)
+class StreamJump:
+    """Jump that was detected in the encoder or ship stream itself.
+
+    Attributes:
+        jump: jump of the encoders or of the ship's attitude.
+    """
+
+    jump: Jump
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance of the change of directions to beacons, to the right and up, rad², shape (2, 2)."""
+        if isinstance(self.jump, EncoderJump):
+            return float(self.jump.jump @ self.jump.jump + self.jump.sigma_rad**2) * np.eye(2)
+        return float(np.trace(self.jump.covariance_n)) * np.eye(2)
+
+
+def stuck_encoder_jump(time_ns: int) -> StreamJump:
+    """Return the possible jump of encoders that were stuck until a time."""
+    return StreamJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
 
 
 class MeasuredStreams:

@@ -45,6 +45,10 @@ class InsInput:
         self.jumps.clear()
         self._arrival_ns: int | None = None
 
+    def reconfigure(self, config: ShipAttitudeConfig) -> None:
+        """Continue with changed noise and gate parameters."""
+        self.checks.ins.reconfigure(config.ins)
+
     def is_timed_out(self, waiting_ns: int) -> bool:
         """True without a sample, or if the last accepted sample arrived more than ``ins.silence_s`` ago."""
         return self._arrival_ns is None or waiting_ns - self._arrival_ns > self._output.ins_timeout_ns
