@@ -24,8 +24,8 @@ from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDet
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState
-from ship_estimation.parameters.ins import InsJump
 from ship_estimation.parameters.schema import ParameterError, build
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -13,8 +13,8 @@ from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns, cor
 from ship_estimation.fault_detection.exclusions import ExcludedSource
 from ship_estimation.fault_detection.fault_state import UnresolvedFault
 from ship_estimation.fault_detection.subfilters import filter_covariances
-from ship_estimation.parameters.ins import InsJump
 from ship_estimation.parameters.schema import build
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import PropagatedBlock

@@ -8,13 +8,13 @@ import pytest
 from ship_estimation.fault_detection.innovation_means import (
     CONSISTENT_RATIO,
     INITIAL_MEANS,
-    NEVER_NS,
     WINDOW_LENGTHS,
     InnovationMeans,
     initial_means,
     updated_mean,
     updated_means,
 )
+from ship_geometry.earth.time_scales import NEVER_NS
 
 FILTERS, SOURCES, LIMIT = 4, 3, 37.4
 WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])[:, None]

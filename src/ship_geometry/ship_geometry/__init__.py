@@ -247,7 +247,7 @@ Terms of integrity
         Unit: rad, d; module: ship_watch.sources.mounting_shifts.
     Drift
         Slow change of an attitude or of a mounting.
-        Unit: rad, n or d; module: ship_estimation.fault_detection.rate_drift_detector.
+        Unit: rad, n or d; module: ship_estimation.plausibility.rate_drift_detector.
     Protection level, alert limit
         Bound of an error under an undetected fault; largest acceptable protection level.
         Unit: rad; module: ship_estimation.integrity.protection_levels.

@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate_from_star
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.parameters.ins import InsChange
+from ship_estimation.plausibility.ins_jump import InsChange
 from ship_estimation.time_order.outcome import Measurement, Status
 from ship_estimation.time_order.output_sequence import OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator

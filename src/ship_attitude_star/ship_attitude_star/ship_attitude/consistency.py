@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.ins.ins_input import InsInput
 from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
-from ship_estimation.parameters.ins import InsJump
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import Consistency
 from ship_stars.samples.attitude_samples import AttitudeDecision

@@ -24,7 +24,7 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.integrity.protection_levels import IntegrityReport
-from ship_estimation.parameters.ins import InsChange, InsJump
+from ship_estimation.plausibility.ins_jump import InsChange, InsJump
 from ship_estimation.recovery.recoverable_core import RecoverableCore
 from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement

@@ -24,7 +24,7 @@ from ship_estimation.fault_detection.fault_state import with_changes, with_entry
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.innovations.gates import chi_square_gate
-from ship_estimation.parameters.ins import InsChange
+from ship_estimation.plausibility.ins_jump import InsChange
 from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -16,7 +16,7 @@ from ship_estimation.fault_detection.fault_state import with_changes
 from ship_estimation.fault_detection.subfilters import FilterInnovations
 from ship_estimation.kalman.rts_smoother import StateUpdate
 from ship_estimation.kalman.rts_step import GaussianEstimate
-from ship_estimation.parameters.ins import InsChange
+from ship_estimation.plausibility.ins_jump import InsChange
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray
 

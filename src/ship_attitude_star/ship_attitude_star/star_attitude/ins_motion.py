@@ -17,8 +17,9 @@ import numpy as np
 
 from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
-from ship_estimation.parameters.ins import InsJump, StarInsConfig
+from ship_estimation.parameters.ins import StarInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.rejection_rules import Rejection, StampConflicts, resolve_same_stamp
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
 from ship_geometry.earth.time_scales import SECOND_NS

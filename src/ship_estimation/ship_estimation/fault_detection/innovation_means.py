@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.integrity.protection_levels import IntegrityConfig
+from ship_geometry.earth.time_scales import NEVER_NS
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_innovations
 
@@ -26,9 +27,6 @@ MEASUREMENTS_PER_H = 18_000
 
 CONSISTENT_RATIO = 0.5
 """Share of the chi² limit below which a source counts as consistent."""
-
-NEVER_NS = -(2**62)
-"""Stamp before any other stamp, for a source without a measurement or without an inconsistency."""
 
 FIELDS_BY_SUBFILTER = ("running", "excess", "rejection_counts")
 """Fields of :class:`InnovationMeans` with one row for each filter."""
@@ -60,7 +58,7 @@ class InnovationMeans:
         rejection_counts: number of successive rejections, shape (h, s).
         last_measured_ns: stamp of the last measurement of each source, shape (s,).
         inconsistent_since_ns: stamp since which the excess of each source in the main filter exceeds
-            :data:`CONSISTENT_RATIO`, or its measurements are rejected, shape (s,); :data:`NEVER_NS` otherwise.
+            :data:`CONSISTENT_RATIO`, or its measurements are rejected, shape (s,); ``NEVER_NS`` otherwise.
     """
 
     running: FloatArray

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.fault_detection.innovation_means import CONSISTENT_RATIO, NEVER_NS, InnovationMeans
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_estimation.fault_detection.innovation_means import CONSISTENT_RATIO, InnovationMeans
+from ship_geometry.earth.time_scales import NEVER_NS, SECOND_NS
 from ship_geometry.rotations import FloatArray
 
 MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS

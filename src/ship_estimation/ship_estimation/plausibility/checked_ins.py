@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from ship_estimation.parameters.ins import InsJump
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.plausibility.integrated_rates import StampArray
 from ship_estimation.plausibility.motion_check import MotionReference
 from ship_estimation.rejection_rules import Rejection

@@ -10,8 +10,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ship_estimation.parameters.ins import CheckedInsConfig, InsJump, clock_step_s
+from ship_estimation.parameters.ins import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample
+from ship_estimation.plausibility.ins_jump import InsJump, clock_step_s
 from ship_estimation.plausibility.ins_predictions import (
     FASTEST_RAD_PER_S,
     InsPredictions,

@@ -1,13 +1,13 @@
 """Comparison of an INS's attitudes with its integrated rates, which shows steps, drift and excess noise."""
 
-from ship_estimation.fault_detection.rate_drift_detector import RateDriftDetector
-from ship_estimation.parameters.ins import InsJump
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.excess_noise import ExcessNoise
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.plausibility.ins_predictions import InsPredictions
 from ship_estimation.plausibility.ins_step_detector import InsStepDetector
 from ship_estimation.plausibility.integrated_rates import IntegratedAttitude, RateIntegrator
 from ship_estimation.plausibility.rate_consistency import RateConsistencyCheck, RateStatus
+from ship_estimation.plausibility.rate_drift_detector import RateDriftDetector
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample, ExtraNoise
 

@@ -17,12 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ship_estimation.parameters.ins import JUMP_SAMPLES
 from ship_estimation.plausibility.motion_check import HISTORY_NS, MotionCheck, MotionReference
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels import compiled_checks
-
-JUMP_SAMPLES = 5
-"""Default number of rejected, mutually consistent values after which a jump is accepted."""
 
 ROUNDING_SPREAD = 1.8
 """Bound of the error of a difference due to rounding to unit steps in three axes, a little more than sqrt(3)."""

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ship_estimation.fault_detection.innovation_means import NEVER_NS
+from ship_geometry.earth.time_scales import NEVER_NS
 
 Value = TypeVar("Value")
 

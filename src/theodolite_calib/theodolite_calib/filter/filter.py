@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_estimation.fault_detection.subfilters import subfilter_innovations
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, propagate_covariance, update
-from ship_estimation.parameters.ins import InsJump
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import FloatArray
 from ship_stars.camera.spatial_errors import PixelDwell

@@ -8,8 +8,8 @@ from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.ship_attitude.attitude_output import INS, AttitudeOutput, ShipEstimator
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins.ins_batch import InsBatch
-from ship_estimation.parameters.ins import InsJump
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
+from ship_estimation.plausibility.ins_jump import InsJump
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
 from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
