@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 
-from ship_node.live.node_events import MAX_EVENTS, MAX_MESSAGE_BYTES, Arrival, Inbox, NodeEvents
+from ship_node.live.node_events import MAX_EVENTS, MAX_MESSAGE_BYTES, Inbox, NodeEvents, ReceivedMessage
 from ship_node.live.node_report import ExceptionGuard
 from ship_node.messages.common_messages import Level
 
@@ -115,26 +115,26 @@ def test_no_message_or_request_is_late_after_dropped_events(context):
     node.destroy_node()
 
 
-def arrivals(topic: str, *numbers: int) -> list[Arrival]:
-    return [Arrival(topic, bytes([number]), number, number) for number in numbers]
+def new_messages(topic: str, *numbers: int) -> list[ReceivedMessage]:
+    return [ReceivedMessage(topic, bytes([number]), number, number) for number in numbers]
 
 
 def take_all(inbox: Inbox) -> list[tuple[str, int]]:
-    return [(arrival.topic, arrival.now_ns) for arrival in iter(lambda: inbox.take() if inbox else None, None)]
+    return [(message.topic, message.now_ns) for message in iter(lambda: inbox.take() if inbox else None, None)]
 
 
 def test_messages_of_all_topics_are_taken_in_order_of_arrival() -> None:
     inbox = Inbox({"ins": 5, "star": 5})
-    for arrival in arrivals("ins", 1) + arrivals("star", 2) + arrivals("ins", 3) + arrivals("star", 4):
-        inbox.add(arrival)
+    for message in new_messages("ins", 1) + new_messages("star", 2) + new_messages("ins", 3) + new_messages("star", 4):
+        inbox.add(message)
     assert take_all(inbox) == [("ins", 1), ("star", 2), ("ins", 3), ("star", 4)]
     assert inbox.take_cuts() == {}
 
 
 def test_a_flood_on_one_topic_displaces_only_its_own_oldest_messages() -> None:
     inbox = Inbox({"ins": 3, "star": 2})
-    for arrival in arrivals("star", 0) + arrivals("ins", *range(1, 101)) + arrivals("star", 101):
-        inbox.add(arrival)
+    for message in new_messages("star", 0) + new_messages("ins", *range(1, 101)) + new_messages("star", 101):
+        inbox.add(message)
     assert len(inbox) == 5
     ((topic, why), count), *others = inbox.take_cuts().items()
     assert (topic, count, others) == ("ins", 97, [])
@@ -145,37 +145,40 @@ def test_a_flood_on_one_topic_displaces_only_its_own_oldest_messages() -> None:
 
 def test_an_oversized_message_is_not_queued() -> None:
     inbox = Inbox({"star": 2})
-    inbox.add(Arrival("star", bytes(MAX_MESSAGE_BYTES + 1), 1, 1))
-    inbox.add(Arrival("star", bytes(MAX_MESSAGE_BYTES), 2, 2))
+    inbox.add(ReceivedMessage("star", bytes(MAX_MESSAGE_BYTES + 1), 1, 1))
+    inbox.add(ReceivedMessage("star", bytes(MAX_MESSAGE_BYTES), 2, 2))
     assert list(inbox.take_cuts().items()) == [(("star", f"larger than {MAX_MESSAGE_BYTES} bytes"), 1)]
     assert take_all(inbox) == [("star", 2)]
 
 
-def arrival_at(topic: str, *seconds: int) -> list[Arrival]:
+def stamped_messages(topic: str, *seconds: int) -> list[ReceivedMessage]:
     stamps = [second.to_bytes(4, "little") + bytes(4) for second in seconds]
-    return [Arrival(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
+    return [ReceivedMessage(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
 
 
 def test_an_overload_cuts_all_topics_at_one_time() -> None:
     inbox = Inbox({"ins": 100, "star": 100, "fix": 10}, valid_until_next={"fix"})
-    for arrival in (
-        arrival_at("star", 1) + arrival_at("ins", *range(1, 50)) + arrival_at("fix", 2) + arrival_at("star", 40)
+    for message in (
+        stamped_messages("star", 1)
+        + stamped_messages("ins", *range(1, 50))
+        + stamped_messages("fix", 2)
+        + stamped_messages("star", 40)
     ):
-        inbox.add(arrival)
+        inbox.add(message)
     assert inbox.oldest_queued_ns == 7
     inbox.cut_all(now_ns=90 * S, waiting_ns=91, since_ns=92)
     assert inbox.take_overload_cuts() == {"star": 2, "ins": 49}
     assert inbox.take_overload_cuts() == {}
     # The newest position is valid until the next one, so it is kept and used now.
-    assert [arrival[2:5] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90 * S, 91, 92)]
+    assert [message[2:5] for message in iter(lambda: inbox.take() if inbox else None, None)] == [(90 * S, 91, 92)]
     # Stars from before the newest INS sample that was cut have no INS sample for comparison.
-    for arrival in arrival_at("star", 48, 49, 50) + arrival_at("ins", 50) + arrival_at("fix", 3):
-        inbox.add(arrival)
+    for message in stamped_messages("star", 48, 49, 50) + stamped_messages("ins", 50) + stamped_messages("fix", 3):
+        inbox.add(message)
     assert inbox.take_overload_cuts() == {"star": 2}
     assert [topic for topic, _ in take_all(inbox)] == ["star", "ins", "fix"]
     assert inbox.take_cuts() == {}
     inbox.resume()
-    inbox.add(arrival_at("star", 48)[0])
+    inbox.add(stamped_messages("star", 48)[0])
     assert len(inbox) == 1
 
 
@@ -189,18 +192,18 @@ def test_an_overload_cuts_all_topics_at_one_time() -> None:
 )
 def test_a_future_stamp_at_a_cut_drops_no_later_message(ins_s, first_taken_s) -> None:
     inbox = Inbox({"ins": 100, "star": 100})
-    for arrival in arrival_at("star", 40) + arrival_at("ins", *ins_s):
-        inbox.add(arrival)
+    for message in stamped_messages("star", 40) + stamped_messages("ins", *ins_s):
+        inbox.add(message)
     inbox.cut_all(now_ns=50 * S, waiting_ns=7, since_ns=7)
-    for arrival in arrival_at("star", first_taken_s - 1, first_taken_s) + arrival_at("ins", first_taken_s):
-        inbox.add(arrival)
-    assert [arrival.topic for arrival in iter(lambda: inbox.take() if inbox else None, None)] == ["star", "ins"]
+    for message in stamped_messages("star", first_taken_s - 1, first_taken_s) + stamped_messages("ins", first_taken_s):
+        inbox.add(message)
+    assert [message.topic for message in iter(lambda: inbox.take() if inbox else None, None)] == ["star", "ins"]
 
 
 def test_a_message_without_a_stamp_is_cut_once() -> None:
     inbox = Inbox({"ins": 10})
-    inbox.add(Arrival("ins", bytes(3), 1, 1))
+    inbox.add(ReceivedMessage("ins", bytes(3), 1, 1))
     inbox.cut_all(2, 2, 2)
-    inbox.add(Arrival("ins", bytes(3), 3, 3))
+    inbox.add(ReceivedMessage("ins", bytes(3), 3, 3))
     assert inbox.take_overload_cuts() == {"ins": 1}
     assert take_all(inbox) == [("ins", 3)]

@@ -17,7 +17,7 @@ _DEFLECTION = slice(4, 6)
 """Slice of the deflection of the vertical, if modelled, among the states that correct the INS."""
 
 
-class InsErrors(NamedTuple):
+class PropagatedInsErrors(NamedTuple):
     """INS errors at N times, relative to the published horizon.
 
     Attributes:
@@ -67,7 +67,7 @@ class InsErrorPropagation:
         mean: FloatArray,
         covariance_by_source: FloatArray,
         times_ns: Sequence[int],
-    ) -> InsErrors:
+    ) -> PropagatedInsErrors:
         """Return the INS errors at N times.
 
         Args:
@@ -100,7 +100,7 @@ class InsErrorPropagation:
         to_output, of_deflection = self._output_matrix(verticals), after[:, :, _DEFLECTION, _DEFLECTION].sum(axis=1)
         to_four = np.zeros((count, 4, size))
         to_four[:, :3, self._of_process], to_four[:, 3, _CLOCK] = to_output, 1.0
-        return InsErrors(
+        return PropagatedInsErrors(
             error_n=(to_output @ of_process[:, :, None])[..., 0],
             covariance_by_source=np.ascontiguousarray(to_four[:, None] @ after @ np.swapaxes(to_four, -1, -2)[:, None]),
             deflection=of_process[:, DEFLECTION] if self._models_deflection else np.empty((count, 0)),
@@ -109,7 +109,7 @@ class InsErrorPropagation:
         )
 
     def _is_vertical_known(self, covariance: FloatArray, verticals: Sequence[LocalVertical]) -> NDArray[np.bool_]:
-        """Return :attr:`InsErrors.vertical_known`, shape (N,)."""
+        """Return :attr:`PropagatedInsErrors.vertical_known`, shape (N,)."""
         if not self._models_deflection:
             return np.zeros(len(verticals), dtype=bool)
         # A NaN covariance compares as false: the deflection then counts as not estimated.

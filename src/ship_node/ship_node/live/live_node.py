@@ -27,7 +27,7 @@ from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.backlog import Backlog, OverloadChange, current_overload
 from ship_node.live.input_subscriptions import InputSubscriptions
 from ship_node.live.node_clock import NodeClock, TickGrid
-from ship_node.live.node_events import Arrival, Inbox, NodeEvents
+from ship_node.live.node_events import Inbox, NodeEvents, ReceivedMessage
 from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import check_overrides, output_qos, overriding_options
@@ -178,7 +178,7 @@ class LiveNode:
         data, information = message
         now_ns, waiting_ns = self._clock.times()
         # The EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception, so queue_empty_ns stands for it.
-        self._inbox.add(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
+        self._inbox.add(ReceivedMessage(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
         if self._inputs.add_message(topic, information["publication_sequence_number"]):
             self._check_publishers(topic)
 
@@ -216,11 +216,11 @@ class LiveNode:
             self._report_clock_step(self._clock.stepped_ns, *times_ns)
             self._advance(*times_ns)
         elif self._last_ns or self._clock.now_ns():
-            arrival = self._inbox.take()
-            now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
-            self._report_clock_step(arrival.stepped_ns, now_ns, waiting_ns)
+            message = self._inbox.take()
+            now_ns, waiting_ns = (message.now_ns, message.waiting_ns) if message.now_ns else self._clock.times()
+            self._report_clock_step(message.stepped_ns, now_ns, waiting_ns)
             self._advance(now_ns, waiting_ns)
-            self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
+            self._guard.call(message.topic, self._handle, message.topic, message.data, now_ns, waiting_ns)
         self._log_notices()
 
     def _report_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:

@@ -164,7 +164,7 @@ def _answer_all(service: Service) -> None:
         service.send_response(service.callback(request, service.srv_type.Response()), header)
 
 
-class Arrival(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """Received message.
 
     Attributes:
@@ -204,7 +204,7 @@ class Inbox:
 
     def __init__(self, depths: Mapping[str, int], valid_until_next: Collection[str] = ()) -> None:
         self._depths, self._valid_until_next = depths, valid_until_next
-        self._waiting: OrderedDict[int, Arrival] = OrderedDict()
+        self._waiting: OrderedDict[int, ReceivedMessage] = OrderedDict()
         self._numbers: dict[str, deque[int]] = {topic: deque() for topic in depths}
         self._next_number = 0
         self._cuts: Counter[tuple[str, str]] = Counter()
@@ -214,17 +214,17 @@ class Inbox:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, arrival: Arrival) -> None:
+    def add(self, message: ReceivedMessage) -> None:
         """Add a received message, unless it is too large or its stamp is not after the cut time.
 
         If the queue of its topic is full, the oldest message there is dropped.
         """
-        topic, size = arrival.topic, len(arrival.data)
+        topic, size = message.topic, len(message.data)
         if size > MAX_MESSAGE_BYTES:
             self._cuts[topic, f"larger than {MAX_MESSAGE_BYTES} bytes"] += 1
             return
         if self._cut_until_ns is not None and topic not in self._valid_until_next:
-            stamp_ns = stamp_of_bytes(arrival.data)
+            stamp_ns = stamp_of_bytes(message.data)
             if stamp_ns is not None and stamp_ns <= self._cut_until_ns:
                 self._overload_cuts[topic] += 1
                 return
@@ -233,14 +233,14 @@ class Inbox:
             del self._waiting[numbers.popleft()]
             self._cuts[topic, f"the oldest of more than {self._depths[topic]} that waited: the node is behind"] += 1
         numbers.append(self._next_number)
-        self._waiting[self._next_number] = arrival
+        self._waiting[self._next_number] = message
         self._next_number += 1
 
-    def take(self) -> Arrival:
+    def take(self) -> ReceivedMessage:
         """Remove and return the oldest message."""
-        _, arrival = self._waiting.popitem(last=False)
-        self._numbers[arrival.topic].popleft()
-        return arrival
+        _, message = self._waiting.popitem(last=False)
+        self._numbers[message.topic].popleft()
+        return message
 
     @property
     def oldest_queued_ns(self) -> int:
@@ -255,12 +255,12 @@ class Inbox:
             waiting_ns: current time by the timeout clock.
             since_ns: current time by the running clock.
         """
-        removed = [arrival for arrival in self._waiting.values() if arrival.topic not in self._valid_until_next]
-        kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._valid_until_next]
-        counts = Counter(arrival.topic for arrival in removed)
+        removed = [message for message in self._waiting.values() if message.topic not in self._valid_until_next]
+        kept = [message for message in self._waiting.values() if message.topic in self._valid_until_next]
+        counts = Counter(message.topic for message in removed)
         if counts:
             most = counts.most_common(1)[0][0]
-            all_ns = [stamp_of_bytes(arrival.data) for arrival in removed if arrival.topic == most]
+            all_ns = [stamp_of_bytes(message.data) for message in removed if message.topic == most]
             stamps_ns = [stamp_ns for stamp_ns in all_ns if stamp_ns is not None]
             # With a cut time in the future, good messages would be dropped until then.
             past_ns = [stamp_ns for stamp_ns in stamps_ns if stamp_ns <= now_ns]
@@ -269,8 +269,8 @@ class Inbox:
         self._waiting.clear()
         for numbers in self._numbers.values():
             numbers.clear()
-        for arrival in kept:
-            self.add(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, queued_ns=since_ns))
+        for message in kept:
+            self.add(message._replace(now_ns=now_ns, waiting_ns=waiting_ns, queued_ns=since_ns))
 
     def take_overload_cuts(self) -> Counter[str]:
         """Return topic → number of messages dropped since the last call because the node is behind."""

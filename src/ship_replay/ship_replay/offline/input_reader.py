@@ -20,7 +20,7 @@ _MIN_BLOCK = 3
 """Minimum number of messages of one topic for a block; fewer messages are decoded."""
 
 
-class Event(NamedTuple):
+class ReplayEvent(NamedTuple):
     """A tick, or a message of the bag.
 
     Attributes:
@@ -45,7 +45,7 @@ class InputReader:
         self._summary = summary
         self._templates: dict[tuple[str, int], CdrTemplate | None] = {}
 
-    def batch(self, events: Sequence[Event], block_topics: Container[str]) -> Batch:
+    def batch(self, events: Sequence[ReplayEvent], block_topics: Container[str]) -> Batch:
         """Return one arrival for each event; messages that cannot be decoded, and the truth, have no content.
 
         Args:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_bags.message_store import serialize
 from ship_node.messages.batch import OutputBlock, StampArray
-from ship_replay.offline.sinks import Sink
+from ship_replay.offline.sinks import MessageSink
 
 
 class OrderedOutput:
@@ -21,7 +21,7 @@ class OrderedOutput:
         position: event index and order of messages written one by one.
     """
 
-    def __init__(self, sink: Sink, counts: Counter[str]) -> None:
+    def __init__(self, sink: MessageSink, counts: Counter[str]) -> None:
         self._sink, self._counts = sink, counts
         self._topics: dict[tuple[str, str], int] = {}
         self.position = 0, 0

@@ -20,10 +20,10 @@ from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
 from ship_node.messages.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS, ExclusionHistory
-from ship_replay.offline.input_reader import Event, InputReader
+from ship_replay.offline.input_reader import InputReader, ReplayEvent
 from ship_replay.offline.ordered_output import OrderedOutput
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.sinks import Sink
+from ship_replay.offline.sinks import MessageSink
 from ship_replay.offline.status_history import STATUS_TOPICS, StatusHistory
 from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
@@ -60,7 +60,7 @@ class ReplayRun:
     def __init__(
         self,
         chain: AdapterChain,
-        sink: Sink,
+        sink: MessageSink,
         summary: ReplaySummary,
         truth_topics: Container[str],
         batch_size: int = LARGEST_BATCH,
@@ -70,7 +70,7 @@ class ReplayRun:
         self._summary = summary
         self._reader = InputReader(summary)
         self._batch_size = batch_size
-        self._events: list[Event] = []
+        self._events: list[ReplayEvent] = []
         known = [orientation for orientation in ORIENTATIONS if orientation.truth_topic in truth_topics]
         self._status_topics = {
             f"{adapter.node_name}: {output.topic.rpartition('/')[2]}": output.topic
@@ -84,8 +84,8 @@ class ReplayRun:
     def process_message(self, topic: str, record: BagRecord) -> None:
         """Add one message of the bag, in order of log time; process the batch when it is full."""
         for now_ns in self._tick_times_ns(record.log_time_ns):
-            self._add(Event(now_ns))
-        self._add(Event(record.log_time_ns, topic, record))
+            self._add(ReplayEvent(now_ns))
+        self._add(ReplayEvent(record.log_time_ns, topic, record))
 
     def finish(self) -> None:
         """Process the last batch, and write the error messages that still wait for the truth."""
@@ -105,7 +105,7 @@ class ReplayRun:
         end_ns = min(time_ns, last_ns + _MAX_TICK_GAP_NS)
         return range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, end_ns + 1, TICK_PERIOD_NS)
 
-    def _add(self, event: Event) -> None:
+    def _add(self, event: ReplayEvent) -> None:
         self._events.append(event)
         if len(self._events) >= self._batch_size:
             self._process_batch()
@@ -125,7 +125,7 @@ class ReplayRun:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _publish_batch(
-        self, events: Sequence[Event], messages: Sequence[PlacedMessages], blocks: Sequence[OutputBlock]
+        self, events: Sequence[ReplayEvent], messages: Sequence[PlacedMessages], blocks: Sequence[OutputBlock]
     ) -> None:
         """Write the single messages event by event, with the truth and the errors against it."""
         single: dict[int, list[PlacedMessages]] = defaultdict(list)
@@ -147,7 +147,7 @@ class ReplayRun:
                 self._write_errors(time_ns)
         self._add_statuses(statuses[len(events)])
 
-    def _truth(self, events: Sequence[Event]) -> dict[int, AttitudeSample | None]:
+    def _truth(self, events: Sequence[ReplayEvent]) -> dict[int, AttitudeSample | None]:
         """Return event index → sample of the truth, for truth messages that can be read as a block."""
         found: dict[int, AttitudeSample | None] = {}
         for errors in self._errors:

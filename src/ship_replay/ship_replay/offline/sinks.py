@@ -8,7 +8,7 @@ from ship_bags.message_store import message_store
 from ship_node.messages.batch import StampArray
 
 
-class Sink(Protocol):
+class MessageSink(Protocol):
     """Receiver of a replay's messages, for example a bag writer."""
 
     def write_many(
@@ -43,7 +43,7 @@ class DecodingSink(ABC):
     def write_many(
         self, topics: Sequence[tuple[str, str]], of_topic: StampArray, data: Sequence[bytes], log_times_ns: StampArray
     ) -> None:
-        """See :class:`Sink`."""
+        """See :class:`MessageSink`."""
         read = message_store().deserialize_cdr
         for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
             topic, type_name = topics[number]

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from ship_geometry.rotations import FloatArray
 from ship_studies.ins_noise.correlation_time import mean_log_time
 from ship_studies.ins_noise.likelihood import log_likelihoods
-from ship_studies.ins_noise.processes import InsErrorModel, SuiteParameter
+from ship_studies.ins_noise.processes import FittableInsModel, SuiteParameter
 from ship_studies.ins_noise.star_record import StarRecord
 
 _FIRST_EPOCHS = 300
@@ -53,7 +53,7 @@ class FittedModel:
         log_likelihood: maximum log likelihood of the record.
     """
 
-    model: InsErrorModel
+    model: FittableInsModel
     values: FloatArray
     covariance: FloatArray
     log_likelihood: float
@@ -75,7 +75,7 @@ class FittedModel:
         return value, float(np.sqrt(parameter.weights @ self.covariance @ parameter.weights))
 
 
-def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
+def fit(record: StarRecord, model: FittableInsModel) -> FittedModel:
     """Return the model fitted to a record: its most likely parameters, with the means of the correlation times."""
     few = _Search(record.with_every_nth_epoch(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
     starts = np.log([parameter.start for parameter in model.parameters])
@@ -105,12 +105,12 @@ def _use_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray)
     return point, covariance
 
 
-def _is_time(model: InsErrorModel) -> NDArray[np.bool_]:
+def _is_time(model: FittableInsModel) -> NDArray[np.bool_]:
     return np.array([parameter.name.startswith("τ") for parameter in model.parameters])
 
 
 class _Search:
-    def __init__(self, record: StarRecord, model: InsErrorModel) -> None:
+    def __init__(self, record: StarRecord, model: FittableInsModel) -> None:
         self._record, self.model = record, model
         self.bounds = np.log([(parameter.least, parameter.most) for parameter in model.parameters])
 

@@ -60,8 +60,8 @@ class SuiteParameter(NamedTuple):
     weights: FloatArray
 
 
-class InsErrorModel(Protocol):
-    """A model of the INS's error.
+class FittableInsModel(Protocol):
+    """A model of the INS's error that can be fitted to a record of stars.
 
     Attributes:
         parameters: parameters of the fit.
@@ -112,7 +112,7 @@ class GaussMarkovModel:
         self.configured_values: dict[str, float] = {}
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
-        """See :class:`InsErrorModel`."""
+        """See :class:`FittableInsModel`."""
         change, time_s = values[:, [0, 2, 0]], values[:, [1, 3, 1]]
         steady = 0.5 * change * time_s
         decay = np.exp(-np.diff(times_s)[:, None] / time_s[:, None])
@@ -169,7 +169,7 @@ class SchulerModel:
         self._cached: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
-        """See :class:`InsErrorModel`."""
+        """See :class:`FittableInsModel`."""
         transition, fresh = self._discrete_process(times_s)
         count = len(values)
         tilt, heading, velocity, drift, angle_walk, bias, velocity_walk, white = values.T
@@ -262,7 +262,7 @@ def _unit(name: str) -> str:
     return next(unit for ending, unit in _UNITS.items() if name.endswith(ending))
 
 
-def candidate_models(ins: InsConfig, here: LocalVertical | None) -> Sequence[InsErrorModel]:
+def candidate_models(ins: InsConfig, here: LocalVertical | None) -> Sequence[FittableInsModel]:
     """Return the models to be fitted; the Schuler model only if the latitude is known."""
     gauss_markov = GaussMarkovModel(ins)
     return (gauss_markov,) if here is None else (gauss_markov, SchulerModel(ins, here))

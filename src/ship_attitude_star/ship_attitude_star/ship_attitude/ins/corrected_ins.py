@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ins_errors.ins_error_propagation import InsErrorPropagation, InsErrors
+from ship_attitude_star.ins_errors.ins_error_propagation import InsErrorPropagation, PropagatedInsErrors
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.ship_attitude.faults.integrity import QUANTITIES, integrity_of
@@ -99,7 +99,7 @@ class CorrectedIns:
         self.since_ns = _AFTER_ALL_SAMPLES_NS if state.time_ns is None else state.time_ns
         self.newest_star_ns = newest_star_ns(self._filter, state)
 
-    def errors(self, times_ns: Sequence[int]) -> InsErrors:
+    def errors(self, times_ns: Sequence[int]) -> PropagatedInsErrors:
         """Return the INS errors at some times, only for a filter that needs the vertical."""
         assert self.error_propagation is not None
         since_ns = self.state.time_ns
@@ -198,8 +198,8 @@ def _attitudes_with_deflection(
     """Return the results of :func:`corrected_attitudes` if the filter needs the vertical.
 
     Returns:
-        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and :attr:`InsErrors.vertical_known`,
-        shape (N,).
+        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and
+        :attr:`PropagatedInsErrors.vertical_known`, shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
     rotation_nd, covariance_by_source = compiled_rotations.corrected_attitudes(
