@@ -12,8 +12,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
 from ship_replay.evaluation.bounds import check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 
 ROOT = Path(__file__).parents[1]
 BAGS = sorted((ROOT / "bags").glob("*.mcap"))

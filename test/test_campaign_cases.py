@@ -9,7 +9,7 @@ import pytest
 from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.run import simulate
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_testing.campaign_cases import WITHOUT_RECORDING, case_at_length, case_in_short
 from ship_testing.trials.monte_carlo import final_error
 

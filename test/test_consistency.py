@@ -21,7 +21,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.attitude_device import DeviceSamples, InsSamples
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_testing.trials.monte_carlo import feed_attitude
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"

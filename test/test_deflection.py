@@ -21,8 +21,8 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage
 from ship_simulation.scenario.scenario import Gravity, Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_configuration
-from ship_stars.samples.attitude_samples import AttitudeEstimate, Horizon
+from ship_simulation.suite_file import suite_configuration
+from ship_stars.attitude_samples import AttitudeEstimate, Horizon
 from ship_testing.trials.monte_carlo import attitude_outcomes
 
 SCENARIO = Path(__file__).parents[1] / "bags" / "scenarios" / "deflection.yaml"

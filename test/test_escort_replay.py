@@ -12,16 +12,14 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters.schema import build
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_geometry.frames import ENU_FROM_HORIZON, rotation_from_angles
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_simulation.simulate_command import write_bag
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.theodolite_scenes import bag_scenario
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.advice import EscortAdvice
-from theodolite_calib.messages.escort_messages import escort_message
+from theodolite_calib.messages.output_messages import escort_message
 
 ESCORT, POINTING = "theodolite/escort", "theodolite/pointing"
 LIMITS = {

@@ -16,12 +16,11 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
-from ship_simulation.draws.noise import random_stream
-from ship_simulation.faults.injection import Injection
+from ship_simulation.inject_command import Injection
+from ship_simulation.random_draws import random_stream
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
-from ship_simulation.scenario.fault_file import fault_problems, load_faults
 from ship_simulation.scenario.names import simulated_topics
-from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.scenario_file import fault_problems, load_faults, load_scenario
 from ship_testing.places import ROOT
 from ship_testing.trials.fault_evaluation import (
     evaluate_fault,

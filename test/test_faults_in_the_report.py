@@ -14,9 +14,8 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.page import page
-from ship_replay.report.report_data import ReportData, read_report_data
-from ship_replay.report.tables import outages
-from ship_replay.report.wording import utc
+from ship_replay.report.recording import ReportData, read_report_data
+from ship_replay.report.tables import outages, utc
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.monitored_voyages import DETECTABLE_S, END_S, FAULTS, detection_limit_s, replay_with_faults
 from ship_testing.report_bags import section

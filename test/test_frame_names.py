@@ -9,8 +9,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters.schema import ParameterError, build
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_replay.offline.smooth import smooth
 from ship_testing.bag_parts import write_beginning
 from ship_testing.places import ROOT

@@ -16,8 +16,8 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.command_line import LAUNCHER_VARIABLE
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters.schema import describe
-from ship_node.parameters.usage import usage_text
-from ship_replay.offline.nodes import ADAPTERS
+from ship_node.live.node_runtime import usage_text
+from ship_replay.offline.replay import ADAPTERS
 from ship_simulation.scenario.scenario import Fault, Scenario
 
 ROOT = Path(__file__).parents[1]

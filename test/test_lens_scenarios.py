@@ -17,11 +17,11 @@ from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, Ship, Surve
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.suite_file import optical_axis_configuration
 from ship_testing.theodolite_scenes import SCENARIOS, with_theodolite
 from ship_testing.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors, theodolite_of
-from theodolite_calib.beacon_camera.telescope_attitude import solve_attitude
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.telescope_attitude import solve_attitude
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 pytestmark = pytest.mark.slow

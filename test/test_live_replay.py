@@ -20,8 +20,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import relative_topic
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import quaternion_from_rotation
+from ship_geometry.frames import quaternion_from_rotation, rotation_from_angles
 from ship_node.adapters.adapter import Adapter
 from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import has_section, load_config

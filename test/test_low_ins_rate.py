@@ -15,7 +15,7 @@ from ship_estimation.innovations.gates import mean_nees_band
 from ship_estimation.parameters.schema import build
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_testing.places import SCENARIOS
 from ship_testing.trials.monte_carlo import error_at_end, feed_attitude
 

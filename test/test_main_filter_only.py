@@ -10,7 +10,7 @@ import numpy as np
 from ship_estimation.parameters.schema import build
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.suite_file import optical_axis_configuration
 from ship_testing.places import ROOT
 from ship_testing.trials.main_filter_only import ShipFilterWithoutSubfilters, SightingStepWithoutSubfilters
 from ship_testing.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes

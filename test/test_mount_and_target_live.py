@@ -12,11 +12,10 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import relative_topic
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.frames import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_node.adapters.adapter import Adapter
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_simulation.simulate_command import write_bag
 from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
 from ship_testing.theodolite_stations import buoy_direction, buoy_n, direction_message, triangulation_values

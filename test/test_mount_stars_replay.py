@@ -17,13 +17,11 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.frames import ENU_FROM_HORIZON, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_simulation.simulate_command import write_bag
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_stars_and_targets
 from theodolite_calib.samples.samples import Mode
 

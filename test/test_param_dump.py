@@ -10,7 +10,7 @@ import yaml
 from rclpy.context import Context
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-from ship_bags.live.dds import prepare_dds
+from ship_bags.live.ros_process import prepare_dds
 from ship_nmea.instruments.config import NmeaInConfig
 from ship_nmea.instruments.nmea_in import NmeaIn
 from ship_nmea.nmea_node import NmeaNode
@@ -18,7 +18,7 @@ from ship_nmea.out.config import NmeaOutConfig
 from ship_nmea.out.nmea_out import NmeaOut
 from ship_node.live.live_node import LiveNode
 from ship_node.parameters.parameter_file import read_node_parameters
-from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ADAPTERS
 from ship_testing.own_domain import own_domain  # noqa: F401 - a fixture
 
 pytestmark = [pytest.mark.live, pytest.mark.usefixtures("own_domain")]

@@ -13,7 +13,7 @@ from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.suite_file import optical_axis_configuration
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_testing.theodolite_scenes import replace_nested, sweep_over_beacons, with_beacons, with_theodolite
 from ship_testing.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors

@@ -20,7 +20,7 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_config
 from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_simulation.faults.injection import Injection
+from ship_simulation.inject_command import Injection
 from ship_simulation.scenario.fault import Fault
 from ship_stars.sky.sky_model import SkyModel
 from ship_testing.memory_sink import MemorySink
@@ -30,7 +30,7 @@ from ship_testing.trials.voyage_outputs import VoyageSink
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.messages.pointing_messages import POINTING_TOPIC
+from theodolite_calib.messages.output_messages import POINTING_TOPIC
 from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.sources import Truth
 from ship_replay.evaluation.statistics import reason_name
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault, FusedAttitude, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario

@@ -17,8 +17,8 @@ from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.rejection_rules import Rejection
 from ship_replay.commands.replay import main as replay
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_stars.attitude_samples import AirReading, SkyInput
 from ship_stars.messages.surroundings_messages import position_fix
-from ship_stars.samples.readings import AirReading, SkyInput
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.surroundings import Surroundings
 from ship_testing.trials.monte_carlo import final_error

@@ -7,7 +7,7 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import serialize
-from ship_simulation.faults.injection import Injection
+from ship_simulation.inject_command import Injection
 from ship_simulation.scenario.fault import KINDS
 from ship_testing.returns.cells import Cell, all_cells, sample_cells
 from ship_testing.returns.run_cell import deliver_messages, run_cell

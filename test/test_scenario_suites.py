@@ -17,7 +17,7 @@ from ship_estimation.parameters.schema import flatten
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.scenario.scenario import FusedAttitude, StarSensor, WeatherStation
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.paper_stars import PAPER_STARS, paper_stars, with_position, with_sensor
 from ship_testing.theodolite_scenes import bag_scenario, with_beacons, with_theodolite
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter

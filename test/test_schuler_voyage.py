@@ -14,8 +14,8 @@ import pytest
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters.ins_errors import SchulerConfig
 from ship_estimation.parameters.schema import build
+from ship_estimation.parameters.ship_devices import SchulerConfig
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
@@ -23,7 +23,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
 from ship_simulation.scenario.scenario import Gravity, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_testing.trials.monte_carlo import attitude_outcomes
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"

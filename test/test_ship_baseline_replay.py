@@ -13,7 +13,7 @@ from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import main as simulate
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 
 SCENARIO: dict[str, Any] = {
     "start_utc": "2026-01-15T20:00:00Z",

@@ -14,7 +14,7 @@ from ship_attitude_star.messages.attitude_messages import SMOOTHED_TOPIC, smooth
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters.frame_names import FRAME_NAMES
+from ship_estimation.parameters.fields import FRAME_NAMES
 from ship_estimation.parameters.schema import build
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles
@@ -24,8 +24,8 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_configuration
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
+from ship_simulation.suite_file import suite_configuration
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, stamp_of
 from ship_testing.ins_streams import SWELL, attitudes, stream, with_step
 from ship_testing.small_voyage import new_adapter, run_adapter, voyage

@@ -20,7 +20,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
+from ship_simulation.suite_file import optical_axis_configuration, suite_configuration
 from ship_stars.sky.sky_model import load_sky_model
 from ship_testing.mount_stars import MountSession, anchored_readings, draw_errors, mount_config, mount_sky, random_field
 from ship_testing.star_sky import TIME_NS

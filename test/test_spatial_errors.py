@@ -17,7 +17,7 @@ from ship_estimation.innovations.gates import mean_nees_band, normalized_error_s
 from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
-from ship_simulation.suite.suite import star_attitude_configuration
+from ship_simulation.suite_file import star_attitude_configuration
 from ship_stars.sky.sky_model import load_sky_model
 from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus
 from ship_testing.campaign_cases import case_in_short

@@ -17,8 +17,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_configuration
-from ship_stars.samples.readings import InertialAttitude
+from ship_simulation.suite_file import suite_configuration
+from ship_stars.attitude_samples import InertialAttitude
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
 from ship_stars.solution.exposure import StarExposure

@@ -23,7 +23,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_stars.samples.attitude_samples import AttitudeEstimate
+from ship_stars.attitude_samples import AttitudeEstimate
 from ship_stars.sky.catalogue import hipparcos
 from ship_stars.sky.sky_model import ApparentStars, LocalSky, SkyModel
 from ship_testing.solved_voyages import run_with_solutions

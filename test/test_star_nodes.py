@@ -19,8 +19,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import build
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import horizon_covariance
+from ship_geometry.frames import horizon_covariance, rotation_from_angles
 from ship_geometry.rotations import log_rotation
 from ship_node.black_box.black_box import BlackBox
 from ship_node.live.adapter_calls import AdapterCalls
@@ -30,7 +29,7 @@ from ship_replay.commands.replay import main as replay
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import star_attitude_configuration
+from ship_simulation.suite_file import star_attitude_configuration
 from ship_testing import small_voyage, star_voyage
 from ship_testing.one_message import process_message
 from ship_testing.trials.live_run import LiveRun

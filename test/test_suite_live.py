@@ -21,7 +21,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bringup.suite.dds_ports import UDP_ONLY
+from ship_bringup.suite.process import UDP_ONLY
 from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live

@@ -14,10 +14,9 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.time_order.outcome import Status
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_simulation.simulate_command import write_bag
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
 
 TARGET, DIRECTION, TRUTH = "theodolite/target", "theodolite/target_direction", "truth/target_direction"

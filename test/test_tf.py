@@ -19,8 +19,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.time_order.outcome import Status
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, hand_over
 from ship_testing.bag_parts import write_beginning
 from ship_testing.every_input import voyage as voyage_of

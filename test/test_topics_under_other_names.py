@@ -14,14 +14,14 @@ from ship_bags.commands.info import main as info
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.renamed_topics import names_from_options, topic_names
 from ship_bags.stamps import NS_PER_S
+from ship_bags.topic_names import names_from_options, topic_names
 from ship_bringup.checks.network_state import observe_network
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import check_nodes
-from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.monitor import _parser as monitor_parser
-from ship_node.messages.topics import InputTopic
+from ship_monitor.page.recorded_suite import RecordedSuite
+from ship_node.messages.inputs_outputs import InputTopic
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.evaluate import main as evaluate
 from ship_replay.commands.replay import main as replay

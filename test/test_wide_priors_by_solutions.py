@@ -16,7 +16,7 @@ from ship_geometry.rotations import FloatArray, log_rotation
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeOutcome
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeOutcome
 from ship_testing.solved_voyages import run_with_solutions
 
 pytestmark = [pytest.mark.statistics, pytest.mark.xdist_group("wide_priors_by_solutions")]

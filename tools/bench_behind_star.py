@@ -15,18 +15,18 @@ from rclpy.serialization import deserialize_message
 from bench_rows import WITH_INTEGRITY, Row, alternate
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_bags.cdr_reader import CdrReader
+from ship_bags.cdr_template import CdrReader
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.parameters.schema import build
 from ship_node.live.adapter_calls import message_bytes
 from ship_node.live.node_clock import TickGrid
-from ship_node.messages.batch import Batch
+from ship_node.messages.inputs_outputs import Batch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 VOYAGE_S, SETTLED_S = 15.0, 5.0

@@ -13,8 +13,8 @@ import numpy as np
 from bench_rows import WITH_INTEGRITY, Row, alternate, own_cpu_s
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_studies.campaign.items import campaign_items
-from ship_studies.campaign.one_item import run_item
-from ship_studies.campaign.processes import run_in_processes
+from ship_studies.campaign.results import run_item
+from ship_studies.campaign.workers import run_in_processes
 from ship_testing.trials.monte_carlo import final_error
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"

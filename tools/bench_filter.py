@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.parameters.schema import build
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.suite_file import optical_axis_configuration
 from ship_stars.sky.sky_model import load_sky_model
 from ship_testing.trials.main_filter_only import ShipFilterWithoutSubfilters, SightingStepWithoutSubfilters
 from ship_testing.trials.monte_carlo import core_for, feed_attitude, feed_pointing

@@ -21,8 +21,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
 from bench_rows import WITH_INTEGRITY, Row, alternate, median_ratio, process_cpu_s
-from ship_bags.live.dds import use_dds_profile
-from ship_bags.live.ros_process import executable
+from ship_bags.live.ros_process import executable, use_dds_profile
 from ship_bags.stamps import NS_PER_S, stamp_fields
 from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_testing.trials.live_run import LiveFailure

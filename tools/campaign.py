@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from ship_bags.progress import with_count
+from ship_bags.command_line import with_count
 from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.scenario.scenario import Scenario

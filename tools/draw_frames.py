@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from ship_geometry.earth.geodetic import rotation_horizon_from_ecef
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE
+from ship_geometry.frames import ENU_FROM_HORIZON, FLU_FROM_DEVICE, rotation_from_angles
 from ship_geometry.rotations import FloatArray, exp_rotation
 
 PATH = Path(__file__).resolve().parents[1] / "docs" / "figures" / "frames.png"

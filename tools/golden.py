@@ -27,9 +27,8 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser,
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
-from ship_replay.verification.message_values import values
+from ship_replay.offline.replay import ADAPTERS, replay
+from ship_replay.verification.verification import values
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 

@@ -22,7 +22,7 @@ from ship_msgs.msg import AlignmentState
 from ship_simulation.scenario.scenario import start_time_ns
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.trials.live_run import LiveFailure
 

@@ -16,8 +16,8 @@ from ship_bags.command_line import LAUNCHER_VARIABLE
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters.schema import ParameterDescription, describe
 from ship_node.adapters.adapter import Adapter
-from ship_node.parameters.companions import COMPANIONS
-from ship_node.parameters.usage import topic_rows, usage_text
+from ship_node.live.node_runtime import topic_rows, usage_text
+from ship_node.parameters.parameter_file import COMPANIONS
 from ship_simulation.messages.message_stream import TRUTH_TYPES
 from ship_simulation.scenario.scenario import scenario_keys
 from ship_watch.safety.limits import Limits

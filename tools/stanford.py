@@ -11,8 +11,7 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.commands.stanford import main as draw
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_testing.trials.fault_voyage import make_bag
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,8 +21,7 @@ from unittest import mock
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_node.adapters.node_adapter import NodeAdapter
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 
 ENTRY = "process"
 """Method of an adapter that processes a batch of messages."""

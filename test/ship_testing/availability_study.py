@@ -27,7 +27,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import star_attitude_configuration
+from ship_simulation.suite_file import star_attitude_configuration
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.solution.exposure import StarExposure
 from ship_stars.solution.selection import StarPrior

@@ -17,8 +17,8 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_estimation.parameters.schema import ParameterError
+from ship_node.adapters.adapter import Overload
 from ship_node.black_box.black_box import BlackBox
-from ship_node.health.overload import Overload
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import load_config

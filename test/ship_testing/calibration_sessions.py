@@ -10,7 +10,7 @@ from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Turn, Wave
 from ship_simulation.scenario.scenario import Ins, Reference, Scenario, StarSensor
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 
 PRIOR_ARCSEC = 20.0
 

@@ -19,8 +19,7 @@ from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapte
 from ship_bags.parameter_yaml import in_any_namespace
 from ship_estimation.parameters.schema import build
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.frames import ENU_FROM_HORIZON, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.parameters.parameter_file import load_config
@@ -29,13 +28,13 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.scenario.theodolite_scenario import Rtk, ShipBaseline
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over, stamp_of
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replace_nested, with_stars_and_targets
 from ship_testing.theodolite_stations import buoy_direction, direction_message, triangulation_values
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
-from theodolite_calib.triangulation.config import TriangulationConfig
+from theodolite_calib.triangulation.triangulation import TriangulationConfig
 
 NODES = ("ship_attitude", "star_attitude", "optical_axis", "optical_axis by ins", "triangulation")
 _SEED = 11

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import ship_attitude_star.ship_attitude.devices as attitude_devices
+import ship_attitude_star.ship_attitude.config as attitude_devices
 import ship_attitude_star.ship_attitude.model as attitude_model
 import theodolite_calib.filter.model as pointing_model
 

@@ -5,8 +5,7 @@ import numpy as np
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import quaternion_from_rotation
+from ship_geometry.frames import angles_from_rotation, quaternion_from_rotation, rotation_from_angles
 
 START_NS = 1_700_000_000_050_000_000
 """First stamp, ns: half a tick after a whole second."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from signal import SIGUSR1, SIGUSR2
 from types import TracebackType
 
-from ship_bringup.suite.dds_ports import UDP_ONLY
+from ship_bringup.suite.process import UDP_ONLY
 from ship_testing.trials.live_process import LiveProcess, live_environment
 
 NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"

@@ -12,12 +12,10 @@ import numpy as np
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_simulation.stars.spatial_errors import DetectorErrors
-from ship_simulation.stars.true_optics import TrueOptics
+from ship_simulation.stars.true_camera import DetectorErrors, TrueOptics
+from ship_stars.attitude_samples import AirReading, PositionFix
 from ship_stars.camera.camera import StarCamera
-from ship_stars.camera.optics_errors import OpticsErrors
-from ship_stars.camera.spatial_errors import SpatialErrors
-from ship_stars.samples.readings import AirReading, PositionFix
+from ship_stars.camera.errors import OpticsErrors, SpatialErrors
 from ship_stars.sky.catalogue import julian_year
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.solution.exposure import StarExposure
@@ -25,7 +23,7 @@ from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.samples import EncoderSample
-from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.sighting import StarSighting
 from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 CAMERA_ID = "night"

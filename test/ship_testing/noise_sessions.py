@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
 from ship_simulation.scenario.scenario import Ins, Position, Scenario, StarSensor
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_studies.ins_noise.session import NoiseSession, StarComparisons, noise_session, session_config
 from ship_testing.trials.monte_carlo import attitude_outcomes
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ship_node.adapters.adapter import Adapter
-from ship_node.messages.batch import Arrival, Batch, BatchOutputs, PlacedMessages
-from ship_node.messages.topics import OutputMessage
+from ship_node.messages.inputs_outputs import Arrival, Batch, BatchOutputs, OutputMessage, PlacedMessages
 from ship_replay.offline.adapter_chain import AdapterChain
 
 

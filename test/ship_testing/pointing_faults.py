@@ -18,7 +18,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_simulation.run import SimulatedRun, simulate
-from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.suite_file import optical_axis_configuration
 from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_beacons, with_theodolite
 from ship_testing.trials.monte_carlo import feed_arrival
 from theodolite_calib.config import OpticalAxisConfig

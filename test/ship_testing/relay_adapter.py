@@ -10,13 +10,11 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.parameters.fields import mapping_of, parameter, section
 from ship_estimation.parameters.schema import ParameterError
-from ship_node.adapters.adapter import ServiceResult
+from ship_node.adapters.adapter import Overload, ServiceResult
 from ship_node.health.input_health import InputHealthMonitor
-from ship_node.health.overload import Overload
-from ship_node.messages.batch import Arrival, Batch, BatchOutputs
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.messages.field_checks import MessageRejected, check_frame, stamp_ns, unit_quaternion
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import Arrival, Batch, BatchOutputs, InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_testing.one_message import process_each
 

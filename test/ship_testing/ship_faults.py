@@ -14,14 +14,18 @@ import numpy as np
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
-from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.frames import (
+    angle_errors_from_rotation_vector,
+    angles_from_rotation,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.motion import make_carrier
-from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeMeasurement
 from ship_testing.trials.monte_carlo import core_for
 
 PAPER = Path(__file__).parents[2] / "bags" / "scenarios" / "paper.yaml"

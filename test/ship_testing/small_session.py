@@ -14,11 +14,15 @@ import numpy as np
 
 from ship_bags.stamps import make_header
 from ship_estimation.parameters.schema import build
-from ship_geometry.frames import rotation_from_angles
+from ship_geometry.frames import (
+    ENU_FROM_HORIZON,
+    flu_from_device_vector,
+    quaternion_from_rotation,
+    rotation_from_angles,
+)
 from ship_geometry.mount.axes import AxisErrors, encoder_angles, main_axis_rotation
 from ship_geometry.mount.image import Camera
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.adapter_runs import (
     FACTORY,

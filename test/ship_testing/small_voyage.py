@@ -14,11 +14,12 @@ from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapte
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import make_header
 from ship_estimation.parameters.schema import build
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import (
+from ship_geometry.frames import (
+    angles_from_rotation,
     enu_covariance,
     flu_from_device_vector,
     quaternion_from_rotation,
+    rotation_from_angles,
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation

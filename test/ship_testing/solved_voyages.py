@@ -11,9 +11,9 @@ from ship_attitude_star.star_attitude.core import StarCore
 from ship_estimation.parameters.schema import build
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_simulation.run import SKY_SOURCES, SimulatedRun
-from ship_simulation.suite.suite import star_attitude_configuration, suite_configuration
+from ship_simulation.suite_file import star_attitude_configuration, suite_configuration
+from ship_stars.attitude_samples import AttitudeOutcome
 from ship_stars.camera.config import JOINT
-from ship_stars.samples.attitude_samples import AttitudeOutcome
 from ship_stars.sky.sky_model import load_sky_model
 from ship_testing.adapter_runs import FACTORY
 from ship_testing.trials.monte_carlo import sky_input, star_exposure

@@ -10,7 +10,7 @@ from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
-from ship_stars.samples.readings import PositionFix
+from ship_stars.attitude_samples import PositionFix
 from ship_stars.sky.catalogue import julian_year
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.solution.exposure import StarExposure

@@ -11,7 +11,7 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import log_rotation
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario import Scenario
-from ship_stars.samples.attitude_samples import AttitudeEstimate
+from ship_stars.attitude_samples import AttitudeEstimate
 from ship_testing.solved_voyages import core_with_solutions, outcomes_with_solutions
 from ship_testing.trials.monte_carlo import attitude_outcomes, core_for
 

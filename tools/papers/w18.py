@@ -17,7 +17,7 @@ from ship_testing.paper_method import mean_of_two_triads
 from ship_testing.places import ROOT
 from ship_testing.simulated_sightings import BASELINE_M, FOCAL_LENGTH_SIGMA_M, NONE, paper_epochs, truth_of
 from ship_testing.trials.monte_carlo import pointing_errors
-from theodolite_calib.beacon_camera.telescope_attitude import solve_attitude
+from theodolite_calib.filter.telescope_attitude import solve_attitude
 from tools.papers.table import Row, rows_table, table
 
 RAYLEIGH_RATIO = float(np.sqrt(np.pi / (4.0 - np.pi)))

@@ -6,7 +6,7 @@ from ship_attitude_star.messages.attitude_messages import AttitudeNumbers, attit
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import exp_rotation
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon
 
 RATE_SIGMA = 2e-5
 KINDS = [

@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude, PropagatedBlock
-from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeMeasurement
 
 CONFIG = build(
     ShipAttitudeConfig,

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from ship_attitude_star.adapters import ship_attitude_adapter
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns
 from ship_attitude_star.star_attitude import core as star_core
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status

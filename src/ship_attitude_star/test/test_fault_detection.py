@@ -25,14 +25,14 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.integrity.protection_levels import IntegrityReport, IntegrityState
 from ship_estimation.parameters.schema import ParameterError, build
-from ship_estimation.plausibility.ins_jump import InsJump
+from ship_estimation.plausibility.checked_ins import InsJump
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 
 INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
 AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0, "stern": 180.0}

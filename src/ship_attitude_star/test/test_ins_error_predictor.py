@@ -7,15 +7,14 @@ import pytest
 
 from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.smoothing.core import TracedFilter
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
-from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_detection.fault_state import with_changes
-from ship_estimation.kalman.rts_smoother import Anchor
-from ship_estimation.kalman.rts_step import GaussianEstimate
+from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate
 from ship_estimation.parameters.schema import build
 from ship_geometry.earth.geodetic import GeodeticPosition
-from ship_stars.samples.readings import PositionFix
+from ship_stars.attitude_samples import PositionFix
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 DEFLECTION = {"deflection": "constant", "xi_arcsec": 12.0, "eta_arcsec": -7.0, "sigma_arcsec": 5.0}

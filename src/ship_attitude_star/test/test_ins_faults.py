@@ -9,7 +9,7 @@ import pytest
 from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_testing.adapter_runs import (
     SECOND_NS,

@@ -9,7 +9,7 @@ import pytest
 from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_estimation.innovations.gates import sigma_ratio_band
-from ship_estimation.parameters.ins import StarInsConfig
+from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation

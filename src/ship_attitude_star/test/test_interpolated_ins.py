@@ -14,7 +14,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 
 SECOND_NS, START_NS = 1_000_000_000, 1_700_000_000_000_000_000
 INS_SIGMA_N = np.array([10.0, 72.0, 10.0]) * ARCSEC

@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.adapter_runs import change_where, index_at, replace_message
 from ship_testing.small_voyage import (

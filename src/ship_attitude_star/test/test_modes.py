@@ -15,11 +15,10 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import angles_from_rotation
-from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON
+from ship_geometry.frames import FRD_FROM_DEVICE, NED_FROM_HORIZON, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
 from ship_msgs.msg import Innovation, ShipAttitude
-from ship_stars.samples.attitude_samples import Horizon
+from ship_stars.attitude_samples import Horizon
 from ship_testing.adapter_runs import SECOND_NS, START_NS, change_where, stamp_of
 from ship_testing.small_voyage import (
     FORE,

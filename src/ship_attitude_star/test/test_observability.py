@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn, recommended_manoeuvre
-from ship_attitude_star.ship_attitude.observability import observability_of
+from ship_attitude_star.ship_attitude.observability import RecommendedTurn, observability_of, recommended_manoeuvre
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_simulation.run import simulate

@@ -8,17 +8,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, corrected_estimates
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins.corrected_ins import CorrectedIns, corrected_attitudes, corrected_estimates
-from ship_estimation.fault_detection.exclusions import ExcludedSource
-from ship_estimation.fault_detection.fault_state import UnresolvedFault
+from ship_estimation.fault_detection.detector import ExcludedSource, UnresolvedFault
 from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.parameters.schema import build
-from ship_estimation.plausibility.ins_jump import InsJump
+from ship_estimation.plausibility.checked_ins import InsJump
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import PropagatedBlock
-from ship_stars.camera.spatial_errors import PixelDwell
+from ship_stars.camera.errors import PixelDwell
 
 FILTER = ShipFilter(
     build(ShipAttitudeConfig, {"star_sensors": {"fore": {"azimuth_deg": 10.0, "elevation_deg": 40.0}}})

@@ -17,9 +17,9 @@ from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapte
 from ship_attitude_star.messages.input_messages import star_measurement
 from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.memory import memory_residual
+from ship_attitude_star.ship_attitude.recovery import memory_residual
 from ship_bags.stamps import ns_from_stamp, stamp_fields
-from ship_estimation.fault_detection.fault_state import with_changes
+from ship_estimation.fault_detection.detector import with_changes
 from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.rejection_rules import Reason

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.messages import input_messages, input_rows
-from ship_attitude_star.ship_attitude.devices import StarSensorConfig
+from ship_attitude_star.messages import input_messages
+from ship_attitude_star.ship_attitude.config import StarSensorConfig
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import FloatArray
 from ship_node.messages.field_checks import MessageRejected, ReadMessage
-from ship_stars.samples.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY, AttitudeMeasurement
+from ship_stars.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY, AttitudeMeasurement
 from ship_testing.message_rows import rows
 
 TYPE, FRAME = "ship_msgs/msg/StarHorizonAttitude", "star_bow"
@@ -88,7 +88,7 @@ def test_messages_read_as_a_block_equal_those_read_singly(sharing: str) -> None:
     changes = SAME_LAYOUT + [{}] * (COUNT - len(SAME_LAYOUT))
     block = rows(TYPE, [message(number, **changed) for number, changed in enumerate(changes)])
     receive_ns = START_NS + 10_000_000 * np.arange(COUNT)
-    found = input_rows.star_attitudes(block, receive_ns, "bow", star(sharing))
+    found = input_messages.star_attitudes(block, receive_ns, "bow", star(sharing))
     for number, reading in enumerate(found):
         if reading is not None:
             alone = read(block.message(number), receive_ns=int(receive_ns[number]))
@@ -104,5 +104,5 @@ def test_messages_rejected_singly_are_not_read_as_a_block() -> None:
             input_messages.star_measurement(one, "bow", config, receive_ns)
         except MessageRejected:
             rejected += 1
-            assert input_rows.star_attitudes(rows(TYPE, [one]), np.array([receive_ns]), "bow", config) == [None]
+            assert input_messages.star_attitudes(rows(TYPE, [one]), np.array([receive_ns]), "bow", config) == [None]
     assert rejected > len(ODD) // 2

@@ -13,12 +13,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from ship_attitude_star.ins_errors.schuler import SchulerIns
-from ship_attitude_star.vertical.config import GravityConfig
+from ship_attitude_star.vertical.deflection import GravityConfig
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.parameters.ins_errors import SchulerConfig
+from ship_estimation.parameters.ship_devices import SchulerConfig
 from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_stars.samples.readings import PositionFix
+from ship_stars.attitude_samples import PositionFix
 from ship_stars.sky.config import SkyConfig
 
 LATITUDE = math.radians(40.0)

@@ -12,9 +12,9 @@ from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapte
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
+from ship_geometry.frames import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_stars.samples.attitude_samples import Horizon
+from ship_stars.attitude_samples import Horizon
 from ship_testing.adapter_runs import (
     FACTORY,
     SECOND_NS,

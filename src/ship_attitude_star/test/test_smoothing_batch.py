@@ -17,7 +17,7 @@ from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeMeasurement
 from ship_testing.sparse_least_squares import covariance_of, solve
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000

@@ -11,8 +11,13 @@ import pytest
 from ship_estimation.innovations.gates import chi_square_gate, mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason
-from ship_geometry.frames import angle_covariance, rotation_from_angles
-from ship_geometry.ros_axes import horizon_covariance, quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.frames import (
+    angle_covariance,
+    horizon_covariance,
+    quaternion_from_rotation,
+    rotation_from_angles,
+    rotation_from_quaternion,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_stars.sky.catalogue import hipparcos
 from ship_stars.solution.solution import SolutionStatus

@@ -10,8 +10,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_estimation.parameters.schema import ParameterError, build, flatten
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_stars.sky.deck_masks import SensorMasks
-from ship_stars.sky.masks import MaskConfig, deck_masks
+from ship_stars.sky.deck_masks import MaskConfig, SensorMasks, deck_masks
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, identify_stars
 from ship_stars.solution.identification import find_candidates

@@ -6,8 +6,8 @@ import pytest
 from scipy.stats import norm
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.faults.subfilter_set import ShipSubfilters
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.model import ShipSubfilters
 from ship_estimation.parameters.schema import ParameterError, build
 
 

@@ -9,7 +9,7 @@ import pytest
 from ship_bags.stamps import make_header
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
-from ship_stars.samples.attitude_samples import Horizon
+from ship_stars.attitude_samples import Horizon
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, sort_by_arrival
 from ship_testing.small_voyage import Run, new_adapter, run_adapter, voyage
 

@@ -5,15 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_attitude_star.vertical.config import GravityConfig
-from ship_attitude_star.vertical.deflection_table import DeflectionTable
+from ship_attitude_star.vertical.deflection import DeflectionTable, GravityConfig
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_stars.samples.readings import DeflectionReading, PositionFix
+from ship_stars.attitude_samples import DeflectionReading, PositionFix
 from ship_stars.sky.config import SkyConfig
 
 START_NS = 1_700_000_000 * SECOND_NS

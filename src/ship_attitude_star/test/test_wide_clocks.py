@@ -17,7 +17,7 @@ from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeMeasurement
 
 SEEDS = int(os.environ.get("SEEDS", "12"))
 """Number of seeds; ``make campaign`` sets SEEDS to take more."""

@@ -16,11 +16,10 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacobian, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
-from ship_stars.samples.attitude_samples import AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeMeasurement
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, visible_stars
 from ship_stars.solution.selection import StarPrior

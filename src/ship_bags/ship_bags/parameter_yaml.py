@@ -13,9 +13,8 @@ from typing import Any
 import yaml
 
 from ship_bags.errors import BadInput
-from ship_bags.regular_files import check_regular
-from ship_bags.renamed_topics import TOPICS_PARAMETER
-from ship_bags.yaml_text import compose
+from ship_bags.input_files import check_regular, compose
+from ship_bags.topic_names import TOPICS_PARAMETER
 from ship_geometry.input_error import InputError
 
 PARAMETERS_KEY = "ros__parameters"

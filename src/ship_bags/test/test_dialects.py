@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.nmea.dialects import DIALECTS
 from ship_bags.nmea.instrument import GYRO, INS, REFERENCE, Instrument, InstrumentRole
-from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
-from ship_bags.nmea.lines import parse_line
-from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable
+from ship_bags.nmea.instrument_lines import InstrumentLine, LineReport, parse_line
+from ship_bags.nmea.sentences import DIALECTS, NotOfInterest, Sentence, Unusable
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_geometry.frames import angles_from_rotation
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import angles_from_rotation, rotation_from_quaternion
 from ship_testing.ship_logs import sentence
 
 SENTENCES = {

@@ -18,7 +18,7 @@ from rosbags.interfaces import Nodetype
 from scipy.io import netcdf_file
 
 from ship_bags.commands.export import main
-from ship_bags.export.units import value_names
+from ship_bags.export.message_fields import value_names
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits

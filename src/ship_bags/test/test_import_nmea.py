@@ -12,10 +12,14 @@ import yaml
 
 from ship_bags.commands.import_nmea import main
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.nmea.instrument_line import datetime_ns
+from ship_bags.nmea.instrument_lines import datetime_ns
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
+from ship_geometry.frames import (
+    angles_from_rotation,
+    device_vector_from_ros,
+    rotation_from_angles,
+    rotation_from_quaternion,
+)
 from ship_geometry.rotations import log_rotation
 from ship_testing.ship_logs import GYR1, MWX1, SEAP, sentence
 

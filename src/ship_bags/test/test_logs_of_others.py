@@ -11,12 +11,10 @@ import pytest
 
 from ship_bags.commands.import_nmea import main
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.nmea.instrument_line import datetime_ns
-from ship_bags.nmea.lines import parse_line
+from ship_bags.nmea.instrument_lines import datetime_ns, parse_line
 from ship_bags.nmea.sentences import Sentence
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.frames import angles_from_rotation
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import angles_from_rotation, rotation_from_quaternion
 from ship_testing.ship_logs import sentence
 
 START = datetime(2026, 5, 4, 22, 10, tzinfo=timezone.utc)

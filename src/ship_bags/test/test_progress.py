@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from ship_bags.progress import Progress, progress_text, with_count, with_progress
+from ship_bags.command_line import Progress, progress_text, with_count, with_progress
 
 # A command that works for three seconds; with the argument "interrupted" it is interrupted at the end.
 COMMAND = """
 import sys, time
 from ship_bags.command_line import CommandParser, run_command
-from ship_bags.progress import with_count
+from ship_bags.command_line import with_count
 
 def work(_options):
     kept = with_count(range(30), "night.mcap", 30)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import (
+from ship_bags.live.ros_process import (
     DDS_PROFILE,
     ENABLE,
     PROFILE_VARIABLE,

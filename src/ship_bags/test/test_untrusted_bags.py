@@ -19,7 +19,7 @@ from ship_bags.commands import info as info_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_content import BagContent, bag_content
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.chunk_content import MAX_CHUNK_RECORDS, records_of_chunk
+from ship_bags.mcap.records import MAX_CHUNK_RECORDS, records_of_chunk
 from ship_replay.commands import evaluate as evaluate_command
 from ship_replay.commands import replay as replay_command
 from ship_studies.axis_fit import axis_sightings_command

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import dds_has_security, loaded_libraries
+from ship_bags.live.ros_process import dds_has_security, loaded_libraries
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, limit_rows, table
-from ship_bringup.checks.security_check import check_keystore, check_security
+from ship_bringup.checks.network_check import check_keystore, check_security
 from ship_bringup.security.demand import enclave_command, require_profile, security_problems
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import SuiteOptions, check_nodes, make_plan

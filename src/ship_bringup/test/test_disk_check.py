@@ -12,10 +12,9 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.disk_check import DiskState, check_disk, estimate_write_rates, read_disk_state
 from ship_bringup.checks.network_state import ObservedTopic
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_testing.bag_parts import write_beginning
 from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_black_box
 from ship_watch.safety.limits import Limits, MachineLimits

@@ -3,10 +3,10 @@
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.domain_check import check_domain, check_settings
+from ship_bringup.checks.network_check import check_domain, check_settings
 from ship_bringup.checks.network_state import NetworkState, ObservedTopic, Publisher
 from ship_bringup.security.demand import domain_of
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 
 OWN = ("/demo/ship_attitude",)
 INS = ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1000), (Publisher("/demo/ins", "x"),))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.file_check import PathState, check_files, read_path_states
+from ship_bringup.checks.resource_check import PathState, check_files, read_path_states
 
 SUITE = """\
 /**/ship_attitude:

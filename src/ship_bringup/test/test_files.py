@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ship_bags.live.dds import DDS_PROFILE
+from ship_bags.live.ros_process import DDS_PROFILE
 from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
 from ship_node.adapters.recovering_adapter import RecoveringAdapter
-from ship_node.parameters.companions import COMPANIONS
-from ship_node.parameters.usage import usage_text
-from ship_replay.offline.nodes import ADAPTERS
+from ship_node.live.node_runtime import usage_text
+from ship_node.parameters.parameter_file import COMPANIONS
+from ship_replay.offline.replay import ADAPTERS
 from ship_replay.preflight.check_config import Findings, check_file
 
 PACKAGE = Path(__file__).parents[1]

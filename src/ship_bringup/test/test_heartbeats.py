@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from ship_bringup.suite.heartbeats import HeartbeatAge
+from ship_bringup.suite.process import HeartbeatAge
 
 MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
@@ -36,7 +36,7 @@ class Schedstat:
     ],
 )
 def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
-    monkeypatch.setattr("ship_bringup.suite.heartbeats.Path", lambda _path: Schedstat(*waited_s))
+    monkeypatch.setattr("ship_bringup.suite.process.Path", lambda _path: Schedstat(*waited_s))
     age = HeartbeatAge(1)
     age.add(0.5)
     age.add(1.0)

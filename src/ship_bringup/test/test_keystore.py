@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from ship_bags.errors import BadInput
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.security_check import check_keystore
+from ship_bringup.checks.network_check import check_keystore
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import governance_text, permissions_text
 from ship_bringup.security.rights import suite_rights

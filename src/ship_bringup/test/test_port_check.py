@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.port_check import PlaceState, check_places, read_place_states
+from ship_bringup.checks.resource_check import PlaceState, check_places, read_place_states
 from ship_bringup.security.rights import load_companions
 from ship_node.parameters.machine_resources import ResourceKind, port_resource
 from ship_testing.nmea_in_peer import free_port

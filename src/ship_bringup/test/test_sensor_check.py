@@ -7,9 +7,9 @@ from types import MappingProxyType
 import pytest
 
 from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.network_check import check_sensors, find_requested_qos
 from ship_bringup.checks.network_state import STRONGER_QOS, NetworkState, ObservedTopic, Publisher, observed_rate_hz
-from ship_bringup.checks.sensor_check import check_sensors, find_requested_qos
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 from ship_watch.safety.limits import InputLimits, Limits
 
 IMU = "sensor_msgs/msg/Imu"

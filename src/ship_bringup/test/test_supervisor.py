@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from ship_bringup.suite import process as process_module
-from ship_bringup.suite.program import Program, Role
-from ship_bringup.suite.restarts import STEADY_S, Restarts, exit_code_of
+from ship_bringup.suite.program import STEADY_S, Program, Restarts, Role, exit_code_of
 from ship_bringup.suite.supervisor import Supervisor
 
 FAR_S = 20.0
@@ -102,7 +101,7 @@ def test_another_end_sends_no_second_request_to_a_slow_program():
     """A second SIGINT may interrupt a program while it saves its state."""
     slow = (
         "import signal, time\n"
-        "signal.signal(signal.SIGINT, lambda *_: print('asked', flush=True))\nprint('ready', flush=True)\n"
+        "signal.signal(signal.SIGINT, lambda *_: print('told', flush=True))\nprint('ready', flush=True)\n"
         "signal.pause()\ntime.sleep(3.0)\nprint('ends', flush=True)"
     )
     _, lines = run_suite(
@@ -110,11 +109,11 @@ def test_another_end_sends_no_second_request_to_a_slow_program():
         program("slow", slow, Role.WATCHER),
         program("player", "import time; time.sleep(2.0)", Role.PLAYER),
     )
-    assert [line for line in lines if line.startswith("[slow]")] == ["[slow] ready", "[slow] asked", "[slow] ends"]
+    assert [line for line in lines if line.startswith("[slow]")] == ["[slow] ready", "[slow] told", "[slow] ends"]
 
 
 def test_time_without_a_heartbeat_does_not_shorten_the_restart_delay(monkeypatch):
-    monkeypatch.setattr("ship_bringup.suite.restarts.STEADY_S", 0.2)
+    monkeypatch.setattr("ship_bringup.suite.program.STEADY_S", 0.2)
     _, lines = run_suite(program("node", "import time; time.sleep(0.5)"), until="node ended", count=2)
     assert lines[-1].endswith("; started again in 1 s (restart 2 in a row)")
 
@@ -171,7 +170,7 @@ def test_bad_input_of_all_nodes_at_the_start_ends_the_suite():
 
 BEATS = """
 import os, signal, sys, time
-from ship_bags.live.heartbeat import heartbeat
+from ship_bags.live.ros_process import heartbeat
 def beat_for(time_s):
     end_s = time.monotonic() + time_s
     while time.monotonic() < end_s:
@@ -227,7 +226,7 @@ def test_recovered_program_is_not_killed():
 
 @pytest.mark.slow
 def test_program_without_first_heartbeat_is_restarted(monkeypatch):
-    monkeypatch.setattr("ship_bringup.suite.frozen_check._MAX_START_S", 2.0)
+    monkeypatch.setattr("ship_bringup.suite.supervisor._MAX_START_S", 2.0)
     code, lines = run_suite(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
     assert code == 137
     assert kill_time_s(lines[0]) in (2, 3)

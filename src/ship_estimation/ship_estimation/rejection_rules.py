@@ -150,7 +150,7 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
 
     Example:
-        >>> from ship_geometry.tracks.vector_track import VectorSample
+        >>> from ship_geometry.tracks.sample_track import VectorSample
         >>> import numpy as np
         >>> known, other = VectorSample(1, np.array([1.0])), VectorSample(1, np.array([2.0]))
         >>> takes_its_place, rejection = resolve_same_stamp(known, known)

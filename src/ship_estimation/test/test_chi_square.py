@@ -7,7 +7,7 @@ import pytest
 from scipy.special import chdtr, chdtrc, gammainccinv, gammaincinv, ndtri
 from scipy.stats import chi2
 
-from ship_estimation.innovations.chi_square import (
+from ship_estimation.innovations.gates import (
     normal_value_above,
     probability_above,
     probability_below,

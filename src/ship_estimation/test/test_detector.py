@@ -5,11 +5,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_estimation.fault_detection.detector import FaultDetector
-from ship_estimation.fault_detection.exclusions import ExcludedSource
-from ship_estimation.fault_detection.fault_state import FaultState, UnresolvedFault
-from ship_estimation.fault_detection.innovation_means import initial_means
-from ship_estimation.fault_detection.subfilter_table import SubfilterTable
+from ship_estimation.fault_detection.detector import ExcludedSource, FaultDetector, FaultState, UnresolvedFault
+from ship_estimation.fault_detection.isolation import initial_means
+from ship_estimation.fault_detection.subfilters import SubfilterTable
 from ship_estimation.innovations.gates import GateConfig
 from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ship_estimation.recovery.displacement import Displacement, MemoryResidual
-from ship_estimation.recovery.displacements import TOGETHER, Displacements
+from ship_estimation.recovery.displacement import TOGETHER, Displacement, Displacements, MemoryResidual
 from ship_geometry.rotations import ARCSEC
 
 SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC / np.sqrt(5.0)

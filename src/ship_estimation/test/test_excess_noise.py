@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.parameters.ship_devices import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.ins_check import InsCheck
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation

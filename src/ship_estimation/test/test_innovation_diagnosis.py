@@ -18,7 +18,7 @@ from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.tracks.vector_track import VectorSample
+from ship_geometry.tracks.sample_track import VectorSample
 
 ATTITUDE = ("forward", "up", "right")
 SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.fault_detection.innovation_means import (
+from ship_estimation.fault_detection.isolation import (
     CONSISTENT_RATIO,
     INITIAL_MEANS,
     WINDOW_LENGTHS,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.chi_square import value_above
+from ship_estimation.innovations.gates import value_above
 from ship_estimation.innovations.innovation_statistics import (
     LEAST_COUNT,
     Innovation,

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.parameters.ship_devices import CheckedInsConfig
+from ship_estimation.plausibility.checked_ins import InsJump
 from ship_estimation.plausibility.ins_check import InsCheck
-from ship_estimation.plausibility.ins_jump import InsJump
-from ship_estimation.plausibility.rate_consistency import RateStatus
+from ship_estimation.plausibility.integrated_rates import RateStatus
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_testing.ins_streams import CALM, STORM, stream

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi, chi2
 
-from ship_estimation.parameters.ins import CheckedInsConfig
+from ship_estimation.parameters.ship_devices import CheckedInsConfig
+from ship_estimation.plausibility.checked_ins import InsJump
 from ship_estimation.plausibility.ins_check import InsCheck
-from ship_estimation.plausibility.ins_jump import InsJump
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack

@@ -7,9 +7,14 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.fault_detection.exclusions import ExcludedSource, evaluate_reinstatement
-from ship_estimation.fault_detection.innovation_means import cleared_means, excess_limit, initial_means, updated_means
-from ship_estimation.fault_detection.isolation import isolate_fault
+from ship_estimation.fault_detection.detector import ExcludedSource, evaluate_reinstatement
+from ship_estimation.fault_detection.isolation import (
+    cleared_means,
+    excess_limit,
+    initial_means,
+    isolate_fault,
+    updated_means,
+)
 from ship_estimation.fault_detection.subfilters import subfilter_innovations, update_subfilters
 from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_estimation.kalman.kalman_filter import LinearMeasurement

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from ship_estimation.kalman.rts_step import GaussianEstimate, SmootherStep, smoother_step
+from ship_estimation.kalman.rts_smoother import GaussianEstimate, SmootherStep, smoother_step
 
 
 def test_backward_step_equals_batch_least_squares() -> None:

@@ -8,12 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 
 from ship_estimation.rejection_rules import Reason, Rejection
-from ship_estimation.time_order.outcome import MeasurementDecision, Outcome
-from ship_estimation.time_order.output_sequence import OutputSequence
+from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, OutputSequence
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, LagWindow, TimeOrderedEstimator
 from ship_estimation.time_order.time_ordered_log import MOST_OVERTAKEN_PER_S, MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
+from ship_geometry.tracks.sample_track import VectorSample, VectorTrack
 
 # Fixed examples, nothing kept between runs.
 repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=100)

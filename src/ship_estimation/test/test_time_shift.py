@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.fault_detection.innovation_means import initial_means
-from ship_estimation.time_order.time_shift import with_shifted_stamps
+from ship_estimation.fault_detection.isolation import initial_means
+from ship_estimation.recovery.recoverable_core import with_shifted_stamps
 from ship_geometry.earth.time_scales import NEVER_NS
 
 

@@ -86,13 +86,13 @@ Terms of the sky
 Terms of the ship
     INS
         Inertial navigation system: attitude and rate at about 100 Hz without gaps, with correlated errors.
-        Module: ship_estimation.parameters.ins.
+        Module: ship_estimation.parameters.ship_devices.
     Star sensor
         Camera that measures the pixels of stars, or the attitude that it solves from them.
         Module: ship_stars.camera.camera.
     Reference
         Another attitude system aboard, without stars.
-        Module: ship_stars.samples.attitude_samples.
+        Module: ship_stars.attitude_samples.
     Horizon attitude, inertial attitude
         Attitude of a sensor in n, and in c.
         Unit: azimuth, elevation, roll, rad; quaternion; module: ship_stars.sky.tracker_attitude.
@@ -125,7 +125,7 @@ Terms of the ship
         Unit: s; module: ship_geometry.tracks.exposure_mean.
     Pixel dwell
         Series of exposures in which the stars stay near the same pixels, so that pixel errors do not average out.
-        Module: ship_stars.camera.spatial_errors.
+        Module: ship_stars.camera.errors.
 
 Terms of the theodolite
     Main optical axis
@@ -149,7 +149,7 @@ Terms of the theodolite
         Unit: rad; module: ship_geometry.mount.axes.
     Parallelism
         Three angles from the axis of the calibration telescope to the main optical axis.
-        Unit: rad, t; module: ship_geometry.mount.parallelism.
+        Unit: rad, t; module: ship_geometry.mount.axes.
     Deformation
         Bending of the hull between the INS and the theodolite's foot: f relative to d.
         Unit: rad, d; module: theodolite_calib.filter.model.
@@ -161,7 +161,7 @@ Terms of the theodolite
         Module: theodolite_calib.beacon_camera.
     Baseline
         Vector from the ship's antenna to the antenna of a beacon.
-        Unit: m, n; module: theodolite_calib.samples.baseline_track.
+        Unit: m, n; module: theodolite_calib.samples.tracks.
     Lever
         Vector between two points of one rigid body: from an antenna to a lens or to a light.
         Unit: m, d or b; module: ship_geometry.mount.line_of_sight.
@@ -190,7 +190,7 @@ Terms of estimation
         Source: Bar-Shalom, Li, Kirubarajan 2001; module: ship_estimation.innovations.gates.
     Windowed innovation mean
         Exponential mean of the whitened innovations of a source over 3, 30 or 300 measurements.
-        Unit: sigmas; module: ship_estimation.fault_detection.innovation_means.
+        Unit: sigmas; module: ship_estimation.fault_detection.isolation.
     Innovation gate
         Threshold of the NIS above which a measurement is rejected.
         Module: ship_estimation.innovations.gates.
@@ -235,19 +235,19 @@ Terms of integrity
         Module: ship_estimation.fault_detection.
     Unresolved fault
         Fault that is detected but not isolated; the covariance is inflated.
-        Module: ship_estimation.fault_detection.fault_state.
+        Module: ship_estimation.fault_detection.detector.
     Excluded, monitored
         A source is not used; its innovations are still computed.
-        Module: ship_estimation.fault_detection.exclusions.
+        Module: ship_estimation.fault_detection.detector.
     Reinstatement
         An excluded source is used again after a time of consistency.
-        Module: ship_estimation.fault_detection.exclusions.
+        Module: ship_estimation.fault_detection.detector.
     Mounting shift
         Step of the installation of a device.
         Unit: rad, d; module: ship_watch.sources.mounting_shifts.
     Drift
         Slow change of an attitude or of a mounting.
-        Unit: rad, n or d; module: ship_estimation.plausibility.rate_drift_detector.
+        Unit: rad, n or d; module: ship_estimation.plausibility.rate_comparison.
     Protection level, alert limit
         Bound of an error under an undetected fault; largest acceptable protection level.
         Unit: rad; module: ship_estimation.integrity.protection_levels.
@@ -274,7 +274,7 @@ Terms of running
         Module: ship_estimation.time_order.time_ordered_estimator.
     Batch
         Consecutive messages and ticks that a node processes in one call; live, one message.
-        Module: ship_node.messages.batch.
+        Module: ship_node.messages.inputs_outputs.
     Core, adapter
         Estimator of a node, without ROS; conversion of messages to its types and back.
         Module: ship_node.adapters.adapter.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.mount.parallelism import telescope_rotation
+from ship_geometry.mount.axes import telescope_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.simulated_sightings import truth_of
 

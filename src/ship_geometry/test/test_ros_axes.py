@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import (
+from ship_geometry.frames import (
     ENU_FROM_HORIZON,
     FLU_FROM_DEVICE,
     device_vector_from_ros,
@@ -14,6 +13,7 @@ from ship_geometry.ros_axes import (
     horizon_covariance,
     mounting_quaternion,
     quaternion_from_rotation,
+    rotation_from_angles,
     rotation_from_quaternion,
 )
 

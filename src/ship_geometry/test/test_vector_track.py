@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
+from ship_geometry.tracks.sample_track import VectorSample, VectorTrack
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS

@@ -2,7 +2,7 @@
 """Compiled statistics of innovations, windowed means of whitened innovations, and protection levels.
 
 The functions are described where they are called: :mod:`ship_estimation.innovations.innovation_statistics`,
-:mod:`ship_estimation.fault_detection.innovation_means`, :mod:`ship_estimation.integrity.protection_levels` and
+:mod:`ship_estimation.fault_detection.isolation`, :mod:`ship_estimation.integrity.protection_levels` and
 :mod:`ship_estimation.integrity.published_levels`. NaN propagates to dependent results.
 """
 
@@ -366,7 +366,7 @@ def updated_means(
     """Return the fields of ``InnovationMeans``, in their order, after a measurement of each of several sources.
 
     Args:
-        running: as in :class:`ship_estimation.fault_detection.innovation_means.InnovationMeans`, shape (h, s, w, 5).
+        running: as in :class:`ship_estimation.fault_detection.isolation.InnovationMeans`, shape (h, s, w, 5).
         excess: as in the same class, shape (h, s).
         rejection_counts: as in the same class, shape (h, s).
         last_measured_ns: as in the same class, shape (s,).

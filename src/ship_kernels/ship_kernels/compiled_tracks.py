@@ -2,7 +2,7 @@
 """Compiled interpolation and fit of cubics to a few samples.
 
 The interpolation, with its error from the polynomial through all samples, is described in
-:mod:`ship_geometry.tracks.interpolation_error` and :mod:`ship_geometry.tracks.vector_track`. In the least-squares
+:mod:`ship_geometry.tracks.interpolation_error` and :mod:`ship_geometry.tracks.sample_track`. In the least-squares
 cubics, which are evaluated at zero or have a step, the powers of the times are made orthonormal one after another, so
 that no matrix is inverted.
 """

@@ -8,16 +8,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_geometry.frames import (
+    ENU_FROM_HORIZON,
+    FLU_FROM_DEVICE,
     SINGULAR_ELEVATION,
     angle_covariance,
     angle_errors_from_rotation_vector,
     angles_from_rotation,
-    rotation_from_angles,
-)
-from ship_geometry.ros_axes import (
-    ENU_FROM_HORIZON,
-    FLU_FROM_DEVICE,
     quaternion_from_rotation,
+    rotation_from_angles,
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import FloatArray, exp_rotation

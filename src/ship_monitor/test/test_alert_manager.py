@@ -9,8 +9,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_manager import MAX_STATUS_AGE_NS, MAX_STATUSES, AlertManager
 from ship_testing.monitored_voyages import records, replay_with_faults
 from ship_watch.alerts.alert_conditions import NodeStatus
-from ship_watch.alerts.alert_states import AlertState
-from ship_watch.alerts.alerts import AlertChange
+from ship_watch.alerts.alerts import AlertChange, AlertState
 from ship_watch.safety.limits import Limits
 from ship_watch.suite_state import Priority
 

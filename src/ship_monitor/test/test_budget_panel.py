@@ -12,7 +12,7 @@ from ship_monitor.plots.budget_panel import (
     top_of_axis,
     variances_arcsec2,
 )
-from ship_monitor.plots.streamed_lines import TimeAxis
+from ship_monitor.plots.curves import TimeAxis
 from ship_monitor.themes import THEMES
 from ship_testing.monitored_histories import ARCSEC, simulated_history
 

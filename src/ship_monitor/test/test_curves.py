@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 
-from ship_monitor.plots.curves import gap_rows, label_positions, next_step, rows_to_draw, signed_text
-from ship_monitor.plots.streamed_lines import StreamedLine, TimeAxis
+from ship_monitor.plots.curves import (
+    StreamedLine,
+    TimeAxis,
+    gap_rows,
+    label_positions,
+    next_step,
+    rows_to_draw,
+    signed_text,
+)
 from ship_watch.history.history import points_after
 
 SECOND_NS = 1_000_000_000

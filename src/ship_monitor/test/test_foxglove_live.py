@@ -15,9 +15,9 @@ from std_msgs.msg import Float64, String
 
 from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live import topic_reader as reader_module
 from ship_monitor.live.live_suite import LiveSuite
+from ship_monitor.web.foxglove_server import FoxgloveServer
 from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
 from ship_testing.foxglove_client import FoxgloveClient, client_that_never_reads
 from ship_testing.publishing_ship import SuitePublisher, attitude

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_monitor.foxglove.server import FoxgloveServer
+from ship_monitor.web.foxglove_server import FoxgloveServer
 from ship_testing.foxglove_client import FoxgloveClient, client_that_never_reads
 
 STRING = "std_msgs/msg/String"

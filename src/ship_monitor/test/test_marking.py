@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_monitor.plots.marking import belongs_to_source, is_budget_part_of, is_event_of_source
+from ship_monitor.plots.figures import belongs_to_source, is_budget_part_of, is_event_of_source
 from ship_watch.suite_state import Event
 
 # As ship/error_budget and theodolite/error_budget of a ship with everything aboard name them.

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from ship_monitor.foxglove.server import FoxgloveServer
-from ship_monitor.web.own_hosts import OwnHosts
+from ship_monitor.web.bounded_server import OwnHosts
+from ship_monitor.web.foxglove_server import FoxgloveServer
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
 from ship_testing.foxglove_client import PROTOCOL

@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from ship_monitor.page.tables import InputsPanel
+from ship_monitor.page.panels import InputsPanel
 from ship_monitor.plots.innovation_panel import InnovationPanel
 from ship_monitor.plots.sky_panel import SkyPanel
 from ship_testing import browser as browser_module

@@ -9,12 +9,10 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.page.panels import build_panels
-from ship_monitor.page.tables import event_row, input_row, reasons_text
+from ship_monitor.page.panels import build_panels, event_row, input_row, reasons_text
 from ship_monitor.plots.alignment_panel import bars_arcsec, half_width, state_text
 from ship_monitor.plots.innovation_panel import InnovationPanel, source_line
-from ship_monitor.plots.sky import boresight
-from ship_monitor.plots.sky_panel import positions_in_field, used_star_mask
+from ship_monitor.plots.sky_panel import boresight, positions_in_field, used_star_mask
 from ship_monitor.themes import THEMES
 from ship_testing.monitored_histories import NOW_NS, SHIFT_AGE_S, simulated_history, simulated_state
 from ship_watch.history.history import History, ParameterEstimate

@@ -6,7 +6,7 @@ import pytest
 
 from ship_geometry.earth.earth_orientation import earth_orientation_table
 from ship_geometry.earth.time_scales import julian_date, tt_julian_date
-from ship_monitor.plots.sky import map_position, moon_direction
+from ship_monitor.plots.sky_panel import map_position, moon_direction
 
 ECLIPSE_NS = 1_503_339_931_800_000_000
 """Time of the greatest eclipse of 2017-08-21, 18:25:31.8 UTC."""

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ship_monitor.terminal.details import details, help_page
+from ship_monitor.terminal.app import details, help_page
 from ship_monitor.terminal.screen import View, alert_to_show, screen, selectable_names
 from ship_monitor.terminal.styled_text import LineFormatter, TextStyle, plain_text
 from ship_testing.suite_states import (

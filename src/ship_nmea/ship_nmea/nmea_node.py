@@ -1,6 +1,7 @@
 """Runtime of ``nmea_in`` and ``nmea_out``: parameters, guarded callbacks, the clock, and diagnostics once a second.
 
-A node of this package consists of this runtime and its :class:`Work`.
+A node of this package consists of this runtime and its :class:`Work`. Played data, which must not reach the bridge like
+live data, is detected by the clock.
 """
 
 import argparse
@@ -21,16 +22,16 @@ from ship_bags.command_line import CommandParser
 from ship_bags.live.ros_process import split_ros_arguments
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
-from ship_estimation.parameters.rows import key_rows
+from ship_estimation.parameters.schema import key_rows
 from ship_geometry.input_error import InputError
 from ship_node.live.node_clock import NodeClock
 from ship_node.live.node_events import NodeEvents
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status
 from ship_node.live.node_runtime import run_node
-from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
+from ship_node.live.node_topics import check_overrides, input_qos, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus, diagnostic_array
-from ship_node.messages.topics import InputTopic, OutputTopic
+from ship_node.messages.inputs_outputs import InputTopic, OutputTopic
 from ship_node.parameters.parameter_file import error_with_location, section_warnings
 
 SPIN_TIMEOUT_S = 0.1
@@ -213,3 +214,16 @@ class NmeaNode:
         statuses += [self.guard.status(), self._parameters.status()]
         now_ns, name = self.clock.now_ns(), self.node.get_name()
         self._diagnostics.publish(diagnostic_array(now_ns, name, statuses, self._full_name).__cdr__)
+
+
+PLAYBACK_TEXT = "this node follows /clock, and tell_simulated is false"
+
+
+def is_played(runtime: NmeaNode) -> bool:
+    """True if the data is played or simulated, and ``tell_simulated`` is not set."""
+    return runtime.clock.is_simulated() and not runtime.config.tell_simulated
+
+
+def utc_ns(runtime: NmeaNode) -> int:
+    """Return the node's time, POSIX UTC, ns; before the first /clock, the machine's time."""
+    return runtime.clock.now_ns() or time.time_ns()

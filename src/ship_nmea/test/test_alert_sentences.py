@@ -9,10 +9,11 @@ import pytest
 
 from ship_bags.stamps import stamp_fields
 from ship_msgs.msg import Alert
-from ship_nmea.out.sent_alerts import SentAlerts
+from ship_nmea.out.bridge_alerts import SentAlerts
 from ship_nmea.sentences.alerts import (
     FIRST_IDENTIFIER,
     LAST_IDENTIFIER,
+    LONGEST_BYTES,
     MAX_ALERTS,
     AlertCommand,
     SentenceAlert,
@@ -21,8 +22,8 @@ from ship_nmea.sentences.alerts import (
     arc,
     hbt,
     parse_command,
+    text_field,
 )
-from ship_nmea.sentences.sentence_types import LONGEST_BYTES, text_field
 
 DAY_NS = 1_406_851_200 * 10**9
 
@@ -224,7 +225,7 @@ def test_title_of_any_id_fits(id_):
 
 
 def test_alert_numbers_are_unique(monkeypatch):
-    monkeypatch.setattr("ship_nmea.out.sent_alerts.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
+    monkeypatch.setattr("ship_nmea.out.bridge_alerts.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
     ledger = SentAlerts()
     one, two = ledger.update([alert("a"), alert("b")], 0)
     assert (one.identifier, two.identifier) == (LAST_IDENTIFIER, FIRST_IDENTIFIER)

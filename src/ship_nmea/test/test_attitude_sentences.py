@@ -13,6 +13,7 @@ import pytest
 
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
+from ship_nmea.sentences.alerts import LONGEST_BYTES
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
     AttitudeQuality,
@@ -26,7 +27,6 @@ from ship_nmea.sentences.attitude import (
     simulated_attitude,
     ths,
 )
-from ship_nmea.sentences.sentence_types import LONGEST_BYTES
 
 MIDNIGHT_NS = 1_406_851_200 * 10**9
 """2014-08-01T00:00:00Z."""

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_nmea.instruments.datagrams import JOIN_TIMEOUT_NS, DatagramLines
+from ship_nmea.instruments.links import JOIN_TIMEOUT_NS, DatagramLines
 from ship_testing.ship_logs import sentence
 
 ONE, OTHER = "10.0.0.7:4001", "10.0.0.9:4001"

@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from ship_bags.nmea.lines import BINARY, INCOMPLETE, LONGEST_LINE, NOISE, TOO_LONG, parse_line
+from ship_bags.nmea.instrument_lines import BINARY, INCOMPLETE, LONGEST_LINE, NOISE, TOO_LONG, parse_line
 from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
-from ship_nmea.line_splitter import LineSplitter
+from ship_nmea.connections import LineSplitter
 from ship_testing.ship_logs import sentence
 
 # Lines of the log of R/V Nathaniel B. Palmer, 2014-08-01, see test_import_nmea.

@@ -16,10 +16,9 @@ import numpy as np
 import pynmea2
 import pytest
 
-from ship_bags.nmea.instrument_line import datetime_ns
+from ship_bags.nmea.instrument_lines import datetime_ns
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
 from ship_testing.nmea_in_peer import START, free_port
 from ship_testing.ship_logs import sentence

@@ -8,7 +8,7 @@ from rclpy.serialization import deserialize_message
 
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.nmea.instrument_line import datetime_ns
+from ship_bags.nmea.instrument_lines import datetime_ns
 from ship_bags.stamps import NS_PER_S
 from ship_testing.message_values import value_bytes
 from ship_testing.nmea_in_peer import free_port

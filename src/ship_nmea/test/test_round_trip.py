@@ -10,8 +10,7 @@ from rclpy.context import Context
 
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import ns_from_stamp, stamp_fields
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.frames import rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
 from ship_msgs.msg import ShipAttitude
 from ship_nmea.commands.nmea_out import NAME

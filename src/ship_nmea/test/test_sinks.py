@@ -12,11 +12,9 @@ import tty
 
 import pytest
 
-from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.link_opening import permanent_error
+from ship_nmea.connections import LineSplitter, permanent_error
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.network_outlets import MAX_CLIENTS_PER_HOST
-from ship_nmea.out.outlet import command_texts
+from ship_nmea.out.outlets import MAX_CLIENTS_PER_HOST, command_texts
 from ship_nmea.out.sink import MAX_QUEUED, RETRY_S, Sink
 from ship_node.messages.common_messages import Level
 from ship_testing.nmea_in_peer import free_port
@@ -110,7 +108,7 @@ def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
 
 @pytest.mark.slow
 def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
-    monkeypatch.setattr("ship_nmea.out.network_outlets.CLIENT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("ship_nmea.out.outlets.CLIENT_TIMEOUT_S", 0.5)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as lazy, connect(port) as reader:
@@ -131,7 +129,7 @@ def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
 @pytest.mark.slow
 def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monkeypatch):
     """The client's system takes 2 kB. At a low rate the 8 kB of the send buffer take minutes more to fill."""
-    monkeypatch.setattr("ship_nmea.out.network_outlets.CLIENT_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("ship_nmea.out.outlets.CLIENT_TIMEOUT_S", 1.0)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as lazy, connect(port) as reader:
@@ -342,7 +340,7 @@ def test_full_disk_leaves_no_half_sentence(tmp_path):
     path = tmp_path / "log.nmea"
     program = (
         "import resource, signal\n"
-        "from ship_nmea.out.device_outlets import FileOutlet\n"
+        "from ship_nmea.out.outlets import FileOutlet\n"
         "from ship_nmea.out.sink import SinkConfig\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30, 30))\n"

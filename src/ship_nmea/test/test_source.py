@@ -7,8 +7,7 @@ from datetime import datetime, timedelta, timezone
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.nmea.instrument_line import datetime_ns
-from ship_bags.nmea.lines import parse_line
+from ship_bags.nmea.instrument_lines import datetime_ns, parse_line
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.parameters.schema import build
 from ship_nmea.instruments.config import NmeaInConfig

@@ -1,6 +1,6 @@
 """Active publishers of a topic, by the sequence numbers of their messages."""
 
-from ship_node.live.active_publishers import ActivePublishers
+from ship_node.health.duplicate_publishers import ActivePublishers
 
 MS = 1_000_000
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_node.live.backlog import Backlog, OverloadChange, current_overload
+from ship_node.live.node_events import Backlog, OverloadChange, current_overload
 
 MS = 1_000_000
 STEP_NS = 10 * MS

@@ -17,8 +17,7 @@ from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters.schema import build
 from ship_node.black_box import black_box as black_box_module
-from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox
-from ship_node.black_box.black_box_files import free_path
+from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox, free_path
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     FORMAT,

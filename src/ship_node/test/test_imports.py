@@ -18,8 +18,8 @@ WITHOUT_ROS = [
     "ship_node.parameters.parameter_file",
     "ship_bags.stamps",
     "ship_node.live.node_clock",
-    "ship_node.messages.topics",
-    "ship_node.parameters.usage",
+    "ship_node.messages.inputs_outputs",
+    "ship_node.live.node_runtime",
 ]
 
 

@@ -7,7 +7,7 @@ from ship_bags.stamps import duration_text
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import Level
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -9,9 +9,9 @@ import pytest
 
 from ship_bags.cdr_template import CdrRows, CdrTemplate
 from ship_bags.message_store import RosbagsFactory, definition_in, message_store, serialize
-from ship_estimation.parameters.ins import InsInputConfig
+from ship_estimation.parameters.ship_devices import InsInputConfig
 from ship_node.messages.field_checks import MessageRejected
-from ship_node.messages.ins_messages import ins_batch, ins_sample
+from ship_node.messages.sensor_readers import ins_batch, ins_sample
 
 START_NS, COUNT, ODD = 1_400_000_000_000_000_000, 30, 17
 FACTORY = RosbagsFactory()

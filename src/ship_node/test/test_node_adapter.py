@@ -15,12 +15,11 @@ from ship_estimation.parameters.fields import autosave_period, parameter, source
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
-from ship_node.adapters.feeds import Feed, ignore_time
+from ship_node.adapters.adapter import Feed, Overload, ignore_time
 from ship_node.adapters.node_adapter import NodeAdapter
-from ship_node.health.overload import Overload
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.field_checks import MessageRejected, ReadMessage
-from ship_node.messages.topics import InputTopic, OutputMessage
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage
 from ship_node.saved_files.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.saved_files.saved_start import SavedStart
 from ship_testing.one_message import process_message

@@ -8,7 +8,7 @@ from rcl_interfaces.msg import Log
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 
-from ship_node.live.node_log import NodeLog
+from ship_node.live.node_report import NodeLog
 
 
 @pytest.mark.live

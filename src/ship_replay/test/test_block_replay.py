@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ship_attitude.ins.ins_input import InsInput
+from ship_attitude_star.ship_attitude.ins_input import InsInput
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ADAPTERS
 from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_simulation.draws.noise import random_stream
-from ship_simulation.faults.injection import Injection
+from ship_simulation.inject_command import Injection
+from ship_simulation.random_draws import random_stream
 from ship_testing.memory_sink import MemorySink, Published
 from ship_testing.overconfident_filter import make_overconfident
 from ship_testing.trials.fault_voyage import input_topics, make_bag

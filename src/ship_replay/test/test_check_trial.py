@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_replay.commands.check_config import main
-from ship_replay.preflight.check_sigmas import ins_noise
+from ship_replay.preflight.check_trial import ins_noise
 from ship_simulation.simulate_command import main as simulate
 
 BAGS = Path(__file__).parents[3] / "bags"

@@ -15,16 +15,19 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.commands.compare import main
-from ship_replay.comparison.configurations import parameter_differences, text_differences
-from ship_replay.comparison.pair import input_sentences, read_pair
+from ship_replay.comparison.pair import differences, input_sentences, read_pair, read_published
 from ship_replay.comparison.pair_page import PAIR_SECTIONS, pair_page
-from ship_replay.comparison.pair_summary import pair_summary
-from ship_replay.comparison.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
-from ship_replay.comparison.pair_warnings import pair_warnings
-from ship_replay.comparison.published import differences, read_published
+from ship_replay.comparison.pair_summary import pair_summary, pair_warnings
+from ship_replay.comparison.pair_tables import (
+    alignment_tables,
+    budget_tables,
+    error_rows,
+    events_of_one,
+    parameter_differences,
+    text_differences,
+)
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_testing.bag_parts import write_beginning, write_part
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude
@@ -97,7 +100,7 @@ class TestAnotherConfiguration:
     @pytest.mark.slow
     def test_several_processes_give_the_same_bytes(self, page, plain, noisier, monkeypatch):
         """Long bags are read by several processes; here every bag counts as long."""
-        monkeypatch.setattr("ship_replay.report.report_data.SHORT_BYTES", 0)
+        monkeypatch.setattr("ship_replay.report.recording.SHORT_BYTES", 0)
         assert pair_page(read_pair(plain, noisier)) == page
 
     def test_the_parameter_and_its_line_are_named(self, pair):
@@ -427,7 +430,7 @@ class TestBadInput:
 
     @pytest.mark.slow
     def test_the_complaint_of_another_process(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr("ship_replay.report.report_data.SHORT_BYTES", 0)
+        monkeypatch.setattr("ship_replay.report.recording.SHORT_BYTES", 0)
         a = write_attitudes(tmp_path / "a.mcap", 5)
         with BagWriter(tmp_path / "in.mcap") as writer:
             writer.write("ins/imu", imu(START_NS), START_NS)

@@ -7,7 +7,7 @@ from typing import Any
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_replay.commands.replay import main as replay
-from ship_replay.offline.exclusion_history import ExclusionHistory
+from ship_replay.offline.replay_summary import ExclusionHistory
 from ship_simulation.inject_command import main as inject
 from ship_testing.bag_parts import write_beginning
 from ship_testing.hand_made_bags import START_NS

@@ -9,10 +9,9 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
-from ship_node.messages.batch import Arrival, Batch
+from ship_node.messages.inputs_outputs import Arrival, Batch
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import match_inputs
+from ship_replay.offline.replay import ADAPTERS, match_inputs
 from ship_testing.one_message import process_message
 
 BAGS = Path(__file__).parents[3] / "bags"

@@ -6,8 +6,8 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters.schema import build
 from ship_replay.commands.check_config import main
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.preflight.load import load_text, load_warnings, measured_slowness, node_loads
+from ship_replay.offline.replay import ADAPTERS
+from ship_replay.preflight.check_bag import load_text, load_warnings, measured_slowness, node_loads
 from ship_testing.hand_made_bags import START_NS, imu
 
 CONFIGS = {

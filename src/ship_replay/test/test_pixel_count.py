@@ -7,7 +7,7 @@ from scipy.stats import binom, f, norm
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_replay.preflight.pixel_count import CameraTurn, cameras_counting_from_one, rate_corrected_turn
+from ship_replay.preflight.check_camera import CameraTurn, cameras_counting_from_one, rate_corrected_turn
 
 PIXEL = 22.7 * ARCSEC
 INS_D = np.diag([10.0, 72.0, 10.0]) * ARCSEC

@@ -18,7 +18,7 @@ from ship_estimation.parameters.fields import parameter
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_node.health.input_health import InputHealthMonitor
-from ship_node.messages.topics import InputTopic, OutputTopic
+from ship_node.messages.inputs_outputs import InputTopic, OutputTopic
 from ship_replay.commands.replay import main
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag

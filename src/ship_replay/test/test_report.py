@@ -9,15 +9,11 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.evaluation.figures import UtcTicks
 from ship_replay.report.drawings import MAX_POINTS, decimate_errors, decimation_mask, source_colours
-from ship_replay.report.event_groups import event_rows
-from ship_replay.report.page import SECTIONS, page
-from ship_replay.report.recording import read_recording
-from ship_replay.report.report_data import read_report_data
-from ship_replay.report.summary import summary
-from ship_replay.report.tables import outages
-from ship_replay.report.time_axis import UtcTicks
-from ship_replay.report.wording import duration, number
+from ship_replay.report.page import SECTIONS, page, summary
+from ship_replay.report.recording import read_recording, read_report_data
+from ship_replay.report.tables import duration, event_rows, number, outages
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
 from ship_testing.report_bags import SECOND_NS, copy_bag, section, write_bag
 from ship_testing.usage_errors import usage_error
@@ -135,7 +131,7 @@ class TestBadInput:
     @pytest.mark.parametrize("short_bytes", [0, 8_000_000])
     def test_outputs_without_anything_to_compare(self, short_bytes, tmp_path, capsys, monkeypatch):
         """The error of the evaluating process is reported, with and without a separate process."""
-        monkeypatch.setattr("ship_replay.report.report_data.SHORT_BYTES", short_bytes)
+        monkeypatch.setattr("ship_replay.report.recording.SHORT_BYTES", short_bytes)
         bag = tmp_path / "out.mcap"
         with BagWriter(bag) as writer:
             writer.write("ship/attitude", ship_attitude(START_NS), START_NS)

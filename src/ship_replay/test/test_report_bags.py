@@ -15,11 +15,11 @@ from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.stamps import make_header
 from ship_replay.commands.report import main
 from ship_replay.report.page import page
-from ship_replay.report.report_data import read_report_data
-from ship_replay.report.wording import utc
+from ship_replay.report.recording import read_report_data
+from ship_replay.report.tables import utc
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, star_message
 from ship_testing.report_bags import SECOND_NS, SIGMA_ENU, copy_bag, section, write_bag
-from ship_watch.alerts.alert_states import AlertState
+from ship_watch.alerts.alerts import AlertState
 from ship_watch.suite_state import Priority
 
 

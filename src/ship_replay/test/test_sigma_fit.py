@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2
 
 from ship_replay.evaluation.statistics import AcceptedInnovation, AttitudeErrors, SourceInnovations, independent_count
 from ship_replay.report.consistency import TOO_FEW_INDEPENDENT_TEXT, TOO_FEW_TEXT, nees_fit, nis_fit
-from ship_watch.sources.nis_consistency import NisWindow
+from ship_watch.sources.source_record import NisWindow
 
 RATE_HZ = 10
 FIVE_MINUTES = 300 * RATE_HZ

@@ -8,13 +8,12 @@ import pytest
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
-from ship_geometry.frames import rotation_vector_covariance
-from ship_geometry.ros_axes import enu_covariance
+from ship_geometry.frames import enu_covariance, rotation_vector_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.evaluate import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.figures import attitude_error_figure
-from ship_replay.offline.truth_errors import TruthErrors
+from ship_replay.offline.outputs import TruthErrors
 from ship_simulation.messages.theodolite_messages import true_pointings
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Ins

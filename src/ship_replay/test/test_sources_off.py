@@ -14,7 +14,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory, message_store
 from ship_estimation.rejection_rules import Reason
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ADAPTERS
 from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
 from ship_testing.memory_sink import MemorySink, Published

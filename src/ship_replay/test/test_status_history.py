@@ -12,7 +12,7 @@ from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_replay.offline.message_times import Gaps
-from ship_replay.offline.status_history import StatusHistory
+from ship_replay.offline.replay_summary import StatusHistory
 from ship_testing.bag_parts import write_beginning
 from ship_testing.hand_made_bags import START_NS, imu, ship_attitude
 

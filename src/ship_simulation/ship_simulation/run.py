@@ -10,8 +10,7 @@ import numpy as np
 
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_simulation.draws.noise import truth_indices
-from ship_simulation.draws.stretch import STRETCH_S, Draws, Stretch, split_voyage
+from ship_simulation.random_draws import STRETCH_S, Draws, Stretch, split_voyage, truth_indices
 from ship_simulation.scenario.scenario import Scenario, start_time_ns
 from ship_simulation.ship.attitude_device import (
     DeviceSamples,
@@ -25,10 +24,15 @@ from ship_simulation.ship.attitude_device import (
     simulate_star_sensor,
     star_sensor_motion,
 )
-from ship_simulation.ship.deflection import Deflection, DeflectionSamples, simulate_deflections
 from ship_simulation.ship.motion import Carrier, make_carrier
-from ship_simulation.ship.rtk import BaselineSamples, simulate_ship_baseline
-from ship_simulation.ship.ship_track import FixSamples, ShipTrack, simulate_fixes
+from ship_simulation.ship.ship_track import (
+    Deflection,
+    DeflectionSamples,
+    FixSamples,
+    ShipTrack,
+    simulate_deflections,
+    simulate_fixes,
+)
 from ship_simulation.stars.sky import TrueSky, draw_sky
 from ship_simulation.stars.star_sightings import (
     InertialSamples,
@@ -37,6 +41,7 @@ from ship_simulation.stars.star_sightings import (
     simulate_inertial_sensor,
     simulate_sightings,
 )
+from ship_simulation.theodolite.devices import BaselineSamples, simulate_ship_baseline
 from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")

@@ -4,19 +4,18 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command, with_progress
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force_option, check_file
-from ship_bags.progress import with_progress
-from ship_estimation.parameters.rows import parameter_row, wrapped_lines
+from ship_estimation.parameters.schema import parameter_row, wrapped_lines
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate_stretches
 from ship_simulation.scenario.fault import kind_rows
 from ship_simulation.scenario.scenario import Scenario, scenario_keys, start_time_ns
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 
 _DESCRIPTION = """\
 Simulates a voyage: the ship's motion, INS, star sensors and other attitude systems with their errors and faults.

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_simulation.draws.noise import random_stream
+from ship_simulation.random_draws import random_stream
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Detector
-from ship_simulation.stars.spatial_errors import DetectorErrors
+from ship_simulation.stars.true_camera import DetectorErrors
 from ship_testing.paper_stars import paper_stars, with_sensor
 
 FIELD_PX, PIXEL_PX, SEEDS = 0.3, 0.2, 600

@@ -9,11 +9,10 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import message_store
 from ship_bags.stamps import NS_PER_S
-from ship_simulation.faults.injection import Injection
+from ship_simulation.inject_command import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
-from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.names import COVARIANCES, FIRST_VALUE, is_applicable
-from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.scenario_file import fault_problems, load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_testing.every_case import check_every_case
 from ship_testing.places import ROOT

@@ -13,13 +13,11 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.frames import rotation_from_angles
-from ship_geometry.ros_axes import celestial_rotation_from_quaternion, rotation_from_quaternion
+from ship_geometry.frames import celestial_rotation_from_quaternion, rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
 from ship_simulation.inject_command import main
 from ship_simulation.scenario.fault import KINDS
-from ship_simulation.scenario.fault_file import field_steps, numeric_fields
-from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.scenario_file import field_steps, load_scenario, numeric_fields
 from ship_simulation.simulate_command import write_bag
 from ship_stars.camera.config import CameraConfig
 from ship_testing.places import ROOT

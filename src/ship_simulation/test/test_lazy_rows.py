@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_geometry.ros_axes import quaternion_from_rotation
-from ship_simulation.messages.lazy_rows import BLOCK_ROWS, LazyRows
-from ship_simulation.messages.ship_messages import quaternion_rows
+from ship_geometry.frames import quaternion_from_rotation
+from ship_simulation.messages.ship_messages import BLOCK_ROWS, LazyRows, quaternion_rows
 
 COUNT = 2 * BLOCK_ROWS + 5
 

@@ -13,7 +13,7 @@ from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.theodolite.mount_stars import draw_parallelism
+from ship_simulation.theodolite.run import draw_parallelism
 from ship_testing.paper_stars import with_exact_optics
 from ship_testing.theodolite_scenes import SCENARIOS, replace_nested
 

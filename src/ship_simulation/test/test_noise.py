@@ -5,8 +5,15 @@ import pytest
 
 from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, arrival_times, random_stream
-from ship_simulation.draws.stretch import Draws, Stretch, split_voyage
+from ship_simulation.random_draws import (
+    CorrelatedError,
+    Draws,
+    GaussMarkov,
+    Stretch,
+    arrival_times,
+    random_stream,
+    split_voyage,
+)
 from ship_simulation.scenario.scenario import start_time_ns
 
 

@@ -9,8 +9,7 @@ import pytest
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, rotation_from_quaternion
+from ship_geometry.frames import ENU_FROM_HORIZON, angles_from_rotation, rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate

@@ -14,7 +14,7 @@ from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import main
-from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.suite_file import suite_yaml
 from ship_testing.short_scenario import SHORT
 from ship_testing.usage_errors import usage_error
 

@@ -15,7 +15,7 @@ from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rot
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.motion import make_carrier
-from ship_stars.sky.masks import MaskConfig
+from ship_stars.sky.deck_masks import MaskConfig
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 
 MAS = 1e-3 * ARCSEC

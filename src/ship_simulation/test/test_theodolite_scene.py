@@ -15,7 +15,7 @@ from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rot
 from ship_simulation.run import simulate
 from ship_simulation.scenario.theodolite_scenario import Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.theodolite.devices import points_on_detector
-from ship_simulation.theodolite.flight import flight_path
+from ship_simulation.theodolite.scene import flight_path
 from ship_testing.theodolite_scenes import (
     bag_scenario,
     replace_nested,

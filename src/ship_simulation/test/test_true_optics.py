@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_simulation.scenario.scenario import Detector
-from ship_simulation.stars.true_optics import draw_optics
+from ship_simulation.stars.true_camera import draw_optics
 from ship_stars.camera.camera import StarCamera
 
 DETECTOR = Detector(

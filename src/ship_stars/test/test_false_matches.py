@@ -14,9 +14,14 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.false_matches import MAX_FALSE_MATCHES, expected_false_matches
 from ship_stars.solution.identification import find_candidates
-from ship_stars.solution.selection import StarPrior, perpendicular_basis, select_stars
+from ship_stars.solution.selection import (
+    MAX_FALSE_MATCHES,
+    StarPrior,
+    expected_false_matches,
+    perpendicular_basis,
+    select_stars,
+)
 from ship_stars.solution.solution import SolutionStatus, solve_with_fallback
 from ship_testing.star_sky import (
     ROTATION_ND,

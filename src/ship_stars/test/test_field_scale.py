@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
 from ship_stars.camera.camera import Distortion, StarCamera
-from ship_stars.camera.spatial_errors import FIELD_MODES, SOURCE_FIELD, SpatialErrors
+from ship_stars.camera.errors import FIELD_MODES, SOURCE_FIELD, SpatialErrors
 from ship_stars.solution.field_scale import estimate_optics, field_information
 from ship_stars.solution.fit import MatchedStars
 

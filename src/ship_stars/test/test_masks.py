@@ -6,7 +6,7 @@ import pytest
 from ship_estimation.parameters.schema import ParameterError
 from ship_geometry.frames import rotation_from_angles
 from ship_studies.layout.config import study_config
-from ship_studies.layout.masks import Obstructions
+from ship_studies.layout.field_of_view import Obstructions
 from ship_studies.layout.study import compute_study
 
 ACROSS_BOW = {"azimuths_deg": [350.0, 370.0, 360.0], "elevations_deg": [0.0, 0.0, 60.0]}

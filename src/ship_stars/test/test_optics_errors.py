@@ -8,7 +8,7 @@ import pytest
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.camera.camera import Distortion, StarCamera
 from ship_stars.camera.config import CameraConfig
-from ship_stars.camera.optics_errors import SURVEYED_FOCAL_SIGMA, OpticsErrors
+from ship_stars.camera.errors import SURVEYED_FOCAL_SIGMA, OpticsErrors
 
 PLAIN = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5)
 BENT = replace(PLAIN, distortion=Distortion(k1=-0.2, k2=0.05, p1=1e-3, p2=-2e-3))

@@ -6,7 +6,7 @@ import pytest
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import ARCSEC
-from ship_stars.samples.readings import AirReading, PositionFix
+from ship_stars.attitude_samples import AirReading, PositionFix
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.sky_model import SHARED_TERMS, LocalSky, SkyModel, load_sky_model
 from ship_testing.star_sky import POSITION, TIME_NS

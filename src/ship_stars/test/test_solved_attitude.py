@@ -22,10 +22,9 @@ from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Measurement, Status
 from ship_geometry.earth.geodetic import GeodeticPosition
-from ship_geometry.ros_axes import horizon_covariance
+from ship_geometry.frames import horizon_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_stars.samples.attitude_samples import AttitudeMeasurement, SolvedAttitude
-from ship_stars.samples.readings import PositionFix
+from ship_stars.attitude_samples import AttitudeMeasurement, PositionFix, SolvedAttitude
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
 from ship_stars.solution.exposure import StarExposure

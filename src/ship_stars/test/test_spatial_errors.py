@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from ship_estimation.parameters.schema import ParameterError
 from ship_stars.camera.camera import Distortion, StarCamera
 from ship_stars.camera.config import CameraConfig
-from ship_stars.camera.spatial_errors import FIELD_MODES, SpatialErrors
+from ship_stars.camera.errors import FIELD_MODES, SpatialErrors
 
 CAMERA = StarCamera(focal_length_m=0.05, pixel_pitch_m=5.5e-6, principal_u_px=1023.5, principal_v_px=767.5)
 HALF_PX = np.array([1023.5, 767.5])

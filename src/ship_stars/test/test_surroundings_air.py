@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.air.refraction import Weather
 from ship_geometry.earth.geodetic import GeodeticPosition
-from ship_stars.samples.readings import AirReading, PositionFix
+from ship_stars.attitude_samples import AirReading, PositionFix
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.surroundings import Air, Surroundings
 

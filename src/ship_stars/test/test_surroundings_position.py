@@ -7,7 +7,7 @@ import pytest
 
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.geodetic import GeodeticPosition
-from ship_stars.samples.readings import PositionFix
+from ship_stars.attitude_samples import PositionFix
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.position_from_fixes import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, ShipPosition
 from ship_stars.sky.surroundings import Surroundings

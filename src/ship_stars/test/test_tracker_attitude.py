@@ -13,8 +13,7 @@ from ship_geometry.earth.earth_orientation import earth_orientation_table
 from ship_geometry.earth.time_scales import julian_date, tt_julian_date
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_stars.samples.attitude_samples import AttitudeMeasurement
-from ship_stars.samples.readings import FieldOfView, InertialAttitude
+from ship_stars.attitude_samples import AttitudeMeasurement, FieldOfView, InertialAttitude
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
 from ship_testing.star_sky import POSITION, TIME_NS, configuration, ins_track, sky_at_anchor
 

@@ -13,9 +13,8 @@ from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.replay import replay
 from ship_studies.axis_fit import fit_axes_command
-from ship_studies.axis_fit.axis_sightings_command import main
-from ship_studies.axis_fit.recorded_sightings import AxisSighting, AxisSightings, axis_sightings
-from ship_studies.axis_fit.sighting_file import read_sightings
+from ship_studies.axis_fit.axis_sightings_command import AxisSighting, AxisSightings, axis_sightings, main
+from ship_studies.axis_fit.sightings import read_sightings
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 
 BAGS = Path(__file__).parents[3] / "bags"

@@ -18,7 +18,7 @@ from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_studies.installation.calibrate_installation_command import main
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session, write_session
 from ship_testing.usage_errors import usage_error

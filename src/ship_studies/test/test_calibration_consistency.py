@@ -16,7 +16,7 @@ from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.suite.suite import suite_configuration
+from ship_simulation.suite_file import suite_configuration
 from ship_studies.installation.result import InstallationCalibration, calibrate
 from ship_studies.installation.session import Session
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_studies.ins_noise.correlation_time import mean_log_time
-from ship_studies.ins_noise.fit import fit
+from ship_studies.ins_noise.fit import fit, mean_log_time
 from ship_studies.ins_noise.processes import GaussMarkovModel
 from ship_studies.ins_noise.star_record import star_record
 from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, scenario, simulated_noise_session

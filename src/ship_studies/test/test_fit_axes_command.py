@@ -13,8 +13,7 @@ import yaml
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_studies.axis_fit.fit_axes_command import OUTPUT_NAMES, main
-from ship_studies.axis_fit.sighting_file import COLUMNS, read_sightings
-from ship_studies.axis_fit.sightings import azimuth_and_elevation
+from ship_studies.axis_fit.sightings import COLUMNS, azimuth_and_elevation, read_sightings
 from ship_testing.axis_sightings import ERRORS, random_angles, simulate_sightings
 from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES

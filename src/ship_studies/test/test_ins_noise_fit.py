@@ -13,8 +13,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_estimation.innovations.gates import mean_nees_band
 from ship_node.parameters.parameter_file import load_config
 from ship_studies.ins_noise.fit import FittedModel, fit
-from ship_studies.ins_noise.identification import Identification, identify
-from ship_studies.ins_noise.parameter_output import parameter_file_text
+from ship_studies.ins_noise.identify_noise_command import Identification, identify, parameter_file_text
 from ship_studies.ins_noise.processes import GaussMarkovModel
 from ship_studies.ins_noise.star_record import star_record
 from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, scenario, simulated_noise_session

@@ -15,13 +15,12 @@ from scipy.stats import multivariate_normal
 
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.parameters.ins_errors import SchulerConfig
+from ship_estimation.parameters.ship_devices import SchulerConfig
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
-from ship_studies.ins_noise.likelihood import log_likelihoods
 from ship_studies.ins_noise.processes import GaussMarkovModel, SchulerModel
 from ship_studies.ins_noise.session import NoiseSession, mean_location
-from ship_studies.ins_noise.star_record import star_record
+from ship_studies.ins_noise.star_record import log_likelihoods, star_record
 from ship_testing.noise_sessions import STILL, scenario, simulated_noise_session
 
 CORRELATED = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}

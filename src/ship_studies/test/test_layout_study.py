@@ -10,9 +10,9 @@ import pytest
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_studies.layout.config import OperatingPoint, study_config
+from ship_studies.layout.error_budget import Layout, error_map, total_arcsec
 from ship_studies.layout.figures import plan_figure
 from ship_studies.layout.installation_model import SWEEPS, Curve, InstallationConvention, all_curves, linearise
-from ship_studies.layout.joint_error import Layout, error_map, total_arcsec
 from ship_studies.layout.study import compute_study, recommend_azimuths, scan_azimuth
 
 ONLY_BORESIGHT = {

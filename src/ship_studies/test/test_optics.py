@@ -12,8 +12,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.wahba import solve
 from ship_stars.sky.catalogue import hipparcos
 from ship_studies.layout.config import Optics, study_config
+from ship_studies.layout.field_of_view import attitude_sigmas, liebe_sigmas, sky_statistics
 from ship_studies.layout.layout_study_command import main
-from ship_studies.layout.optics import attitude_sigmas, liebe_sigmas, sky_statistics
 from ship_studies.layout.study import compute_study
 
 OPTICS = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "width_px": 2048, "height_px": 2048, "magnitude_limit": 6.0}

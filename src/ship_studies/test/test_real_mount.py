@@ -12,8 +12,7 @@ import pytest
 from ship_geometry.rotations import ARCSEC
 from ship_studies.axis_fit.diagnostics import correlated_pairs, near_dependencies, table_warnings
 from ship_studies.axis_fit.robust_fit import AxisFit, fit, rms, sizes
-from ship_studies.axis_fit.sighting_file import read_sightings
-from ship_studies.axis_fit.sightings import Sightings, directions
+from ship_studies.axis_fit.sightings import Sightings, directions, read_sightings
 
 TABLE = Path(__file__).parents[3].parent / "shared" / "data" / "altaz_mount" / "pointing.csv"
 

@@ -13,11 +13,10 @@ from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters.schema import ParameterError
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_studies.layout.allocation import allocate_errors, requirement_use
 from ship_studies.layout.config import study_config
-from ship_studies.layout.joint_error import Layout
+from ship_studies.layout.error_budget import Layout, allocate_errors, requirement_use
+from ship_studies.layout.field_of_view import Obstructions
 from ship_studies.layout.layout_study_command import main, output_names
-from ship_studies.layout.masks import Obstructions
 from ship_studies.layout.requirement import ALL_MOVED, AS_GIVEN, Candidate, RequirementResult
 from ship_studies.layout.study import compute_study
 

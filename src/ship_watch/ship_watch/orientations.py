@@ -8,8 +8,7 @@ import numpy as np
 
 from ship_bags.cdr_template import CdrRows
 from ship_bags.stamps import ns_from_stamp, stamps_of_rows
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import device_vector_from_ros
+from ship_geometry.frames import angles_from_rotation, device_vector_from_ros, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_kernels import compiled_rotations

@@ -11,8 +11,8 @@ from itertools import islice
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES
 from ship_watch.suite_state import AngleState, NisConsistency, Presence, Safety, SourceDetails, SuiteState
+from ship_watch.topics import MAX_NAME_LENGTH, MAX_NAMES
 
 STATE_TOPIC = "ship/suite_state"
 STATE_TYPE = "ship_msgs/msg/SuiteState"

@@ -1,13 +1,16 @@
-"""State of a suite at any time, from its messages.
+"""State of a suite at any time, from its messages, with the suite's time and the log of changes.
 
 The caller passes each message to :meth:`SuiteMonitor.process_message` and gets the state from
 :meth:`SuiteMonitor.current_state`. The caller also passes the arrival times: times of a steady clock for live messages,
 log times for a bag. Safety and events are evaluated ten times per second of this time, independent of requests for the
-state. Therefore a bag gives the same events as the live messages.
+state. Therefore a bag gives the same events as the live messages. Events are sources that go OUT or IN, alerts, nodes
+that start, and changes of safety, status and mode.
 """
 
 import functools
-from collections.abc import Callable
+import re
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -16,28 +19,146 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_watch.history.events import START_UP_NS, EventLog, alerts_from_message
 from ship_watch.history.history import History
 from ship_watch.history.history_recorder import HistoryRecorder
-from ship_watch.names import has_room
 from ship_watch.published_state import PublishedState, published_state
-from ship_watch.safety.angles import Angles
+from ship_watch.safety.angles import Angles, AttitudeRecord, OutputRecord, PointingRecord
 from ship_watch.safety.limits import Limits
-from ship_watch.safety.outputs import AttitudeRecord, OutputRecord, PointingRecord
 from ship_watch.safety.safety import COUNTDOWN
 from ship_watch.sources.mounting_shifts import MountingShifts
-from ship_watch.sources.overload import OverloadedNodes
-from ship_watch.sources.sources import STAR_INNOVATION, SourceRecords, newest_age_s
+from ship_watch.sources.sources import STAR_INNOVATION, OverloadedNodes, SourceRecords, newest_age_s
 from ship_watch.suite_state import (
     ANGLES,
     AlertEntry,
+    Event,
+    Presence,
+    Priority,
     Safety,
     SourceDetails,
     SourceState,
     SuiteState,
 )
-from ship_watch.suite_time import SuiteTime
-from ship_watch.topics import monitored_topic, reading_node, source_of_topic
+from ship_watch.topics import MAX_NAMES, has_room, monitored_topic, reading_node, source_of_topic
+
+CLOCK_TOLERANCE_NS = NS_PER_S // 10
+"""Maximum delay, behind the suite's time, of a stamp that confirms this time, ns.
+
+The stamp is that of an output or InputHealth.
+"""
+
+CLOCK_TIMEOUT_NS = 5 * NS_PER_S
+"""Time without a confirming stamp after which the suite's time is set again, ns."""
+
+
+class SuiteTime:
+    """The suite's time: stamp of the output or InputHealth with the least delay, plus the time since then.
+
+    If the stamps of all these messages stay behind this time for some seconds, that stamp was wrong or the clock was
+    set. The suite's time is then set again.
+
+    Attributes:
+        utc_offset_ns: suite's time minus the caller's time.
+    """
+
+    def __init__(self) -> None:
+        self._newest_ns, self.utc_offset_ns, self._confirmed_ns = 0, 0, 0
+
+    @property
+    def is_known(self) -> bool:
+        """True after the first stamp."""
+        return self._newest_ns != 0
+
+    def utc_ns(self, now_ns: int) -> int:
+        """Return the suite's time at a time of the caller."""
+        return now_ns + self.utc_offset_ns
+
+    def update(self, stamp_ns: int, now_ns: int) -> None:
+        """Update the suite's time by the stamp of a message that arrives now."""
+        offset_ns = stamp_ns - now_ns
+        if offset_ns > self.utc_offset_ns or not self._newest_ns or now_ns - self._confirmed_ns > CLOCK_TIMEOUT_NS:
+            self.utc_offset_ns, self._confirmed_ns = offset_ns, now_ns
+        elif offset_ns > self.utc_offset_ns - CLOCK_TOLERANCE_NS:
+            self._confirmed_ns = now_ns
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+
+
+MAX_EVENTS = 200
+"""Number of events that are kept."""
+
+START_UP_NS = 3 * NS_PER_S
+"""Time after the start of monitoring, and after a reported start of a node, without reports of further starts, ns."""
+
+_NUMBER = re.compile(r"\d+ ")
+_PRIORITIES = {int(priority) for priority in Priority}
+_ALERT_STATE_TEXTS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
+"""State of an alert, as in ship_msgs/Alert → its text."""
+
+
+class EventLog:
+    """Events of a suite, the newest first."""
+
+    def __init__(self) -> None:
+        self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._presence: dict[str, tuple[Presence, str]] = {}
+
+    def add(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
+        """Add a change; see :class:`~ship_watch.suite_state.Event`."""
+        self.events.appendleft(Event(utc_ns, kind, subject, text))
+
+    def add_node_start(self, node: str, utc_ns: int) -> None:
+        """Add the start of a node, unless a start of any node was added shortly before: a node has several topics."""
+        is_reported = any(event.kind == "node" and utc_ns - event.utc_ns < START_UP_NS for event in self.events)
+        if not is_reported:
+            self.add("node", node, f"{node} started", utc_ns)
+
+    def add_source_changes(self, sources: Iterable[SourceState], utc_ns: int) -> None:
+        """Add the sources that went OUT or IN, and the sources whose reason or correction changed."""
+        for source in sources:
+            is_out = source.presence is Presence.OUT
+            text = source.reason if is_out else source.disagreement
+            kind = _NUMBER.sub("", text) if text else ""
+            before = self._presence.get(source.name, (Presence.IN, ""))
+            if kind.endswith("accepted again") or before == (source.presence, kind):
+                continue
+            self._presence[source.name] = source.presence, kind
+            if is_out:
+                details = ", ".join(part for part in (source.reason, source.disagreement) if part)
+                self.add("source", source.name, f"{source.name} OUT, {details}", utc_ns)
+            elif before[0] is Presence.OUT or kind:
+                text = f"{source.name} {source.presence.value}" + (f", {kind}" if kind else "")
+                self.add("source", source.name, text, utc_ns)
+
+    def add_alert_changes(self, before: Iterable[AlertEntry], now: Iterable[AlertEntry], utc_ns: int) -> None:
+        """Add the alerts whose state changed, and the alerts that are no longer published, which are over."""
+        states = {(alert.id, alert.instance): alert.state for alert in before}
+        for alert in now:
+            if states.pop((alert.id, alert.instance), None) != alert.state:
+                text = f"{alert.priority.name} {_ALERT_STATE_TEXTS.get(alert.state, '')}: {alert.text}"
+                self.add("alert", alert.id, text, alert.changed_ns)
+        for name, _ in states:
+            self.add("alert", name, f"{name} is over", utc_ns)
+
+
+def alerts_from_message(message: Any) -> list[AlertEntry]:
+    """Return the first MAX_NAMES alerts of an AlertArray in its order, without alerts of an unknown priority."""
+    return [_alert_from_message(alert) for alert in message.alerts[:MAX_NAMES] if alert.priority in _PRIORITIES]
+
+
+def _alert_from_message(alert: Any) -> AlertEntry:
+    return AlertEntry(
+        id=str(alert.id),
+        instance=int(alert.instance),
+        priority=Priority(alert.priority),
+        state=int(alert.state),
+        source=str(alert.source),
+        text=str(alert.text),
+        value=float(alert.value),
+        limit=float(alert.limit),
+        unit=str(alert.unit),
+        raised_ns=ns_from_stamp(alert.raised),
+        changed_ns=ns_from_stamp(alert.changed),
+    )
+
 
 EVALUATION_PERIOD_NS = 100_000_000
 """Period at which safety and events are evaluated, ns."""

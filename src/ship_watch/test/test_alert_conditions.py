@@ -18,13 +18,11 @@ from ship_testing.suite_states import (
     suite_state,
     unsafe_angle,
 )
-from ship_watch.alert_advice import ADVICE, kind_of
 from ship_watch.alerts.alert_conditions import ComputerState, NodeStatus, conditions
-from ship_watch.alerts.alert_states import Condition
-from ship_watch.alerts.alerts import AlertList
+from ship_watch.alerts.alerts import AlertList, Condition
 from ship_watch.safety.functions import diagnostic_entries, functions
 from ship_watch.safety.limits import InputLimits, Limits
-from ship_watch.suite_state import Presence, Priority, Safety, SuiteState
+from ship_watch.suite_state import ADVICE, Presence, Priority, Safety, SuiteState, kind_of
 
 S = 1_000_000_000
 PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"

@@ -7,7 +7,7 @@ acknowledgement), not from the code.
 import itertools
 
 from ship_testing.every_case import check_every_case
-from ship_watch.alerts.alert_states import AlertEvent, AlertState, next_state
+from ship_watch.alerts.alerts import AlertEvent, AlertState, next_state
 from ship_watch.suite_state import Priority
 
 N, U, S, A, R = "NUSAR"

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_watch.alerts.alert_states import AlertState, Condition
-from ship_watch.alerts.alerts import AlertChange, AlertList
+from ship_watch.alerts.alerts import AlertChange, AlertList, AlertState, Condition
 from ship_watch.safety.limits import AlertTimes
 from ship_watch.suite_state import AlertEntry, Priority
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import horizon_covariance
+from ship_geometry.frames import angles_from_rotation, horizon_covariance, rotation_from_angles
 from ship_geometry.rotations import exp_rotation
-from ship_watch.history.budget import angle_variances
+from ship_watch.history.history_recorder import angle_variances
 
 DRAWS = 20_000
 

@@ -8,13 +8,12 @@ import pytest
 
 from ship_bags.stamps import make_header
 from ship_testing.hand_made_bags import FACTORY, innovation
-from ship_watch import names
-from ship_watch.alerts.alert_states import Condition
-from ship_watch.alerts.alerts import MAX_ALERTS, AlertList
-from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES, has_room
+from ship_watch import topics
+from ship_watch.alerts.alerts import MAX_ALERTS, AlertList, Condition
 from ship_watch.safety.limits import AlertTimes, Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Priority
+from ship_watch.topics import MAX_NAME_LENGTH, MAX_NAMES, has_room
 
 NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS
@@ -54,7 +53,7 @@ def invented_messages(number, stamp_ns):
 
 
 def test_memory_is_bounded_for_unlimited_names(caplog):
-    names._logged_s.clear()
+    topics._logged_s.clear()
     monitor, sizes = SuiteMonitor(Limits()), []
     known = "star.fore"
     tracemalloc.start()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_watch.sources.nis_consistency import BAND_SIGMAS, NisWindow
+from ship_watch.sources.source_record import BAND_SIGMAS, NisWindow
 
 SECOND = 1_000_000_000
 

@@ -16,8 +16,8 @@ from ship_testing.simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.beacon_camera.beacon_check import BeaconCheck, BeaconCheckResult, angle_residuals, check_beacons
-from theodolite_calib.beacon_camera.telescope_attitude import AttitudePrior, solve_attitude
+from theodolite_calib.filter.sighting_gate import BeaconCheck, BeaconCheckResult, angle_residuals, check_beacons
+from theodolite_calib.filter.telescope_attitude import AttitudePrior, solve_attitude
 
 PROBABILITY = 0.999
 THREE_LIGHTS_DEG = FOUR_BEACONS_DEG[:3]

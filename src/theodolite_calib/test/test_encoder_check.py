@@ -10,7 +10,7 @@ from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.tracks.vector_track import VectorTrack
+from ship_geometry.tracks.sample_track import VectorTrack
 from ship_testing.adapter_runs import START_NS, Arrival, change_where, index_at, replace_message, without
 from ship_testing.small_session import (
     BEACONS,

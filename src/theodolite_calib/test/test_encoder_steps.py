@@ -7,7 +7,7 @@ import pytest
 
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
-from ship_geometry.tracks.vector_track import VectorTrack
+from ship_geometry.tracks.sample_track import VectorTrack
 from theodolite_calib.samples.encoder_check import EncoderCheck
 from theodolite_calib.samples.samples import EncoderSample
 

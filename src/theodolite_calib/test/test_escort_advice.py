@@ -11,11 +11,11 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.image import Camera, Image
 from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.beacon_camera.telescope_attitude import solve_attitude
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.telescope_attitude import solve_attitude
 from theodolite_calib.samples.tracks import EncoderAt, ShipAt
 
 AZIMUTH, LEVER_M = 1.3, np.array([12.0, 7.0, -3.0])

@@ -9,7 +9,7 @@ import pytest
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_simulation.stars.true_optics import TrueOptics
+from ship_simulation.stars.true_camera import TrueOptics
 from ship_stars.camera.camera import StarCamera
 from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, observe_stars
 from ship_testing.simulated_session import BEACONS_DEG, START_NS, Session, config, session
@@ -18,7 +18,7 @@ from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.calibration import calibration_from_state
 from theodolite_calib.samples.samples import Exposure
-from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.sighting import StarSighting
 
 TELESCOPE, LENS_M = "main", 0.06
 SWEEP = {

@@ -12,7 +12,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_testing.paper_method import angles, mean_of_two_triads
 from ship_testing.simulated_sightings import Epochs, paper_epochs, truth_of
-from theodolite_calib.beacon_camera.telescope_attitude import TelescopeAttitude, solve_attitude
+from theodolite_calib.filter.telescope_attitude import TelescopeAttitude, solve_attitude
 
 EPOCHS = 10_000
 AZIMUTH_DEG = 77.0

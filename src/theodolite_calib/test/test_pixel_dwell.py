@@ -13,8 +13,8 @@ from ship_estimation.innovations.gates import mean_nees_band, normalized_error_s
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_simulation.scenario.scenario import Detector
-from ship_simulation.stars.spatial_errors import DetectorErrors
-from ship_stars.camera.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
+from ship_simulation.stars.true_camera import DetectorErrors
+from ship_stars.camera.errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_testing.mount_stars import (
     CAMERA,
     CAMERA_ID,

@@ -11,7 +11,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_node.messages.field_checks import MessageRejected, ReadMessage
 from ship_testing.message_rows import rows
 from ship_testing.small_session import config
-from theodolite_calib.messages import input_messages, input_rows
+from theodolite_calib.messages import input_messages
 
 START_NS, COUNT = 1_400_000_000_000_000_000, 60
 FACTORY = RosbagsFactory()
@@ -23,7 +23,7 @@ KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, li
     "encoder": (
         "ship_msgs/msg/TheodoliteEncoder",
         functools.partial(input_messages.encoder, config=CONFIG),
-        functools.partial(input_rows.encoders, config=CONFIG),
+        functools.partial(input_messages.encoders, config=CONFIG),
         {
             "sigma": [0.0, NAN, -1e-6, 7.0, float("inf")],
             "status": [1, 2],
@@ -34,7 +34,7 @@ KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, li
     "ship": (
         "ship_msgs/msg/ShipAttitude",
         functools.partial(input_messages.ship_attitude, config=CONFIG),
-        functools.partial(input_rows.ship_attitudes, config=CONFIG),
+        functools.partial(input_messages.ship_attitudes, config=CONFIG),
         {
             "orientation": [dict.fromkeys("xyzw", 0.0), dict.fromkeys("xyzw", NAN), dict.fromkeys("xyzw", 1e200)],
             "rotation_covariance": [
@@ -54,7 +54,7 @@ KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, li
     "drone": (
         "sensor_msgs/msg/Imu",
         functools.partial(input_messages.drone_attitude, beacon=BEACON),
-        functools.partial(input_rows.drone_attitudes, beacon=BEACON),
+        functools.partial(input_messages.drone_attitudes, beacon=BEACON),
         {
             "orientation": [dict.fromkeys("xyzw", 0.0), {**dict.fromkeys("xyz", NAN), "w": 1.0}],
             "orientation_covariance": [np.r_[-1.0, np.zeros(8)]],

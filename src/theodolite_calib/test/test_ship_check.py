@@ -8,7 +8,7 @@ import pytest
 
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.frames import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import exp_rotation
 from ship_testing.adapter_runs import (
     SECOND_NS,

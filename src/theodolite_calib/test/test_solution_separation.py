@@ -12,8 +12,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.optical_axis.integrity import integrity_of
-from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, integrity_of
 from theodolite_calib.samples.samples import EncoderSample, Exposure, PointingEstimate
 
 SEEDS = 8

@@ -14,7 +14,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.solution.exposure import ExposureLength, StarExposure
 from ship_testing.mount_stars import CAMERA_ID, mount_config
 from theodolite_calib.samples.samples import EncoderSample, ShipSample
-from theodolite_calib.samples.star_sighting import StarSighting, star_sighting
+from theodolite_calib.samples.sighting import StarSighting, star_sighting
 from theodolite_calib.samples.tracks import MeasuredTracks
 
 SETTINGS = mount_config()

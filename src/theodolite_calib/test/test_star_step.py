@@ -36,7 +36,7 @@ from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.subfilters import ENCODER
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 from theodolite_calib.samples.samples import Mode, PointingEstimate
-from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.sighting import StarSighting
 
 SETTINGS = mount_config()
 SEEDS = 50

@@ -17,8 +17,13 @@ from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.optical_axis.target_direction import (
+    MainDetector,
+    direction_angles,
+    observed_direction,
+    ranged_position,
+)
 from theodolite_calib.samples.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample
-from theodolite_calib.targets.direction import MainDetector, direction_angles, observed_direction, ranged_position
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS

@@ -9,7 +9,7 @@ import pytest
 from ship_bags.stamps import make_header
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.frames import ENU_FROM_HORIZON
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exact_value, sort_by_arrival, stamp_of
 from ship_testing.small_session import ENCODER, LEVER_D, SHIP, Run, deck, mount_state, new_adapter, run_adapter, session
 

@@ -21,7 +21,7 @@ from ship_testing.simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.beacon_camera.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude
+from theodolite_calib.filter.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude
 
 RTK_ONLY = replace(SURVEY, rtk_bias_sigma_m=np.full(3, 0.027))
 

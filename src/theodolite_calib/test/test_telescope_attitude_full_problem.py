@@ -19,7 +19,7 @@ from ship_testing.simulated_sightings import (
     raise_elevation,
     truth_of,
 )
-from theodolite_calib.beacon_camera.telescope_attitude import (
+from theodolite_calib.filter.telescope_attitude import (
     AttitudePrior,
     TelescopeAttitude,
     linearise,

@@ -14,14 +14,14 @@ from ship_estimation.innovations.gates import mean_nees_band, normalized_error_s
 from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.frames import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_node.health.overload import Overload
+from ship_node.adapters.adapter import Overload
 from ship_testing.garbage import paths, put_garbage
 from ship_testing.one_message import process_message
 from ship_testing.theodolite_stations import FACTORY, buoy_direction, buoy_n, direction_message, triangulation_values
 from theodolite_calib.adapters.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
-from theodolite_calib.triangulation.config import TriangulationConfig
+from theodolite_calib.triangulation.triangulation import TriangulationConfig
 from theodolite_calib.triangulation.triangulation_core import MAX_TARGETS, MAX_WAITING
 
 START_NS, PERIOD_NS, LATENCY_NS = 1_767_225_600_000_000_000, 100_000_000, 50_000_000

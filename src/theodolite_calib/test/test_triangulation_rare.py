@@ -12,7 +12,7 @@ import pytest
 from ship_estimation.innovations.gates import normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
+from ship_geometry.frames import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     FACTORY,
@@ -26,12 +26,10 @@ from ship_testing.adapter_runs import (
 )
 from ship_testing.theodolite_stations import buoy_direction, buoy_n, direction_message, triangulation_values
 from theodolite_calib.adapters.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
-from theodolite_calib.commands.recorded_directions import target_positions
-from theodolite_calib.messages.direction_messages import direction
-from theodolite_calib.triangulation.common_times import StationDirections
-from theodolite_calib.triangulation.config import TriangulationConfig
-from theodolite_calib.triangulation.triangulation import TriangulatedPosition
-from theodolite_calib.triangulation.triangulation_core import MAX_TARGETS
+from theodolite_calib.commands.triangulate import target_positions
+from theodolite_calib.messages.input_messages import direction
+from theodolite_calib.triangulation.triangulation import TriangulatedPosition, TriangulationConfig
+from theodolite_calib.triangulation.triangulation_core import MAX_TARGETS, StationDirections
 
 SECOND_NS = 1_000_000_000
 START_NS, LATENCY_NS = 1_767_225_600 * SECOND_NS, 50_000_000

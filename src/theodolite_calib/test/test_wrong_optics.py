@@ -18,7 +18,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_simulation.scenario.scenario import Detector
-from ship_simulation.stars.true_optics import TrueOptics, draw_optics
+from ship_simulation.stars.true_camera import TrueOptics, draw_optics
 from ship_stars.camera.camera import StarCamera
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.selection import StarPrior
@@ -32,7 +32,7 @@ from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.calibration import calibration_from_state
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 from theodolite_calib.samples.samples import EncoderSample, Exposure
-from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.sighting import StarSighting
 
 TELESCOPE = "main"
 SEEDS, STARS = 20, 6

@@ -7,19 +7,19 @@ import numpy as np
 from ship_estimation.innovations.gates import GateConfig
 from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_estimation.parameters.fields import (
+    FrameNames,
     accept_unset_covariance,
     arcsec,
     autosave_period,
     mapping_of,
     parameter,
+    publish_tf,
     section,
     sources_off,
     stamp_age,
 )
-from ship_estimation.parameters.frame_names import FrameNames, publish_tf
-from ship_estimation.parameters.ins import StarInsConfig
-from ship_estimation.parameters.ins_errors import InsCorrelationTimes
 from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.parameters.ship_devices import InsCorrelationTimes, StarInsConfig
 from ship_estimation.parameters.theodolite_devices import (
     AirConfig,
     AxesConfig,
@@ -32,7 +32,7 @@ from ship_estimation.parameters.theodolite_devices import (
     ShipAntennaConfig,
     TelescopeOptics,
 )
-from ship_estimation.recovery.config import RecoveryConfig
+from ship_estimation.recovery.recovery import RecoveryConfig
 from ship_stars.camera.config import RequiredCameraConfig
 from ship_stars.sky.config import SkyConfig
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ship_simulation.draws.noise import random_stream
+from ship_simulation.random_draws import random_stream
 from ship_simulation.scenario.fault import KINDS, Fault
 from ship_simulation.scenario.names import (
     BASELINE,

@@ -22,7 +22,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp, stamp_fields
 from ship_node.adapters.adapter import TICK_PERIOD_NS
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
-from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
+from ship_replay.offline.replay_summary import INTEGRITY_TOPICS
 from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.scenario.fault import Fault
 from ship_testing.one_message import process_message

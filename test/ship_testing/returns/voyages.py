@@ -15,9 +15,9 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.nodes import ADAPTERS
-from ship_simulation.faults.injection import optics_of_bag
-from ship_simulation.faults.optics import Optics
+from ship_replay.offline.replay import ADAPTERS
+from ship_simulation.faults.device_geometry import Optics
+from ship_simulation.inject_command import optics_of_bag
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.scenario.theodolite_scenario import Rtk, ShipBaseline

@@ -23,7 +23,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_stars.samples.attitude_samples import AttitudeEstimate
+from ship_stars.attitude_samples import AttitudeEstimate
 from ship_testing.trials.monte_carlo import (
     attitude_outcomes,
     core_for,

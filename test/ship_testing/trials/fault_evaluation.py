@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
+from ship_replay.offline.replay_summary import INTEGRITY_TOPICS
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 from ship_testing.trials.fault_free_replay import FaultFreeReplay

@@ -19,11 +19,11 @@ from ship_bags.stamps import NS_PER_S
 from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_simulation.draws.noise import random_stream
-from ship_simulation.faults.injection import Injection
+from ship_simulation.inject_command import Injection
+from ship_simulation.random_draws import random_stream
 from ship_simulation.scenario.names import IMAGE_TOPIC
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag

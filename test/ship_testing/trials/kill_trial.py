@@ -14,8 +14,7 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Imu
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import use_dds_profile
-from ship_bags.live.ros_process import executable
+from ship_bags.live.ros_process import executable, use_dds_profile
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.stamps import NS_PER_S, ns_from_stamp

@@ -12,8 +12,8 @@ import numpy as np
 from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.ins.ins_batch import InsBatch
-from ship_attitude_star.ship_attitude.measurements.baseline import BaselineMeasurement
+from ship_attitude_star.ship_attitude.ins_input import InsBatch
+from ship_attitude_star.ship_attitude.measurements.devices import BaselineMeasurement
 from ship_estimation.innovations.gates import normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_estimation.time_order.outcome import Status
@@ -25,10 +25,18 @@ from ship_simulation.run import BASELINE_SOURCE, DEFLECTION_SOURCE, SKY_SOURCES,
 from ship_simulation.scenario.scenario import Scenario, StarImaging
 from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
-from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
+from ship_simulation.suite_file import optical_axis_configuration, suite_configuration
 from ship_simulation.theodolite.run import TheodoliteRun
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
-from ship_stars.samples.readings import AirReading, DeflectionReading, InertialAttitude, PositionFix, SkyInput
+from ship_stars.attitude_samples import (
+    AirReading,
+    AttitudeEstimate,
+    AttitudeMeasurement,
+    AttitudeOutcome,
+    DeflectionReading,
+    InertialAttitude,
+    PositionFix,
+    SkyInput,
+)
 from ship_stars.sky.sky_model import load_sky_model
 from ship_stars.solution.exposure import ExposureLength, StarExposure
 from theodolite_calib.config import OpticalAxisConfig

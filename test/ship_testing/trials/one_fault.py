@@ -9,10 +9,10 @@ import numpy as np
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
-from ship_replay.offline.status_history import STATUS_NAMES
-from ship_simulation.faults.injection import Injection
+from ship_replay.offline.replay_summary import STATUS_NAMES
+from ship_simulation.inject_command import Injection
 from ship_simulation.scenario.fault import Fault
-from ship_simulation.scenario.fault_file import load_faults
+from ship_simulation.scenario.scenario_file import load_faults
 from ship_testing.trials.fault_evaluation import evaluate_fault, is_faulty_source
 from ship_testing.trials.fault_voyage import input_topics, replay_fault_free, replay_injection
 from ship_testing.trials.voyage_outputs import VoyageOutputs

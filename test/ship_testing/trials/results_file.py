@@ -7,8 +7,8 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from pathlib import Path
 from typing import Any
 
+from ship_bags.command_line import with_count
 from ship_bags.errors import BadInput
-from ship_bags.progress import with_count
 
 Result = dict[str, Any]
 """Result of a voyage as plain data; the entry ``voyage`` is the number of the voyage."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ship_simulation.scenario.fault import Fault
-from ship_simulation.scenario.fault_file import numeric_fields
 from ship_simulation.scenario.names import FIRST_VALUE, is_applicable
+from ship_simulation.scenario.scenario_file import numeric_fields
 
 Sizes = dict[str, Any]
 Draw = Callable[[np.random.Generator], Sizes]

@@ -14,8 +14,8 @@ import numpy as np
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.rejection_rules import Reason
 from ship_replay.evaluation.sources import Truth
-from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
-from ship_replay.offline.sinks import DecodingSink
+from ship_replay.offline.outputs import DecodingSink
+from ship_replay.offline.replay_summary import INTEGRITY_TOPICS
 from ship_watch.orientations import ORIENTATIONS, Orientation
 
 EXCLUSION = "excluded from the estimate"

@@ -4,17 +4,15 @@ import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ship_attitude_star.messages import input_messages, input_rows
+from ship_attitude_star.messages import input_messages
 from ship_attitude_star.messages.attitude_messages import IMU_TYPE
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.devices import StarSensorConfig
-from ship_attitude_star.ship_attitude.measurements.baseline import BASELINE
-from ship_node.adapters.feeds import Feed
+from ship_attitude_star.ship_attitude.measurements.devices import BASELINE
+from ship_node.adapters.adapter import Feed
 from ship_node.health.duplicate_publishers import INNOVATION
-from ship_node.messages.column_checks import ReadRows
-from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.field_checks import ReadMessage, ReadRows
+from ship_node.messages.inputs_outputs import InputTopic
 from ship_stars.messages import star_messages
 from ship_stars.sky.sky_model import SkyModel
 
@@ -61,4 +59,4 @@ def _star_readers(
     if star.input == "inertial_attitude":
         return functools.partial(input_messages.inertial_attitude, sensor_id=id_, config=star), None
     read = functools.partial(input_messages.star_measurement, sensor_id=id_, config=star)
-    return read, functools.partial(input_rows.star_attitudes, sensor_id=id_, config=star)
+    return read, functools.partial(input_messages.star_attitudes, sensor_id=id_, config=star)

@@ -36,31 +36,27 @@ from ship_attitude_star.ship_attitude.alignment import (
     current_alignment,
     installation_rotation,
 )
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.attitude_output import invalid_estimate
+from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.devices import InsConfig
-from ship_attitude_star.ship_attitude.faults.integrity import QUANTITIES
-from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn, recommended_manoeuvre
-from ship_attitude_star.ship_attitude.observability import observability_of
-from ship_attitude_star.ship_attitude.output import invalid_estimate
+from ship_attitude_star.ship_attitude.corrected_ins import QUANTITIES
+from ship_attitude_star.ship_attitude.observability import RecommendedTurn, observability_of, recommended_manoeuvre
 from ship_attitude_star.smoothing.core import SmoothingCore
-from ship_attitude_star.vertical.config import TOPIC
+from ship_attitude_star.vertical.deflection import TOPIC
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.plausibility.rate_consistency import RateStatus
-from ship_estimation.recovery.displacements import TOGETHER
+from ship_estimation.plausibility.integrated_rates import RateStatus
+from ship_estimation.recovery.displacement import TOGETHER
 from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_node.adapters.feeds import BlockFeed, Feed, ignore_time
+from ship_node.adapters.adapter import BlockFeed, Feed, ignore_time
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
-from ship_node.adapters.recovering_adapter import RecoveringAdapter
-from ship_node.adapters.recovery_status import recovery_counts, recovery_status
+from ship_node.adapters.recovering_adapter import RecoveringAdapter, recovery_counts, recovery_status
+from ship_node.adapters.result_report import clock_status
 from ship_node.health.duplicate_publishers import ATTITUDE
-from ship_node.health.innovation_report import clock_status
-from ship_node.messages.batch import OutputRows, ReadBatch, StampArray
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -72,12 +68,12 @@ from ship_node.messages.common_messages import (
     Level,
 )
 from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.ins_messages import ins_batch, ins_sample, sigma_mismatch_text
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic, ReadBatch, StampArray
+from ship_node.messages.sensor_readers import ins_batch, ins_sample, sigma_mismatch_text
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries
 from ship_stars.messages import surroundings_messages
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 
 INTEGRITY_TOPIC = "ship/integrity"

@@ -12,10 +12,9 @@ from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.star_attitude.exposure_solver import AttitudeSolution, RejectedStar, StarOutcome
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.rejection_rules import Reason, Rejection
-from ship_geometry.frames import angle_covariance, angles_from_rotation
-from ship_geometry.ros_axes import enu_covariance
+from ship_geometry.frames import angle_covariance, angles_from_rotation, enu_covariance
 from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.feeds import BlockFeed, Feed, ignore_time
+from ship_node.adapters.adapter import BlockFeed, Feed, ignore_time
 from ship_node.adapters.node_adapter import OWN_OUTPUTS, NodeAdapter
 from ship_node.health.duplicate_publishers import ATTITUDE
 from ship_node.messages.common_messages import (
@@ -27,8 +26,8 @@ from ship_node.messages.common_messages import (
     rejection_message,
 )
 from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.ins_messages import ins_batch, ins_sample
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.sensor_readers import ins_batch, ins_sample
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_stars.camera.config import JOINT
 from ship_stars.messages.star_messages import ExposingSensor, star_exposure

@@ -36,7 +36,7 @@ import numpy as np
 from ship_attitude_star.ins_errors.process import ATTITUDE_ERROR, DEFLECTION, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import STEP_NS, LocalVertical
 from ship_estimation.kalman.kalman_filter import exceeds_model
-from ship_estimation.parameters.ins_errors import SchulerConfig
+from ship_estimation.parameters.ship_devices import SchulerConfig
 from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray

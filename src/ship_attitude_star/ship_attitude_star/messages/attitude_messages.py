@@ -12,36 +12,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.alignment import Alignment
-from ship_attitude_star.ship_attitude.devices import StarSensorConfig
+from ship_attitude_star.ship_attitude.config import StarSensorConfig
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.integrity.protection_levels import NORMAL_95
-from ship_estimation.parameters.frame_names import FRAME_NAMES, FrameNames
+from ship_estimation.parameters.fields import FRAME_NAMES, FrameNames
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
-from ship_geometry.ros_axes import (
+from ship_geometry.frames import (
     ENU_FROM_HORIZON,
     FLU_FROM_DEVICE,
+    SINGULAR_ELEVATION,
+    angle_covariance,
+    angles_from_rotation,
     enu_covariance,
     flu_from_device_vector,
     mounting_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels.compiled_rotations import angle_covariances, angles, quaternions
-from ship_node.messages.batch import OutputRows
-from ship_node.messages.common_messages import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget_message
-from ship_node.messages.field_checks import NOT_GIVEN
-from ship_node.messages.output_numbers import (
+from ship_node.messages.common_messages import (
+    TF_TOPIC,
+    TF_TYPE,
+    ZERO_VECTOR,
     Fields,
     MessageFields,
     column_numbers,
+    error_budget_message,
     join_fields,
     rows_by_kind,
     select_values,
     single_numbers,
 )
-from ship_node.messages.topics import OutputMessage
-from ship_stars.samples.attitude_samples import AttitudeEstimate, AttitudeSeries, StampArray
-from ship_stars.samples.readings import DeflectionReading
+from ship_node.messages.field_checks import NOT_GIVEN
+from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, DeflectionReading, StampArray
 
 ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
 IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"

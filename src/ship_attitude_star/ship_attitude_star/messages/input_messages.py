@@ -1,39 +1,55 @@
 """Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
 
-The readers use only attributes of messages, so any message class can be used. For a message that cannot be used the
-readers raise :class:`ship_node.messages.field_checks.MessageRejected`.
+The readers of single messages use only attributes, so any message class can be used. For a message that cannot be used
+they raise :class:`ship_node.messages.field_checks.MessageRejected`. The reader of a batch converts all regular messages
+at once, with bit-identical results; it returns None for a message that must be read alone.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.devices import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
-from ship_attitude_star.ship_attitude.measurements.baseline import BaselineMeasurement
+from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.measurements.devices import BaselineMeasurement
+from ship_bags.cdr_template import CdrRows
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement
-from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
-from ship_geometry.ros_axes import (
+from ship_geometry.frames import (
     FLU_FROM_DEVICE,
     celestial_rotation_from_quaternion,
     horizon_covariance,
+    rotation_from_angles,
+    rotation_vector_covariance,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.messages.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
+from ship_kernels import compiled_rotations
 from ship_node.messages.field_checks import (
     MessageRejected,
     ReadMessage,
+    ReadRows,
     angular_covariance,
+    angular_covariances,
     check_device_id,
     check_finite,
     check_frame,
     imu_rotation,
+    read_valid,
     stamp_ns,
+    stamps,
     unit_quaternion,
 )
-from ship_stars.samples.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY, AttitudeMeasurement, SolvedAttitude
-from ship_stars.samples.readings import DeflectionReading, InertialAttitude
+from ship_node.messages.inputs_outputs import StampArray
+from ship_node.messages.sensor_readers import baseline_stamp_ns, baseline_vector, fix_rejection
+from ship_stars.attitude_samples import (
+    SHARED_BY_MESSAGES,
+    SHARED_BY_SKY,
+    AttitudeMeasurement,
+    DeflectionReading,
+    InertialAttitude,
+    SolvedAttitude,
+)
 
 Measured = TypeVar("Measured", bound=Measurement)
 
@@ -241,3 +257,34 @@ def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
     kept = np.where(values > limit, values, 0.0)
     common: FloatArray = (vectors * kept) @ vectors.T
     return common
+
+
+def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, config: StarSensorConfig) -> ReadRows:
+    """Read ``star/<sensor>/horizon_attitude`` or ``.../solution`` with both covariances of the rotation vector.
+
+    See :func:`ship_attitude_star.messages.input_messages.star_measurement`.
+    """
+    numbers = messages.numbers
+    times_ns, timely = stamps(numbers, receive_ns)
+    angles = np.stack([numbers["azimuth"], numbers["elevation"], numbers["roll"]], axis=1)
+    totals_enu, total_known = angular_covariances(numbers["rotation_covariance"])
+    noises_enu, noise_known = angular_covariances(numbers["noise_covariance"])
+    good = timely & total_known & noise_known & (numbers["status"] != STAR_INVALID)
+    good &= (np.abs(angles) <= [MAX_ANGLE, MAX_ELEVATION, MAX_ANGLE]).all(axis=1)
+
+    def attitude(
+        time_ns: int, rotation_ns: FloatArray, total_n: FloatArray, noise_n: FloatArray
+    ) -> ReadMessage[Any] | None:
+        try:
+            return attitude_from_numbers(
+                f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error
+            )
+        except MessageRejected:
+            return None
+
+    def attitudes() -> Iterator[ReadMessage[Any] | None]:
+        rotations_ns = compiled_rotations.rotations(angles[good])
+        covariances_n = horizon_covariance(totals_enu[good]), horizon_covariance(noises_enu[good])
+        return map(attitude, times_ns[good].tolist(), rotations_ns, *covariances_n)
+
+    return read_valid(messages, config.frame_id, good, attitudes)

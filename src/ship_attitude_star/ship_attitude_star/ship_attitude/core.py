@@ -1,7 +1,7 @@
 """Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
 The core uses no ROS, no files and no clock. The core combines the filter, the INS samples
-(:mod:`ship_attitude_star.ship_attitude.ins.ins_input`), the sky model and the published attitudes
+(:mod:`ship_attitude_star.ship_attitude.ins_input`), the sky model and the published attitudes
 (:mod:`ship_attitude_star.ship_attitude.attitude_output`) with the time-ordered estimator
 (:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies measurements in the order of their stamps.
 """
@@ -11,29 +11,32 @@ from typing import ClassVar
 
 from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
 from ship_attitude_star.ship_attitude.alignment import AlignmentPrior, prior_from_state, state_from_prior
-from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator
+from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator, invalid_estimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.consistency import ShipConsistency
-from ship_attitude_star.ship_attitude.faults.integrity import integrity_of
+from ship_attitude_star.ship_attitude.corrected_ins import integrity_of
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins.ins_input import InsInput
-from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, record_accepted
-from ship_attitude_star.ship_attitude.memory import start_from_memory
-from ship_attitude_star.ship_attitude.output import invalid_estimate
-from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
+from ship_attitude_star.ship_attitude.ins_input import InsInput
+from ship_attitude_star.ship_attitude.observability import RecentSource, record_accepted
+from ship_attitude_star.ship_attitude.recovery import ShipConsistency, start_from_memory
+from ship_attitude_star.ship_attitude.state import FilterState, with_utc_evaluated, with_utc_step
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.integrity.protection_levels import IntegrityReport
-from ship_estimation.plausibility.ins_jump import InsChange, InsJump
-from ship_estimation.recovery.recoverable_core import RecoverableCore
+from ship_estimation.plausibility.checked_ins import InsChange, InsJump
+from ship_estimation.recovery.recoverable_core import RecoverableCore, with_shifted_stamps
 from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
-from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
-from ship_stars.samples.attitude_samples import AttitudeDecision, AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
-from ship_stars.samples.readings import DeflectionReading, PositionFix, SkyInput
+from ship_stars.attitude_samples import (
+    AttitudeDecision,
+    AttitudeEstimate,
+    AttitudeMeasurement,
+    AttitudeOutcome,
+    DeflectionReading,
+    PositionFix,
+    SkyInput,
+)
 from ship_stars.sky.sky_model import SkyModel
 
 

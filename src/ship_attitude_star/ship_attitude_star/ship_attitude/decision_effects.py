@@ -8,13 +8,12 @@ from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDet
 from ship_attitude_star.ship_attitude.measurements.kind import Device
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
-from ship_estimation.fault_detection.fault_state import with_changes, with_entry, without_entry
-from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
+from ship_estimation.fault_detection.detector import UnconfirmedStep, with_changes, with_entry, without_entry
 from ship_estimation.innovations.gates import GateConfig
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import log_rotation
-from ship_stars.samples.attitude_samples import AttitudeDecision
+from ship_stars.attitude_samples import AttitudeDecision
 from ship_stars.solution.exposure import StarExposure
 
 

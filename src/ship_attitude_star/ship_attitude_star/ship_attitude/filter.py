@@ -6,35 +6,32 @@ from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import SOURCE_STAR_COMMON, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.decision_effects import DecisionEffects
-from ship_attitude_star.ship_attitude.devices import SOURCE_STAR_COMMON
 from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
-from ship_attitude_star.ship_attitude.faults.subfilter_set import INS
 from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
 from ship_attitude_star.ship_attitude.measurements.prediction import (
     Linearisation,
     LinearisedMeasurement,
     NotEvaluable,
 )
-from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS, ShipStateModel
+from ship_attitude_star.ship_attitude.model import INS, SOURCE_DEFLECTION, SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_detection.fault_state import with_changes, with_entry
+from ship_estimation.fault_detection.detector import UnconfirmedStep, with_changes, with_entry
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
-from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.innovations.gates import chi_square_gate
-from ship_estimation.plausibility.ins_jump import InsChange
+from ship_estimation.plausibility.checked_ins import InsChange
 from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack, ExtraNoise
-from ship_stars.camera.optics_errors import SOURCE_OPTICS
-from ship_stars.samples.attitude_samples import AttitudeDecision, AttitudeMeasurement
+from ship_stars.attitude_samples import AttitudeDecision, AttitudeMeasurement
+from ship_stars.camera.errors import SOURCE_OPTICS
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.scale_check import check_estimated_focal_length
+from ship_stars.solution.field_scale import check_estimated_focal_length
 
 _MAX_CLOCK_STEP_SIGMAS = 8.0
 """Maximum clock step of the INS that can be estimated, in standard deviations of the configured clock offset."""

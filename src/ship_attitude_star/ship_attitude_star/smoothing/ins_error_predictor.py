@@ -9,8 +9,7 @@ from ship_attitude_star.ins_errors.process import Propagation, own_error_matrix
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.kalman.kalman_filter import propagate_correlated_error
-from ship_estimation.kalman.rts_smoother import Anchor
-from ship_estimation.kalman.rts_step import GaussianEstimate
+from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate
 from ship_geometry.rotations import FloatArray
 
 _TIME_OFFSET = 3

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from ship_estimation.parameters.fields import mapping_of, parameter, section, sources_off, stamp_age
-from ship_estimation.parameters.frame_names import DeckFrame
-from ship_estimation.parameters.ins import StarInsConfig
+from ship_estimation.parameters.fields import DeckFrame, mapping_of, parameter, section, sources_off, stamp_age
+from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_stars.camera.config import MountingConfig, RequiredCameraConfig, StarSensorsById
 from ship_stars.sky.config import SkyConfig
 

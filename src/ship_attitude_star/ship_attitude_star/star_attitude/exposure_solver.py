@@ -13,8 +13,8 @@ from ship_stars.camera.camera import tangent_basis
 from ship_stars.camera.config import JOINT
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, visible_stars
+from ship_stars.solution.field_scale import check_focal_length
 from ship_stars.solution.fit import MatchedStars, square_roots
-from ship_stars.solution.scale_check import check_focal_length
 from ship_stars.solution.selection import StarPrior
 from ship_stars.solution.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
 

@@ -17,9 +17,8 @@ import numpy as np
 
 from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
-from ship_estimation.parameters.ins import StarInsConfig
-from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample
-from ship_estimation.plausibility.ins_jump import InsJump
+from ship_estimation.parameters.ship_devices import StarInsConfig
+from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump
 from ship_estimation.rejection_rules import Rejection, StampConflicts, resolve_same_stamp
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
 from ship_geometry.earth.time_scales import SECOND_NS
@@ -27,8 +26,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.tracks.exposure_mean import exposure_motion
 from ship_geometry.tracks.interpolation_error import joint_covariance
+from ship_stars.attitude_samples import StampArray
 from ship_stars.camera.config import MountingConfig
-from ship_stars.samples.attitude_samples import StampArray
 from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure
 from ship_stars.solution.selection import StarPrior
 

@@ -13,12 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
-from ship_attitude_star.vertical.deflection_table import DeflectionTable
+from ship_attitude_star.vertical.deflection import CONSTANT, NONE, TABLE, DeflectionTable, GravityConfig
 from ship_estimation.rejection_rules import Reason, Rejection, resolve_same_stamp
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_stars.samples.readings import DeflectionReading, PositionFix
+from ship_stars.attitude_samples import DeflectionReading, PositionFix
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.position_from_fixes import PositionFromFixes, ShipPosition
 

@@ -9,8 +9,8 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
 from ship_bags.export.export import FORMATS, ExportRequest, export
 from ship_bags.output_files import add_force_option
-from ship_bags.renamed_topics import add_remap_option
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_utc_text
+from ship_bags.topic_names import add_remap_option
 
 _DESCRIPTION = """\
 Writes topics of a bag as tables, one file each, e.g. ship.attitude.csv for ship/attitude. Numbers equal those of the

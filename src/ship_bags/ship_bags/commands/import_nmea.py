@@ -8,10 +8,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.nmea.import_nmea import GYRO_NAME, RECEIVE_TIME, ImportRequest, import_logs
+from ship_bags.nmea.import_nmea import GYRO_NAME, RECEIVE_TIME, ImportRequest, LogRules, import_logs
 from ship_bags.nmea.instrument import INSTRUMENT_TIME
-from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
-from ship_bags.nmea.nmea_log import LogRules
+from ship_bags.nmea.instrument_lines import OPTIONAL, REQUIRED, is_talker
 from ship_bags.output_files import add_force_option, check_file
 
 _HIGHEST_RATE_HZ = 1000.0

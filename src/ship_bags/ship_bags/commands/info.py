@@ -12,8 +12,8 @@ from ship_bags.errors import one_line
 from ship_bags.mcap.bag_content import BagContent, TopicContent, attached_suite, bag_content
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
 from ship_bags.output_files import add_force_option, check_file, write_atomically
-from ship_bags.renamed_topics import add_remap_option
 from ship_bags.stamps import NS_PER_S, utc_text
+from ship_bags.topic_names import add_remap_option
 
 _DESCRIPTION = """\
 Lists the content of a bag: size, start, end and duration; topics with type, number of messages, mean rate in Hz and

@@ -10,7 +10,7 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
 from ship_bags.live.play import Player, PlayOptions
 from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard_control, serve_in_thread
 from ship_bags.live.ros_process import call_on_end_signals, command_node, positive_number, run_ros_command
-from ship_bags.renamed_topics import add_remap_option
+from ship_bags.topic_names import add_remap_option
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.io import netcdf_file
 
 from ship_bags.errors import BadInput
+from ship_bags.export.message_fields import cf_units, standard_name_on
 from ship_bags.export.table_files import TableFile, TableHead
 from ship_bags.export.table_rows import LOG_TIME, STAMP, TEXT, Column
-from ship_bags.export.units import cf_units, standard_name_on
 from ship_bags.stamps import NS_PER_S
 
 MAX_TEXT_BYTES = 32_768

@@ -19,10 +19,12 @@ from rosbags.typesys.store import Typestore
 from ship_bags.errors import BadInput
 from ship_bags.export.message_fields import (
     BYTES,
+    NANOSECONDS,
     NO_FIELD,
     TIMES,
     Get,
     MessageField,
+    Unit,
     as_list,
     elements_of,
     fields_of,
@@ -32,7 +34,6 @@ from ship_bags.export.message_fields import (
     is_numbered,
     type_in_row,
 )
-from ship_bags.export.units import NANOSECONDS, Unit
 from ship_bags.stamps import ns_from_stamp
 
 LOG_TIME = "log_time_ns"

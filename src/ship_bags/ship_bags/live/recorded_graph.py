@@ -20,7 +20,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ship_bags.mcap.bag_writer import qos_text
 from ship_bags.parameter_yaml import full_name, is_runtime_parameter, sections_text
-from ship_bags.renamed_topics import is_topic_parameter
+from ship_bags.topic_names import is_topic_parameter
 
 DEPTH = 1000
 """Queue depth per topic for delays by the disk: ten seconds at 100 Hz, one second at 1 kHz."""

@@ -1,23 +1,170 @@
-"""Start of a command that is a ROS node: arguments, node, signals; :mod:`ship_bags.live.dds` prepares DDS."""
+"""Process of a program that is a ROS node: set-up of DDS, start of a command with its node, signals, heartbeat.
+
+DDS is set up before ROS starts: the suite's profile, and security if it is requested. A process that is requested to
+use DDS security must not run without it. ROS uses security only if ``ROS_SECURITY_ENABLE`` is exactly ``true``; with
+``TRUE`` or ``1`` ROS runs unprotected without a warning. The same happens with the strategy ``Permissive`` if DDS was
+built without security.
+
+The supervisor of a suite gives its programs one end of a datagram socket. Each program sends its process id there once
+a second, from its main loop: its heartbeat. A stopped program, or a program whose callback does not return, sends
+nothing. ROS and DDS are not involved.
+"""
 
 import argparse
 import contextlib
+import functools
 import math
+import mmap
 import os
 import re
 import signal
+import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import prepare_dds
+
+ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
+
+_FALSE_VALUES = ("", "0", "false", "no", "off")
+_LIBRARY = "libfastrtps."
+_WITH_SECURITY, _WITHOUT_SECURITY = b"process_data_message_with_security", b"process_data_message_without_security"
+"""Parts of symbol names that the library exports: the second always, the first only if built with security."""
+
+DDS_PROFILE = Path(__file__).with_name("dds_profile.xml")
+"""Fast DDS profile of every program of the suite, for discovery and retransmission; the file gives the reasons."""
+
+PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"
+"""Environment variable that names a profile, and the variable by which the profile applies to writers and readers too.
+"""
+
+
+def prepare_dds() -> None:
+    """Prepare DDS before ROS starts: check requested security, set the profile; every program of the suite calls this.
+
+    Raises:
+        BadInput: DDS security is requested and not available.
+    """
+    require_security()
+    use_dds_profile()
+
+
+def use_dds_profile() -> None:
+    """Set the suite's Fast DDS profile for this process and its child processes; a profile set by the user stays."""
+    if os.environ.setdefault(PROFILE_VARIABLE, str(DDS_PROFILE)) == str(DDS_PROFILE):
+        os.environ.setdefault(QOS_FROM_PROFILE_VARIABLE, "1")
+
+
+def require_security() -> None:
+    """Refuse to start if the environment requests DDS security and this installation does not have it.
+
+    If the process may start, its environment gets the request in the spelling that ROS accepts.
+
+    Raises:
+        BadInput: see :func:`security_environment`.
+    """
+    if is_security_requested(os.environ):
+        os.environ.update(security_environment(os.environ, dds_has_security(loaded_libraries())))
+
+
+def is_security_requested(environment: Mapping[str, str]) -> bool:
+    """Return True if an environment requests DDS security: by any text that does not mean "no"."""
+    return environment.get(ENABLE, "").strip().lower() not in _FALSE_VALUES
+
+
+def security_environment(environment: Mapping[str, str], has_security: bool | None) -> dict[str, str]:
+    """Return the environment that requests DDS security in the spelling that ROS accepts.
+
+    Args:
+        environment: environment with the request.
+        has_security: True if DDS was built with security; None if unknown.
+
+    Raises:
+        BadInput: DDS was built without security; or this is unknown, and the middleware would not refuse to start.
+    """
+    demand, enforced = environment[ENABLE], environment.get(STRATEGY, "").strip().lower() == "enforce"
+    if has_security is False:
+        raise BadInput(
+            f"{ENABLE}={demand} requests DDS security, and this installation's DDS was built without security: "
+            "not started, because it would run unprotected"
+        )
+    if has_security is None and not enforced:
+        raise BadInput(
+            f"{ENABLE}={demand} requests DDS security, and it is unknown whether this DDS has it: "
+            f"set {STRATEGY}=Enforce, with which the middleware itself refuses to start"
+        )
+    return {ENABLE: "true"} | ({STRATEGY: "Enforce"} if enforced else {})
+
+
+def dds_has_security(libraries: Iterable[Path]) -> bool | None:
+    """Return True if the Fast DDS among some libraries was built with security; None if unknown."""
+    for path in libraries:
+        if not path.name.startswith(_LIBRARY):
+            continue
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            if content.find(_WITH_SECURITY) >= 0:
+                return True
+            if content.find(_WITHOUT_SECURITY) >= 0:
+                return False
+    return None
+
+
+def loaded_libraries() -> list[Path]:
+    """Return the files from which this process has loaded Fast DDS; empty with another middleware."""
+    get_rmw_implementation_identifier()  # loads the middleware
+    lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+    return sorted({Path(line[line.index("/") :]) for line in lines if f"/{_LIBRARY}" in line})
+
+
+HEARTBEAT_SOCKET = "SHIP_SUITE_HEARTBEAT"
+"""Environment variable with the file descriptor of the socket."""
+
+HEARTBEAT_PERIOD_NS = 1_000_000_000
+"""Heartbeat period, ns."""
+
+
+class Heartbeat:
+    """Heartbeat of this process; outside a suite nothing is sent.
+
+    Args:
+        descriptor: file descriptor of the socket, as text; empty outside a suite.
+    """
+
+    def __init__(self, descriptor: str) -> None:
+        self._socket: socket.socket | None = None
+        self._last_ns = 0
+        with contextlib.suppress(OSError, ValueError):
+            if descriptor:
+                self._socket = socket.socket(fileno=int(descriptor))
+                self._socket.set_inheritable(False)
+
+    def beat(self, steady_ns: int) -> None:
+        """Send a heartbeat if the last heartbeat is a period old.
+
+        Args:
+            steady_ns: steady time, ns.
+        """
+        if self._socket is None or steady_ns - self._last_ns < HEARTBEAT_PERIOD_NS:
+            return
+        self._last_ns = steady_ns
+        # A stopped supervisor reads nothing, and its queue may be full.
+        with contextlib.suppress(OSError):
+            self._socket.send(b"%d" % os.getpid(), socket.MSG_DONTWAIT)
+
+
+@functools.cache
+def heartbeat() -> Heartbeat:
+    """Return the heartbeat of this process; child processes do not inherit it."""
+    return Heartbeat(os.environ.pop(HEARTBEAT_SOCKET, ""))
+
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from mcap.records import Message
 
+from ship_bags.command_line import with_progress
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_file import BagFile
 from ship_bags.mcap.bag_reader import Bag, open_files
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.mcap.file_content import BagFile
-from ship_bags.progress import with_progress
 from ship_bags.stamps import NS_PER_S
 
 

@@ -1,13 +1,18 @@
-"""MCAP file as a list of chunks that can be read one by one, even if the file is damaged.
+"""One file of a bag: its content independent of the storage, and an MCAP file as a list of chunks.
 
-A complete file ends in a summary with the location of each chunk. A file without a summary (the recorder was killed,
-the disk was full) is scanned record by record up to its end; damaged records are skipped.
+The chunks can be read one by one, even if the file is damaged. A complete file ends in a summary with the location of
+each chunk. A file without a summary (the recorder was killed, the disk was full) is scanned record by record up to its
+end; damaged records are skipped.
+
+The further files of a black box are next to its first file and are read with it.
 """
 
 import io
+import re
 import shlex
 import struct
 import zlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,12 +34,63 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parse_record
-from ship_bags.mcap.file_content import BagFile
+from ship_bags.input_files import check_regular
 from ship_bags.mcap.mcap_writer import MAGIC
-from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, ScannedRecord, has_header, scan_records
-from ship_bags.regular_files import check_regular
+from ship_bags.mcap.records import (
+    COMPRESSIONS,
+    ChunkPlace,
+    DamagedChunk,
+    Gap,
+    RecordFile,
+    ScannedRecord,
+    has_header,
+    parse_record,
+    scan_records,
+)
 from ship_bags.stamps import utc_text
+from ship_bags.topic_names import BLACK_BOX_METADATA
+
+
+@dataclass
+class BagFile(ABC):
+    """Content of a file of a bag besides its messages, and the places of the messages.
+
+    Attributes:
+        path: path of the file, or of the folder if its files are read as one file.
+        chunks: places of the messages, in file order.
+        recorded_names: topic → its name in the file, for renamed topics.
+        side_records: attachments and metadata, in file order.
+        problems: one line per problem known so far.
+    """
+
+    path: Path
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    recorded_names: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    side_records: list[Attachment | Metadata] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    @abstractmethod
+    def size_bytes(self) -> int:
+        """Size on the disk, bytes."""
+
+    @abstractmethod
+    def messages(self, place: ChunkPlace) -> list[Message]:
+        """Return the messages of one place, in file order; a damaged place gives none, and adds a problem."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def add_problem(self, problem: str) -> None:
+        """Add a line to ``problems`` only once, because a place may be read repeatedly."""
+        if problem not in self.problems:
+            self.problems.append(problem)
+
 
 _ROS1_BEGIN = b"#ROSBAG"
 _FOOTER = struct.Struct("<BQQQI8s")
@@ -331,3 +387,34 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
         # The parser may raise anything for damaged bytes, with useless texts.
         why = f" ({problem})" if isinstance(problem, DamagedChunk) else ""
         file.problems.append(f"{file.path.name}: one {Opcode(opcode).name.lower()} record is damaged{why}: it is lost")
+
+
+_FIRST = "1"
+
+
+def further_black_box_files(first: BagFile) -> list[BagFile]:
+    """Return the files that continue the first file of a black box, in order; an empty list for any other file.
+
+    A missing or unreadable file becomes a line in the problems of the first file.
+    """
+    entries = first.metadata.get(BLACK_BOX_METADATA, {})
+    if entries.get("part") != _FIRST:
+        return []
+    found: dict[int, BagFile] = {}
+    pattern = re.compile(re.escape(first.path.stem) + r"\.part\d+\.mcap", re.ASCII)
+    for path in (path for path in first.path.parent.iterdir() if pattern.fullmatch(path.name)):
+        try:
+            file = open_mcap(path)
+        except BadInput as problem:
+            first.add_problem(str(problem))
+            continue
+        # Only the black-box header of the first file is kept.
+        of_part = file.metadata.pop(BLACK_BOX_METADATA, {})
+        number = of_part.get("part", "")
+        if of_part.get("box") == entries.get("box") and number.isascii() and number.isdecimal():
+            found[int(number)] = file
+        else:
+            file.close()
+    for missing in set(range(2, max(found, default=1))) - found.keys():
+        first.add_problem(f"{first.path.name}: part {missing} of the black box is missing")
+    return [found[number] for number in sorted(found)]

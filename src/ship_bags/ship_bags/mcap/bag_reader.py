@@ -16,19 +16,15 @@ from mcap.records import Message
 from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
+from ship_bags.command_line import with_progress
 from ship_bags.errors import BadInput, one_line
-from ship_bags.mcap.bag_file import open_mcap
+from ship_bags.mcap.bag_file import BagFile, further_black_box_files, open_mcap
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.mcap.black_box_parts import further_black_box_files
-from ship_bags.mcap.file_content import BagFile
-from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
-from ship_bags.mcap.latched import repeated_message_times
+from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags, repeated_message_times
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import BagTypes, message_store, store_with_definitions
-from ship_bags.progress import with_progress
-from ship_bags.renamed_topics import BLACK_BOX_METADATA, current_names
 from ship_bags.stamps import utc_text
-from ship_bags.topic_names import relative_topic
+from ship_bags.topic_names import BLACK_BOX_METADATA, current_names, relative_topic
 
 # The durability is a name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
@@ -97,7 +93,7 @@ class Bag:
 
     Attributes:
         topics: topic → type name, for the readable topics.
-        recorded_names: topic → its name in the bag, for renamed topics (:mod:`ship_bags.renamed_topics`).
+        recorded_names: topic → its name in the bag, for renamed topics (:mod:`ship_bags.topic_names`).
         skipped_topics: topic → why it cannot be read.
         differences: type name → one line per field that the bag defines differently from this version of the suite.
         attachments: name → content.
@@ -339,7 +335,7 @@ def read_bag(path: Path | str) -> Bag:
 
 
 def open_files(path: Path) -> list[BagFile]:
-    """Open the files of a bag, in order; topics get the names of :mod:`ship_bags.renamed_topics`.
+    """Open the files of a bag, in order; topics get the names of :mod:`ship_bags.topic_names`.
 
     Raises:
         BadInput: a file is missing, unreadable, empty or of unknown storage or compression, a folder has no

@@ -17,11 +17,11 @@ from mcap.records import Attachment, Channel, Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
+from ship_bags.command_line import with_progress
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile, open_mcap
 from ship_bags.mcap.folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
 from ship_bags.output_files import check_file, error_with_path, open_new
-from ship_bags.progress import with_progress
 
 _LIBRARY = "ship_bags record --recover"
 _NOTE = "recovered"

@@ -12,9 +12,8 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.chunk_content import MAX_CHUNK_BYTES, MAX_CHUNK_MB, decompress
-from ship_bags.mcap.file_content import BagFile
-from ship_bags.mcap.records import ChunkPlace, is_stamp_time
+from ship_bags.mcap.bag_file import BagFile
+from ship_bags.mcap.records import MAX_CHUNK_BYTES, MAX_CHUNK_MB, ChunkPlace, decompress, is_stamp_time
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _MAX_PLACES = 10_000

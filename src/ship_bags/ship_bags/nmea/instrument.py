@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 
 from ship_bags.message_factory import MessageFactory
-from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, instrument_ns, time_of_day_ns
+from ship_bags.nmea.instrument_lines import InstrumentLine, LineReport, instrument_ns, time_of_day_ns
 from ship_bags.nmea.nmea_attitude import AttitudeReader, LoggedAttitude
 from ship_bags.nmea.sentences import AUTONOMOUS, MetReading, number
 from ship_bags.stamps import NS_PER_S, make_header
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.frames import (
+    angles_from_rotation,
+    flu_from_device_vector,
+    quaternion_from_rotation,
+    rotation_from_angles,
+)
 from ship_geometry.rotations import FloatArray
 
 INS, REFERENCE, GYRO, GNSS, WEATHER = "ins", "reference", "gyro", "gnss", "weather"

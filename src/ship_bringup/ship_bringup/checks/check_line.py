@@ -8,7 +8,7 @@ from enum import Enum
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE
 from ship_bags.errors import one_line
-from ship_estimation.parameters.rows import aligned_lines
+from ship_estimation.parameters.schema import aligned_lines
 
 MAX_ROWS = 12
 """Maximum number of rows shown for one check; further rows are counted."""

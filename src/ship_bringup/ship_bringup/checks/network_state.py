@@ -20,13 +20,12 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import is_security_requested
-from ship_bags.live.ros_process import command_node
+from ship_bags.live.ros_process import command_node, is_security_requested
 from ship_bags.message_factory import message_class
 from ship_bags.parameter_yaml import full_name
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bringup.security.demand import ENCLAVE
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 
 NAME = "preflight"
 

@@ -9,7 +9,7 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
 from ship_bringup.remote_node import connect_node, node_command_parser, parse_value, unknown_name_text, value_text
-from ship_estimation.parameters.rows import aligned_lines
+from ship_estimation.parameters.schema import aligned_lines
 
 _DESCRIPTION = """\
 Lists the parameters of a running node with values, units and descriptions (* may be changed while it runs); with NAME

@@ -9,7 +9,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import namespace_name
 from ship_bags.output_files import add_force_option, check_folder, write_atomically
-from ship_bags.renamed_topics import ship_names
+from ship_bags.topic_names import ship_names
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN, domain_of
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text
 from ship_bringup.security.rights import load_companions, suite_rights

@@ -12,27 +12,36 @@ from typing import Any
 
 from ship_bags.command_line import CommandParser, launcher, run_command
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import dds_has_security, is_security_requested, loaded_libraries
-from ship_bags.live.ros_process import namespace_name, positive_number
+from ship_bags.live.ros_process import (
+    dds_has_security,
+    is_security_requested,
+    loaded_libraries,
+    namespace_name,
+    positive_number,
+)
 from ship_bags.parameter_yaml import full_name
-from ship_bags.renamed_topics import ship_names
+from ship_bags.topic_names import ship_names
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, summary_text, table, worst_first
 from ship_bringup.checks.clock_check import check_clock, read_clock_state
 from ship_bringup.checks.disk_check import check_disk, estimate_write_rates, read_disk_state
-from ship_bringup.checks.domain_check import check_domain, check_settings
-from ship_bringup.checks.file_check import check_files, read_path_states
+from ship_bringup.checks.network_check import (
+    check_domain,
+    check_keystore,
+    check_security,
+    check_sensors,
+    check_settings,
+    find_requested_qos,
+)
 from ship_bringup.checks.network_state import NetworkState, observe_network
-from ship_bringup.checks.port_check import check_places, read_place_states
-from ship_bringup.checks.security_check import check_keystore, check_security
-from ship_bringup.checks.sensor_check import check_sensors, find_requested_qos
+from ship_bringup.checks.resource_check import check_files, check_places, read_path_states, read_place_states
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import load_companions, nmea_in_topics, suite_rights
 from ship_bringup.suite.plan import missing_saved_files
 from ship_replay.offline.adapter_chain import AdapterChain
-from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ADAPTERS
+from ship_replay.preflight.check_bag import load_text, load_warnings, measured_slowness, node_loads
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
-from ship_replay.preflight.load import load_text, load_warnings, measured_slowness, node_loads
 from ship_watch.safety.limits import Limits, read_limits
 
 _DESCRIPTION = """\

@@ -8,16 +8,20 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, launcher, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bags.live.dds import dds_has_security, loaded_libraries, require_security
-from ship_bags.live.ros_process import namespace_name, positive_number
+from ship_bags.live.ros_process import (
+    dds_has_security,
+    loaded_libraries,
+    namespace_name,
+    positive_number,
+    require_security,
+)
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.renamed_topics import add_remap_option
+from ship_bags.topic_names import add_remap_option
 from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.expected_limits import expected_limits
-from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
 from ship_bringup.suite.plan import SuiteOptions, make_plan, read_attached_suite
 from ship_bringup.suite.suite_log import SuiteLog, log_path
-from ship_bringup.suite.supervisor import Supervisor
+from ship_bringup.suite.supervisor import FROZEN_REPORT_S, FROZEN_RESTART_S, Supervisor
 from ship_watch.safety.limits import Limits, read_limits
 
 _DESCRIPTION = """\

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import ENABLE, STRATEGY, is_security_requested
+from ship_bags.live.ros_process import ENABLE, STRATEGY, is_security_requested
 from ship_watch.safety.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
@@ -26,7 +26,7 @@ def security_problems(environment: Mapping[str, str], has_security: bool | None)
 
     Args:
         environment: environment of the process.
-        has_security: True if DDS was built with security (:func:`ship_bags.live.dds.dds_has_security`); None if
+        has_security: True if DDS was built with security (:func:`ship_bags.live.ros_process.dds_has_security`); None if
             unknown.
     """
     found = []

@@ -19,28 +19,31 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from ship_bags.command_line import launcher
 from ship_bags.errors import BadInput
-from ship_bringup.security.certificates import (
+from ship_bringup.security.keystore_files import (
+    KeystoreFault,
+    authority_key_faults,
     certificate_key,
     common_name,
     is_authority,
     is_issued_by,
+    mode_faults,
     public_bytes,
     read_certificate,
     validity,
     weaknesses,
 )
-from ship_bringup.security.keystore_fault import KeystoreFault
-from ship_bringup.security.keystore_files import authority_key_faults, mode_faults
-from ship_bringup.security.policy_xml import FINGERPRINT, read_topics, written_topics
-from ship_bringup.security.rights import Rights
-from ship_bringup.security.signed_xml import (
+from ship_bringup.security.policy_xml import (
+    FINGERPRINT,
     Permissions,
     governance_faults,
     read_permissions,
     read_signed,
+    read_topics,
     signature_digest,
     signature_fault,
+    written_topics,
 )
+from ship_bringup.security.rights import Rights
 
 ENCLAVES = "enclaves"
 _PUBLIC = "public"

@@ -18,8 +18,7 @@ from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters.schema import describe
 from ship_node.adapters.adapter import Adapter
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_STATIC_TOPIC, TF_TOPIC
-from ship_node.parameters.companions import configured_companions
-from ship_node.parameters.parameter_file import load_config
+from ship_node.parameters.parameter_file import configured_companions, load_config
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
 from ship_watch.topics import MESSAGES, TOPICS, monitored_topic
@@ -87,7 +86,7 @@ def suite_rights(
         is_locked: True if no parameter of a running node may be set.
         is_played: True if a bag may be played into the suite (/clock and topics of sensors); False for a voyage.
         companions: result of :func:`load_companions` for the suite file.
-        ship_names: names of the inputs on the ship, see :func:`ship_bags.renamed_topics.ship_names`.
+        ship_names: names of the inputs on the ship, see :func:`ship_bags.topic_names.ship_names`.
     """
     return tuple(_SuiteRights(adapters, namespace, is_locked, is_played, companions, ship_names).all_rights())
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_watch.safety.availability import QUANTITIES, REQUIRED_SHARE, START_UP_S, Availability, AvailabilityRecord
 from ship_watch.safety.limits import Limits
 from ship_watch.topics import monitored_topic

@@ -1,28 +1,71 @@
-"""Programs of a suite: a node for each section of its file, monitoring programs, and the player of a bag."""
+"""Programs of a suite: a node for each section of its file, monitoring programs, and the player of a bag.
 
+If DDS security is demanded, each program has an identity in it: the enclave of its name.
+"""
+
+import datetime
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import is_security_requested
-from ship_bags.live.ros_process import executable
+from ship_bags.live.ros_process import executable, is_security_requested
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import full_name, in_any_namespace, read_sections
-from ship_bags.renamed_topics import current_names, ship_names, topic_names
-from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, resolve_topic
-from ship_bringup.security.rights import load_companions, suite_rights
-from ship_bringup.suite.enclaves import add_enclaves
+from ship_bags.topic_names import (
+    TRUTH_PREFIX,
+    current_names,
+    likely_namespace,
+    relative_topics,
+    resolve_topic,
+    ship_names,
+    topic_names,
+)
+from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
+from ship_bringup.security.keystore import KeystoreUse, require_keystore
+from ship_bringup.security.rights import Rights, load_companions, suite_rights
 from ship_bringup.suite.program import Program, Role
 from ship_node.messages.common_messages import TF_STATIC_TOPIC, TF_TOPIC
-from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
-from ship_node.parameters.parameter_file import unknown_sections
+from ship_node.parameters.parameter_file import COMPANIONS, Companion, configured_companions, unknown_sections
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import match_inputs
+from ship_replay.offline.replay import ADAPTERS, match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 from ship_watch.safety.limits import Limits, read_limits
+
+
+def add_enclaves(
+    programs: Sequence[Program], all_rights: Sequence[Rights], namespace: str, limits: Limits
+) -> tuple[list[Program], list[str]]:
+    """Return the programs, each in the enclave of its name, and warnings about the ship's keystore.
+
+    Args:
+        programs: programs of the suite.
+        all_rights: rights of all programs that may belong to the suite.
+        namespace: namespace of the suite.
+        limits: limits of the ship, which may contain the SHA-256 of the ship's authority.
+
+    Raises:
+        BadInput: there is no keystore, or the suite cannot start with it (:func:`require_keystore`).
+    """
+    keystore = os.environ.get(KEYSTORE)
+    if not keystore:
+        raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; it names the keystore")
+    enclaves = [full_name(program.name, namespace) for program in programs]
+    use = KeystoreUse(
+        rights=[replace(each, is_needed=True) for each in all_rights if each.enclave in enclaves],
+        domain_id=domain_of(os.environ),
+        now=datetime.datetime.now(datetime.timezone.utc),
+        voyage=datetime.timedelta(0),
+        authority_sha256=limits.machine.authority_sha256,
+    )
+    warnings = require_keystore(Path(keystore), use)
+    secured = [
+        replace(program, command=(*enclave_command(enclave), *program.command))
+        for program, enclave in zip(programs, enclaves, strict=True)
+    ]
+    return secured, warnings
+
 
 SAVED_FILES = "alignment_file", "calibration_file"
 """Parameters with a file that a node reads at its start and writes periodically."""

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.fault_detection.innovation_means import MEASUREMENTS_PER_H
+from ship_estimation.fault_detection.isolation import MEASUREMENTS_PER_H
 from ship_estimation.fault_detection.subfilters import FilterInnovations
-from ship_estimation.innovations.chi_square import normal_value_above
+from ship_estimation.innovations.gates import normal_value_above
 from ship_estimation.integrity.protection_levels import IntegrityConfig, ProtectionLevels, SigmaMultipliers
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_innovations

@@ -100,7 +100,7 @@ class InnovationHistory:
         >>> import numpy as np
         >>> from ship_estimation.rejection_rules import Reason
         >>> from ship_geometry.rotations import ARCSEC
-        >>> from ship_geometry.tracks.vector_track import VectorSample
+        >>> from ship_geometry.tracks.sample_track import VectorSample
 
         >>> book, rng, stated = InnovationHistory(), np.random.default_rng(1), ARCSEC**2 * np.eye(3)
         >>> for time_ns in range(0, 60 * SECOND_NS, SECOND_NS // 5):

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.innovations.chi_square import normal_value_above, probability_above, value_above
+from ship_estimation.innovations.gates import normal_value_above, probability_above, value_above
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -87,7 +87,7 @@ def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
     Example:
         An innovation of 6″ with a predicted sigma of 3″:
 
-        >>> from ship_geometry.tracks.vector_track import VectorSample
+        >>> from ship_geometry.tracks.sample_track import VectorSample
         >>> residual, covariance = np.array([6.0]) * ARCSEC, np.array([[9.0]]) * ARCSEC**2
         >>> decision = MeasurementDecision(VectorSample(1, residual), Reason.NONE, True, ("up",), residual,
         ...                     covariance=covariance, noise=covariance)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.innovations.chi_square import normal_value_above
+from ship_estimation.innovations.gates import normal_value_above
 from ship_estimation.parameters.fields import parameter, section
 from ship_estimation.parameters.schema import ParameterError
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -174,7 +174,7 @@ def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) ->
     return SigmaMultipliers(
         fault_free=normal_value_above(0.5 * share / tests),
         # The test is two-sided. The other half of the false exclusions is allocated to
-        # ship_estimation.fault_detection.innovation_means.
+        # ship_estimation.fault_detection.isolation.
         false_exclusion=normal_value_above(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed_detection=np.array(missed),
     )

@@ -10,9 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ship_estimation.parameters.ins import CheckedInsConfig
-from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample
-from ship_estimation.plausibility.ins_jump import InsJump, clock_step_s
+from ship_estimation.parameters.ship_devices import CheckedInsConfig
+from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump, clock_step_s
 from ship_estimation.plausibility.ins_predictions import (
     FASTEST_RAD_PER_S,
     InsPredictions,
@@ -21,10 +20,9 @@ from ship_estimation.plausibility.ins_predictions import (
     extrapolate_back,
     seconds_between,
 )
-from ship_estimation.plausibility.integrated_rates import IntegratedRun
+from ship_estimation.plausibility.integrated_rates import IntegratedRun, RateConsistencyCheck, RateStatus
 from ship_estimation.plausibility.motion_check import MotionReference
 from ship_estimation.plausibility.rate_comparison import RateComparison
-from ship_estimation.plausibility.rate_consistency import RateConsistencyCheck, RateStatus
 from ship_estimation.plausibility.value_checks import (
     JumpCheck,
     JumpDecision,

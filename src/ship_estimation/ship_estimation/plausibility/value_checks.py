@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.parameters.ins import JUMP_SAMPLES
+from ship_estimation.parameters.ship_devices import JUMP_SAMPLES
 from ship_estimation.plausibility.motion_check import HISTORY_NS, MotionCheck, MotionReference
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels import compiled_checks

@@ -1,10 +1,12 @@
-"""Displacement of a source or of several sources, to find out whether an inconsistent source has moved back.
+"""Displacement of each source and of all sources together, to find out whether a source has moved and moved back.
 
 Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. The residual
 changes slowly due to the drift of the INS, and in a step if a source or the INS moves. Only steps count as
 displacement, so an inconsistency does not end if only a drift of the INS compensates it.
 
-A source moves if its measured attitude changes by a step, whatever the cause.
+A source moves if its measured attitude changes by a step, whatever the cause. A rotation that all sources have in
+common is measured by their weighted mean, because one star sensor measures a rotation about its line of sight poorly. A
+source that moves by itself changes that mean, too.
 """
 
 from collections.abc import Sequence
@@ -12,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.innovations.chi_square import value_above
+from ship_estimation.innovations.gates import value_above
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, innovation, update
 from ship_geometry.rotations import FloatArray
 
@@ -251,3 +253,49 @@ def _mean(residuals: Sequence[MemoryResidual]) -> MemoryResidual:
 def _square(turn: FloatArray, covariance: FloatArray) -> float:
     """Return the squared length of a rotation vector in its standard deviations."""
     return float(turn @ np.linalg.solve(covariance, turn))
+
+
+TOGETHER = "all together"
+"""Name of the displacement that all sources have in common."""
+
+
+class Displacements:
+    """The displacement of each source, and the displacement of all sources together."""
+
+    def __init__(self) -> None:
+        self._by_source: dict[str, Displacement] = {}
+        self._together = Displacement()
+
+    def add(self, source: str, residual: MemoryResidual) -> None:
+        """Add a measurement of a source."""
+        for displacement in (self._by_source.setdefault(source, Displacement()), self._together):
+            displacement.add(residual)
+
+    def inflate(self, covariance: FloatArray) -> None:
+        """Add the covariance of a jump that a source (for example the INS) itself showed, rad², shape (k, k)."""
+        for displacement in (*self._by_source.values(), self._together):
+            displacement.inflate(covariance)
+
+    def end_second(self) -> None:
+        """Compare the measurements of the last second with earlier measurements."""
+        for displacement in (*self._by_source.values(), self._together):
+            displacement.end_second()
+
+    @property
+    def displaced(self) -> dict[str, float]:
+        """Sources that have moved and not moved back, with their largest displacement, rad; :data:`TOGETHER` for all.
+
+        A source has moved by itself only if another source has not moved with it. The result is empty if the weighted
+        mean of all sources is not displaced.
+        """
+        if not self._together.is_displaced:
+            return {}
+        moved = {name: one for name, one in self._by_source.items() if one.is_displaced}
+        if any(other.has_not_moved_as(one) for one in moved.values() for other in self._by_source.values()):
+            return {name: one.largest_rad for name, one in moved.items()}
+        return {TOGETHER: self._together.largest_rad}
+
+    @property
+    def is_undecided_by_memory(self) -> bool:
+        """True if all sources have moved together by an amount that the stored state cannot show."""
+        return TOGETHER in self.displaced and self._together.is_beyond_memory

@@ -1,8 +1,9 @@
 """Start and adoption of a second estimator in trouble.
 
-In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the same class receives the same inputs. The
-second estimator starts from the stored state, or from the prior, and restarts whenever the displaced sources change.
-While the first estimator shows a sign of trouble, the second is adopted on three conditions:
+Trouble begins when the status of an estimator is worse than its inputs allow or a source is excluded
+(:class:`TroubleDetector`). Then a second estimator of the same class receives the same inputs. The second estimator
+starts from the stored state (:class:`StateMemory`), or from the prior, and restarts whenever the displaced sources
+change. While the first estimator shows a sign of trouble, the second is adopted on three conditions:
 
 1. For ``confirm_s`` it has been VALID. It uses every available source that it does not exclude, at least two sources.
 2. It is consistent with the stored state within :data:`MEMORY_SIGMAS`, which excludes a common rotation of all sources.
@@ -15,18 +16,147 @@ restart of the node.
 All decisions are made once a second by the timeout clock, from the inputs and their order alone.
 """
 
+from collections import deque
 from collections.abc import Callable, Set
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
-from ship_estimation.recovery.config import RecoveryConfig
-from ship_estimation.recovery.displacements import Displacements
-from ship_estimation.recovery.memory import BEFORE_STEP_NS, StateMemory
-from ship_estimation.recovery.recoverable_core import RecoverableCore
-from ship_estimation.recovery.trouble import TroubleDetector
+from ship_estimation.parameters.fields import parameter
+from ship_estimation.recovery.displacement import Displacements
+from ship_estimation.recovery.recoverable_core import RecoverableCore, with_shifted_stamps
 from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
-from ship_estimation.time_order.time_shift import with_shifted_stamps
 from ship_geometry.earth.time_scales import SECOND_NS
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoveryConfig:
+    """Parameters of the start and the adoption of a second estimator."""
+
+    after_s: float = parameter(
+        5.0,
+        doc="time with a status worse than the inputs allow, or with an excluded source, after which a second "
+        "estimator starts",
+        unit="s",
+        minimum=1.0,
+        maximum=1e6,
+    )
+    confirm_s: float = parameter(
+        60.0,
+        doc="time for which the second estimator must be VALID with all sources before it is adopted",
+        unit="s",
+        minimum=10.0,
+        maximum=1e6,
+    )
+
+
+ENDS_AFTER_NS = 30 * SECOND_NS
+"""Time without a sign of trouble after which trouble ends, ns."""
+
+
+class TroubleDetector:
+    """Start and end of trouble, from signs that are checked once a second.
+
+    Args:
+        after_s: duration of uninterrupted signs after which trouble begins, s.
+
+    Attributes:
+        first_sign_ns: time of the first sign; None without a sign in the last 30 s.
+        began_ns: time at which trouble began; None without trouble.
+
+    Example:
+        >>> detector = TroubleDetector(after_s=2.0)
+        >>> for second, is_sign in enumerate((False, True, False, True, True, True)):
+        ...     detector.update(second * SECOND_NS, is_sign)
+        >>> detector.first_sign_ns // SECOND_NS, detector.began_ns // SECOND_NS
+        (1, 5)
+    """
+
+    def __init__(self, after_s: float) -> None:
+        self.after_ns = round(after_s * SECOND_NS)
+        self.first_sign_ns: int | None = None
+        self.began_ns: int | None = None
+        self._lasts_since_ns: int | None = None
+        self._last_sign_ns = 0
+
+    def update(self, time_ns: int, is_sign: bool) -> None:
+        """Update with a sign of trouble, or its absence, at a time."""
+        if is_sign:
+            if self.first_sign_ns is None:
+                self.first_sign_ns = time_ns
+            if self._lasts_since_ns is None:
+                self._lasts_since_ns = time_ns
+            self._last_sign_ns = time_ns
+            if self.began_ns is None and time_ns - self._lasts_since_ns >= self.after_ns:
+                self.began_ns = time_ns
+            return
+        self._lasts_since_ns = None
+        if self.first_sign_ns is not None and time_ns - self._last_sign_ns >= ENDS_AFTER_NS:
+            self.first_sign_ns = self.began_ns = None
+
+
+State = TypeVar("State")
+
+LEAST_AGE_NS = 10 * SECOND_NS
+"""Minimum age, at the first sign of trouble, of a stored state, ns; a fault may act before its detection."""
+
+BEFORE_STEP_NS = 2 * SECOND_NS
+"""Minimum age, at the first sign of trouble, of the state against which displacements are measured, ns.
+
+This age is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
+seconds."""
+
+MIN_CONSISTENT_NS = ENDS_AFTER_NS
+"""Minimum time of consistency before a state is used, ns; an earlier state may contain a fault."""
+
+
+class StateMemory(Generic[State]):
+    """The newest consistent state that is old enough.
+
+    Example:
+        >>> memory: StateMemory[int] = StateMemory()
+        >>> for second in range(40):
+        ...     memory.keep(second * SECOND_NS, second)
+        >>> memory.recall(40 * SECOND_NS)
+        30
+    """
+
+    def __init__(self) -> None:
+        self._kept: deque[tuple[int, State]] = deque()
+        self._consistent_since_ns = 0
+
+    def keep(self, time_ns: int, state: State) -> None:
+        """Store a consistent state.
+
+        Args:
+            time_ns: present time, later than all times before.
+            state: immutable state.
+        """
+        if not self._kept:
+            self._consistent_since_ns = time_ns
+        self._kept.append((time_ns, state))
+        while len(self._kept) > 1 and self._kept[1][0] <= time_ns - LEAST_AGE_NS:
+            self._kept.popleft()
+
+    def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
+        """Return the newest state that is old enough at the first sign of trouble, or None.
+
+        The result is None if no state is old enough, or if states have been stored for less than
+        :data:`MIN_CONSISTENT_NS`.
+        """
+        if first_sign_ns - self._consistent_since_ns < MIN_CONSISTENT_NS:
+            return None
+        old = [state for time_ns, state in self._kept if time_ns <= first_sign_ns - least_age_ns]
+        return old[-1] if old else None
+
+    def replace_all(self, by: Callable[[State], State]) -> None:
+        """Replace every stored state, after a step of the time base or a jump of the INS."""
+        self._kept = deque((time_ns, by(state)) for time_ns, state in self._kept)
+
+    def forget_newer(self, state: State | None) -> None:
+        """Drop all states but a recalled state, because later states may already contain the fault."""
+        self._kept = deque(kept for kept in self._kept if kept[1] is state)
+
 
 MEMORY_SIGMAS = 3.0
 """Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""

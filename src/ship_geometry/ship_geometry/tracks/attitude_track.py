@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
-from ship_geometry.tracks.attitude_propagation import LARGEST_VARIANCE, propagate_by_differences, propagate_by_rates
-from ship_geometry.tracks.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, as_covariance, polynomial_errors
+from ship_geometry.tracks.interpolation_error import (
+    ANY_DIRECTION,
+    LARGEST_VARIANCE,
+    NEXT_TERM_SHARE,
+    as_covariance,
+    polynomial_errors,
+    propagate_by_differences,
+    propagate_by_rates,
+)
 from ship_geometry.tracks.sample_track import RECENT_COUNT, SampleTrack
 from ship_kernels import compiled_rotations
 

@@ -1,13 +1,20 @@
-"""Track of one source: its samples in the order of their stamps, whatever the order of arrival, with interpolation."""
+"""Track of one source: its samples in the order of their stamps, whatever the order of arrival, with interpolation.
+
+Vectors, such as baselines and encoder angles, are interpolated by a cubic (:class:`VectorTrack`), whose slopes are
+differences of neighbouring samples. Attitudes have :mod:`ship_geometry.tracks.attitude_track`.
+"""
 
 import bisect
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
+from ship_geometry.tracks.interpolation_error import ANY_DIRECTION, MOST_SAMPLES, NEXT_TERM_SHARE
+from ship_kernels import compiled_tracks
 
 RECENT_COUNT = 8
 """Minimum number of samples kept to propagate the newest one; all samples of the last second are kept too."""
@@ -162,7 +169,7 @@ class SampleTrack(OrderedSamples[Sample]):
 
     The slopes of the cubic are measured rates, or differences of the neighbouring samples. Derived classes are
     :class:`ship_geometry.tracks.attitude_track.AttitudeTrack` and
-    :class:`ship_geometry.tracks.vector_track.VectorTrack`.
+    :class:`ship_geometry.tracks.sample_track.VectorTrack`.
 
     Args:
         max_gap_ns: maximum interval between two samples for interpolation.
@@ -170,7 +177,7 @@ class SampleTrack(OrderedSamples[Sample]):
     Example:
         Samples arrive in any order:
 
-        >>> from ship_geometry.tracks.vector_track import VectorSample, VectorTrack
+        >>> from ship_geometry.tracks.sample_track import VectorSample, VectorTrack
         >>> track = VectorTrack(max_gap_ns=2 * SECOND_NS)
         >>> for second in (0, 2, 1, 3):
         ...     _ = track.insert(VectorSample(second * SECOND_NS, np.array([second**2 * 1.0])))
@@ -311,3 +318,96 @@ class SampleTrack(OrderedSamples[Sample]):
                 weights[before] = weights.get(before, 0.0) - share
                 weights[after] = weights.get(after, 0.0) + share
         return weights
+
+
+@dataclass(frozen=True)
+class VectorSample:
+    """One vector of a track.
+
+    Attributes:
+        time_ns: time in the source's own stamps.
+        vector: components of the vector, shape (k,).
+    """
+
+    time_ns: int
+    vector: FloatArray
+
+    def content(self) -> bytes:
+        """Return all values as bytes, to recognise a repeated sample and to sort conflicting samples."""
+        return self.vector.tobytes()
+
+
+@dataclass(frozen=True)
+class InterpolatedVector:
+    """The vector at a time of the track.
+
+    Attributes:
+        vector: interpolated vector, shape (k,). A periodic component is not reduced to one period.
+        noise_gain: variance of the vector, divided by the variance of the samples' independent noise.
+        error_covariance: covariance of the interpolation error, estimated from neighbouring samples, shape (k, k).
+    """
+
+    vector: FloatArray
+    noise_gain: float
+    error_covariance: FloatArray
+
+
+AnyVectorSample = TypeVar("AnyVectorSample", bound=VectorSample)
+
+
+class VectorTrack(SampleTrack[AnyVectorSample]):
+    """Vectors of one source.
+
+    Args:
+        max_gap_ns: maximum interval between two samples for interpolation.
+        period: period of all components: 2 pi for angles, infinite for lengths.
+
+    Example:
+        An azimuth that passes north, between 359° and 1°:
+
+        >>> track = VectorTrack(max_gap_ns=10**9, period=2.0 * np.pi)
+        >>> _ = track.insert(VectorSample(0, np.deg2rad([359.0])))
+        >>> _ = track.insert(VectorSample(10**9, np.deg2rad([361.0 - 360.0])))
+        >>> print(np.rad2deg(track.at(5 * 10**8).vector).round(6))
+        [360.]
+    """
+
+    def __init__(self, max_gap_ns: int, period: float = np.inf) -> None:
+        super().__init__(max_gap_ns)
+        self._period = period
+
+    def at(self, time_ns: int) -> InterpolatedVector | None:
+        """Return the vector at a time; None outside the track, in a gap or across a cut."""
+        interval = self._interval(time_ns)
+        if interval is None:
+            return None
+        left, fraction = interval
+        if fraction == 0.0:
+            vector = self._samples[left].vector
+            return InterpolatedVector(vector, 1.0, np.zeros((vector.size, vector.size)))
+        first = left
+        while first > max(left - 2, 0) and self._are_joined(first - 1):
+            first -= 1
+        last = left + 2 if left + 2 < len(self._samples) and self._are_joined(left + 1) else left + 1
+        around = slice(first, last + 1)
+        found = compiled_tracks.interpolate_vector(
+            np.array(self._times[around]),
+            np.array([sample.vector for sample in self._samples[around]]),
+            left - first,
+            time_ns,
+            self._period,
+            *hermite_weights(fraction),
+            NEXT_TERM_SHARE if last + 1 - first == MOST_SAMPLES else 1.0,
+            ANY_DIRECTION,
+        )
+        return InterpolatedVector(*found)
+
+    def _change(self, first: int, second: int) -> FloatArray:
+        """Return the change from one sample to another; whole periods are removed from each step between neighbours."""
+        if second < first:
+            return -self._change(second, first)
+        change = np.zeros_like(self._samples[first].vector)
+        for index in range(first, second):
+            step = self._samples[index + 1].vector - self._samples[index].vector
+            change += step if self._period == np.inf else step - self._period * np.round(step / self._period)
+        return change

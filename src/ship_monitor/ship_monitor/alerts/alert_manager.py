@@ -15,11 +15,11 @@ from ship_bags.stamps import NS_PER_S
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_watch.alerts.alert_conditions import ComputerState, NodeStatus, conditions
 from ship_watch.alerts.alerts import AlertChange, AlertList
-from ship_watch.names import has_room
 from ship_watch.safety.functions import DiagnosticEntry, diagnostic_entries
 from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import AlertEntry, SuiteState
+from ship_watch.topics import has_room
 
 MAX_PAUSE_NS = 5 * NS_PER_S
 """Maximum time between two updates, ns. A longer time counts as sleep of the computer, and the data are reset."""

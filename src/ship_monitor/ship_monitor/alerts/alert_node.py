@@ -15,8 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_DONE, CommandParser
-from ship_bags.live.heartbeat import heartbeat
-from ship_bags.live.ros_process import call_on_end_signals, command_node, run_ros_command
+from ship_bags.live.ros_process import call_on_end_signals, command_node, heartbeat, run_ros_command
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_manager import AlertManager

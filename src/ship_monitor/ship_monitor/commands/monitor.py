@@ -8,18 +8,16 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.live.heartbeat import heartbeat
-from ship_bags.live.ros_process import call_on_end_signals
-from ship_bags.renamed_topics import add_remap_option
-from ship_monitor.after.bag_playback import BagPlayback
-from ship_monitor.after.recorded_suite import RecordedSuite
+from ship_bags.live.ros_process import call_on_end_signals, heartbeat
+from ship_bags.topic_names import add_remap_option
 from ship_monitor.commands.time_zone import add_time_zone
-from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live.live_suite import LiveSuite
-from ship_monitor.page.app import page_maker
-from ship_monitor.page.page_source import PageSource
+from ship_monitor.page.app import PageSource, page_maker
+from ship_monitor.page.bag_playback import BagPlayback
+from ship_monitor.page.recorded_suite import RecordedSuite
 from ship_monitor.page.server import PageServer
 from ship_monitor.themes import THEMES
+from ship_monitor.web.foxglove_server import FoxgloveServer
 from ship_watch.safety.limits import Limits, read_limits
 
 FOXGLOVE_PORT = 8765

@@ -1,24 +1,47 @@
-"""Page of one browser: the template, the texts of its first screen, and the panels below."""
+"""Page of one browser: its source of data, the template, the texts of its first screen, and the panels below.
+
+All browsers share the source of a running suite. For a bag each browser has its own source, because each browser
+displays its own time.
+"""
 
 import json
 import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 from zoneinfo import ZoneInfo
 
 from bokeh.core.templates import get_env
 from bokeh.document import Document
 from bokeh.models import Column, ColumnDataSource, CustomJS
+from bokeh.models.ui import UIElement
 from jinja2 import Template
 
 from ship_monitor.page.first_screen import first_screen
-from ship_monitor.page.page_source import PageSource
 from ship_monitor.page.panels import Panels, build_panels
 from ship_monitor.themes import THEMES, Theme
-from ship_watch.suite_state import ANGLES
+from ship_watch.history.history import History
+from ship_watch.suite_state import ANGLES, SuiteStateSource
 from ship_watch.value_texts import local_clock
+
+
+class PageSource(SuiteStateSource, Protocol):
+    """Interface of the page to a running suite or a bag."""
+
+    @property
+    def history(self) -> History:
+        """Data of the plots."""
+        ...
+
+    def controls(self, on_move: Callable[[], None]) -> UIElement | None:
+        """Return new controls to be placed under the top bar, such as the time slider of a bag; None for no controls.
+
+        Args:
+            on_move: called after the controls have changed the displayed time; the page then updates.
+        """
+        ...
+
 
 STATIC = Path(__file__).with_name("static")
 """Folder of template, style and script of the page."""

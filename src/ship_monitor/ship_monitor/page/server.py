@@ -21,10 +21,10 @@ from ship_monitor.themes import THEMES
 from ship_monitor.web.bounded_server import (
     MAX_MESSAGE_BYTES,
     BoundedServer,
+    OwnHosts,
     address_in_url,
     listening_sockets,
 )
-from ship_monitor.web.own_hosts import OwnHosts
 
 TICK_MS = 250
 """Period of the server's tick."""

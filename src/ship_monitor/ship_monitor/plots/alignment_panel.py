@@ -11,8 +11,15 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, Range1d
 
 from ship_monitor.plots.curves import next_step, signed_text
-from ship_monitor.plots.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, empty_plot, without_formulas
-from ship_monitor.plots.marking import belongs_to_source, with_mark
+from ship_monitor.plots.figures import (
+    ARCSEC_PER_RAD,
+    PanelBox,
+    SideLabels,
+    belongs_to_source,
+    empty_plot,
+    with_mark,
+    without_formulas,
+)
 from ship_monitor.themes import Theme
 from ship_watch.history.history import History, ParameterEstimate
 

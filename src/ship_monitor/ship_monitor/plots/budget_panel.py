@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, InlineStyleSheet, RadioB
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.plots.curves import label_positions
+from ship_monitor.plots.curves import StreamedLine, TimeAxis, label_positions
 from ship_monitor.plots.figures import (
     ARCSEC_PER_RAD,
     PanelBox,
@@ -20,10 +20,10 @@ from ship_monitor.plots.figures import (
     batched_model_changes,
     draw_texts,
     empty_time_plot,
+    is_budget_part_of,
     narrow_height,
+    with_mark,
 )
-from ship_monitor.plots.marking import is_budget_part_of, with_mark
-from ship_monitor.plots.streamed_lines import StreamedLine, TimeAxis
 from ship_monitor.themes import FONT, Theme
 from ship_watch.history.history import HISTORY_S, BudgetPoint, History
 from ship_watch.suite_state import ANGLES

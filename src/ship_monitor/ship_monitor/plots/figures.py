@@ -1,4 +1,9 @@
-"""Figures and panels in the colours of a theme, without toolbar and legend; a drag zooms the time axis of all plots."""
+"""Common parts of the panels: figures and boxes in the colours of a theme, and the mark of a selected source.
+
+Figures have no toolbar and no legend; a drag zooms the time axis of all plots. States, alerts and events are named
+after their source. An error source of a budget is common to all instruments of a kind: one noise of stars is the noise
+of all star sensors.
+"""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -25,9 +30,50 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.plots.curves import next_step
-from ship_monitor.plots.streamed_lines import TimeAxis
+from ship_monitor.plots.curves import TimeAxis, next_step
 from ship_monitor.themes import FONT, Theme
+from ship_watch.suite_state import Event
+from ship_watch.topics import source_of_name
+
+MARK = "▶ "
+"""Prefix of names that belong to the marked source."""
+
+_BUDGET_PREFIXES = {
+    "ins": ("ins_", "interpolation"),
+    "star": ("star_", "installation"),
+    "reference": ("reference_",),
+    "lights": ("image",),
+    "encoder": ("encoder",),
+    "baselines": ("rtk", "drone_attitude", "lever_arms"),
+    "ship_attitude": ("ship_attitude", "ship_noise"),
+    "gnss": ("ship_position",),
+    "weather": ("refraction",),
+}
+"""Kind of a source → prefixes of its sources of error in a budget. Other sources of error belong to the hull,
+the theodolite or the Earth's orientation."""
+
+
+def belongs_to_source(name: str, source: str) -> bool:
+    """True if a state or an alert belongs to a source ("star.bow.azimuth" to "star.bow"); False for source ""."""
+    return bool(source) and (name == source or name.startswith(f"{source}.") or source_of_name(name) == source)
+
+
+def is_event_of_source(event: Event, source: str) -> bool:
+    """True if an event concerns a source: if the source is its subject or a word of its text."""
+    return belongs_to_source(event.subject, source) or (
+        bool(source) and re.search(rf"(?<![\w.]){re.escape(source)}(?!\w|\.\w)", event.text) is not None
+    )
+
+
+def is_budget_part_of(part: str, source: str) -> bool:
+    """True if ``part``, an error source of a budget, belongs to the kind of ``source``, a source of the suite."""
+    return part.startswith(_BUDGET_PREFIXES.get(source.partition(".")[0], ())) if source else False
+
+
+def with_mark(name: str, is_marked: bool) -> str:
+    """Return a name, with the prefix :data:`MARK` if ``is_marked``."""
+    return MARK + name if is_marked else name
+
 
 ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""

@@ -4,7 +4,7 @@ import os.path
 from dataclasses import dataclass
 
 from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENCE, WEATHER, InstrumentRole
-from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
+from ship_bags.nmea.instrument_lines import OPTIONAL, REQUIRED, is_talker
 from ship_estimation.parameters.fields import mapping_of, parameter
 from ship_estimation.parameters.schema import ParameterError
 from ship_node.parameters.machine_resources import (

@@ -5,14 +5,14 @@ import time
 from collections.abc import Iterator, Sequence
 
 from ship_bags.errors import BadInput
-from ship_bags.nmea.lines import REQUIRED, parse_line
+from ship_bags.nmea.instrument_lines import REQUIRED, parse_line
+from ship_nmea.connections import permanent_error
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
 from ship_nmea.instruments.links import LinkReader, make_link
 from ship_nmea.instruments.source import Source
-from ship_nmea.link_opening import permanent_error
 from ship_nmea.nmea_node import NmeaNode, run_nmea_node
 from ship_node.messages.common_messages import DiagnosticStatus
-from ship_node.messages.topics import OutputTopic
+from ship_node.messages.inputs_outputs import OutputTopic
 
 NAME = "nmea_in"
 
@@ -29,7 +29,7 @@ _LINES_PER_TURN = 50
 """Number of lines of a link processed before the next link, so that a flood on one link delays no other link."""
 _IDLE_S = 0.5
 _PARAMETER_NAMES = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
-"""Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
+"""Parameters named in a permanent error (:func:`ship_nmea.connections.permanent_error`).
 
 TCP has no entry, because the cause of a TCP failure is the other side."""
 _JOIN_TIMEOUT_S = 2.0

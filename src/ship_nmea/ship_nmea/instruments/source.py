@@ -1,4 +1,9 @@
-"""One source of sentences: its lines are converted to messages, and the outcome of each line is counted."""
+"""One source of sentences: its lines are converted to messages, and the outcome of each line is counted.
+
+A source uses the datagrams of one sender. Datagrams of two instruments, or of an instrument and of a foreign host,
+would be mixed on one topic. If the clock of one sender is ahead, the attitudes of the other sender would be too late.
+The first sender with usable data is therefore selected until it times out.
+"""
 
 import threading
 from collections import Counter
@@ -8,15 +13,62 @@ from typing import Any
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
-from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, clock_problem
-from ship_bags.nmea.lines import ParsedText
+from ship_bags.nmea.instrument_lines import InstrumentLine, LineReport, ParsedText, TalkerComparison, clock_problem
 from ship_bags.nmea.nmea_attitude import NOT_LATER
 from ship_bags.nmea.sentences import NotOfInterest, Unusable, number
-from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
-from ship_nmea.instruments.sender_filter import SenderFilter
 from ship_node.messages.common_messages import DiagnosticStatus, Level
+
+SENDER_TIMEOUT_NS = 10 * NS_PER_S
+"""Time without a text of the selected sender after which another sender may be selected, ns."""
+
+NOT_LISTED = "sender that is not in 'from'"
+NOT_SELECTED = "sender other than the first (name the instrument's address in 'from')"
+
+
+class SenderFilter:
+    """Selects the sender whose datagrams are used.
+
+    Args:
+        addresses: allowed addresses, each with any port; if empty, one port of any address is selected.
+
+    Attributes:
+        selected: the selected sender; empty if no sender is selected.
+    """
+
+    def __init__(self, addresses: tuple[str, ...]) -> None:
+        self._addresses = addresses
+        self.selected = ""
+        self._last_ns = 0
+
+    def rejection_reason(self, sender: str, now_ns: int) -> str:
+        """Return why a text of a sender is rejected; empty if the text is used.
+
+        A text of the selected sender restarts the timeout of the selection.
+
+        Args:
+            sender: address and port, for example ``10.0.0.7:4001``; empty for a stream, which has one sender.
+            now_ns: steady time.
+        """
+        identity = self._identity(sender)
+        if self._addresses and sender and identity not in self._addresses:
+            return NOT_LISTED
+        if self.selected and now_ns - self._last_ns > SENDER_TIMEOUT_NS:
+            self.selected = ""
+        if self.selected and identity != self.selected:
+            return NOT_SELECTED
+        if self.selected:
+            self._last_ns = now_ns
+        return ""
+
+    def select(self, sender: str, now_ns: int) -> None:
+        """Select a sender whose data are usable."""
+        self.selected, self._last_ns = self._identity(sender), now_ns
+
+    def _identity(self, sender: str) -> str:
+        return sender.rpartition(":")[0] if self._addresses else sender
+
 
 NO_TIME = "no time: no /clock yet"
 

@@ -12,10 +12,9 @@ from typing import Any
 
 from ship_bags.stamps import NS_PER_S, duration_text, ns_from_stamp
 from ship_msgs.msg import ShipAttitude
-from ship_nmea.nmea_node import NmeaNode
+from ship_nmea.nmea_node import PLAYBACK_TEXT, NmeaNode, is_played, utc_ns
 from ship_nmea.out.bridge_alerts import BridgeAlerts
 from ship_nmea.out.config import NmeaOutConfig
-from ship_nmea.out.playback import PLAYBACK_TEXT, is_played, utc_ns
 from ship_nmea.out.sink import Sink
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
@@ -26,7 +25,7 @@ from ship_nmea.sentences.attitude import (
     simulated_attitude,
 )
 from ship_node.messages.common_messages import DiagnosticStatus, Level
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 
 ATTITUDE = InputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude", required=True, depth=200)
 

@@ -11,11 +11,9 @@ from typing import NamedTuple
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.rejection_rules import shorten
-from ship_nmea.link_opening import error_text, permanent_error
+from ship_nmea.connections import error_text, permanent_error
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
-from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
-from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
-from ship_nmea.out.outlet import LineReceiver, Outlet
+from ship_nmea.out.outlets import FileOutlet, LineReceiver, Outlet, SerialOutlet, TcpOutlet, UdpOutlet
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 MAX_QUEUED = 200
@@ -36,7 +34,7 @@ _PARAMETER_NAMES = {
     SERIAL: ("device", "baud"),
     FILE: ("path", "path"),
 }
-"""Parameters named in a permanent error (:func:`ship_nmea.link_opening.permanent_error`).
+"""Parameters named in a permanent error (:func:`ship_nmea.connections.permanent_error`).
 
 For UDP, only binding the port and the interface can cause a permanent error.
 """

@@ -17,7 +17,7 @@ import pynmea2
 
 from ship_bags.nmea.sentences import THS
 from ship_geometry.frames import SINGULAR_ELEVATION
-from ship_nmea.sentences.sentence_types import time_field
+from ship_nmea.sentences.alerts import time_field
 
 _NAN3 = (math.nan, math.nan, math.nan)
 _FULL_TURN_DEG = 360

@@ -1,18 +1,186 @@
-"""Interface of a node's adapter, as the node runtime and the offline replay use it.
+"""Interfaces of a node's adapter: to the node runtime and the replay, and to the core that processes its inputs.
 
-An adapter defines which topic feeds which method of a core and which result goes to which topic. An adapter only reads
-and sets attributes of messages, so the same adapter serves rclpy messages in a live node and decoded messages of a bag.
+An adapter (:class:`Adapter`) defines which topic feeds which method of a core (:class:`Feed`) and which result goes to
+which topic. An adapter only reads and sets attributes of messages, so the same adapter serves rclpy messages in a live
+node and decoded messages of a bag. The node runtime reports to the adapter when the node cannot keep up with its inputs
+(:class:`Overload`).
 """
 
-from collections.abc import Mapping, Set
-from typing import Any, ClassVar, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
+from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
+from ship_estimation.plausibility.checked_ins import CheckedBlock
+from ship_geometry.earth.time_scales import SECOND_NS
+from ship_node.health.duplicate_publishers import StreamQuantity
 from ship_node.health.input_health import InputHealthMonitor
-from ship_node.health.overload import Overload
-from ship_node.messages.batch import Batch, BatchOutputs
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.common_messages import DiagnosticStatus, Level
+from ship_node.messages.field_checks import ReadMessage
+from ship_node.messages.inputs_outputs import (
+    Batch,
+    BatchOutputs,
+    InputTopic,
+    OutputMessage,
+    OutputTopic,
+    ReadBatch,
+    StampArray,
+)
 from ship_node.saved_files.saved_document import DISK, Files
+
+
+@dataclass(frozen=True)
+class Overload:
+    """Change of the overload state: messages were dropped because they waited too long, or the node keeps up again.
+
+    Attributes:
+        behind_s: time that the oldest message has waited, s; 0 if the node keeps up again.
+        cores: number of processor cores that the node may use.
+        load: mean number of runnable processes in the last minute.
+        cut: topic → number of messages dropped since the last report to the adapter.
+    """
+
+    behind_s: float
+    cores: int
+    load: float
+    cut: Mapping[str, int] = field(default_factory=dict)
+
+    def text(self, node: str) -> str:
+        """Return the text for the user.
+
+        Example:
+            >>> Overload(3.24, 2, 12.3).text("ship_attitude")
+            'ship_attitude is 3.2 s behind: the computer is too slow (2 cores, load 12)'
+        """
+        cores = f"{self.cores} core{'s' if self.cores > 1 else ''}"
+        return f"{node} is {self.behind_s:.1f} s behind: the computer is too slow ({cores}, load {self.load:.0f})"
+
+
+class OverloadReport:
+    """Report of the overload of a node, once a second.
+
+    Args:
+        node: name of the node.
+
+    Attributes:
+        behind: overload state; None if the node keeps up.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self.behind: Overload | None = None
+        self._next_ns = 0
+
+    def change(self, change: Overload, waiting_ns: int) -> str:
+        """Set the overload state; return the reason for which messages were dropped."""
+        reason = (change if change.behind_s else self.behind or change).text(self._node)
+        self.behind = change if change.behind_s else None
+        self._next_ns = waiting_ns
+        return reason
+
+    def text_due(self, waiting_ns: int) -> str:
+        """Return, once a second while the node is behind, the text for the user; otherwise an empty text."""
+        if self.behind is None or waiting_ns < self._next_ns:
+            return ""
+        self._next_ns = waiting_ns + SECOND_NS
+        return self.behind.text(self._node)
+
+    def status(self) -> DiagnosticStatus:
+        """Return the diagnostic status of the overload."""
+        if self.behind is None:
+            return DiagnosticStatus("overload", Level.OK, "keeps up with its inputs")
+        values = {
+            "behind [s]": f"{self.behind.behind_s:.1f}",
+            "cores": str(self.behind.cores),
+            "load": f"{self.behind.load:.1f}",
+        }
+        return DiagnosticStatus("overload", Level.ERROR, self.behind.text(self._node), values)
+
+
+class EvaluatedBatch(Protocol):
+    """Batch of samples that a core has evaluated and not yet committed.
+
+    Attributes:
+        checked: result of the INS check.
+        pending_outcomes: outcomes without estimates that are not published yet, each with the index of its sample.
+    """
+
+    checked: CheckedBlock
+    pending_outcomes: list[tuple[int, Any]]
+
+
+Evaluated = TypeVar("Evaluated", bound=EvaluatedBatch)
+
+
+class BatchCore(Protocol[Evaluated]):
+    """Interface of a core that evaluates batches of samples before it commits them."""
+
+    def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Evaluated | None:
+        """Evaluate the leading samples that need no special treatment; return None if the first sample needs it."""
+        ...
+
+    def commit_batch(self, batch: Evaluated, stop: int) -> None:
+        """Commit the evaluated samples before index ``stop``."""
+        ...
+
+    def finish_batch(self, batch: Evaluated) -> Any:
+        """Finish a committed batch; return the outcome of the sample that needs special treatment, or None."""
+        ...
+
+    def batch_estimates(self, batch: Evaluated) -> list[tuple[slice, Any]]:
+        """Return slices of samples, each with its estimates from one state, or with their rejection."""
+        ...
+
+
+class BlockFeed(NamedTuple):
+    """Processing of the messages of a block by a core, with the results of messages one by one to the last bit.
+
+    Attributes:
+        read: reader, called with the messages and their receive times.
+        core: core that processes the samples.
+    """
+
+    read: Callable[[CdrRows, StampArray], ReadBatch]
+    core: BatchCore[Any]
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Entry of an adapter's table: how the messages of one topic reach the core.
+
+    Attributes:
+        input: the topic.
+        source: name of the device in innovation messages.
+        read: reader, called with a message and ``receive_ns=``, the receive time by the node's clock, ns; it raises
+            :class:`ship_node.messages.field_checks.MessageRejected` if the message cannot be used.
+        process: method of the core, called with the value read and the timeout-clock time, ns; it returns the outcome.
+        has_decision: True if the core decides on each message of the topic, perhaps later; False if a message counts as
+            used unless the core rejects it at once.
+        measurement_source: name of the device in measurements; empty if it equals ``source``.
+        block: processing of many messages at once; None if messages are only processed one by one.
+        read_rows: reader, called with many messages and their receive times; it returns None for each message that
+            ``read`` must read.
+        stream_quantity: quantity whose values show two publishers, live and in a recording; None if the topic is not
+            checked.
+            The quantity is computed from the decision if ``has_decision``, otherwise from the value read.
+    """
+
+    input: InputTopic
+    source: str
+    read: Callable[..., ReadMessage[Any]]
+    process: Callable[[Any, int], Any]
+    has_decision: bool = False
+    measurement_source: str = ""
+    block: BlockFeed | None = None
+    read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
+    stream_quantity: StreamQuantity | None = None
+
+
+def ignore_time(process: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
+    """Return a core's method without a time argument in the form of :attr:`Feed.process`."""
+    return lambda value, _waiting_ns: process(value)
+
 
 TICK_PERIOD_NS = 100_000_000
 """Period of :meth:`Adapter.tick` by the timeout clock, ns."""

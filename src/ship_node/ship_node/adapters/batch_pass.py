@@ -12,20 +12,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from ship_estimation.rejection_rules import Rejection
-from ship_node.adapters.adapter import TICK_PERIOD_NS
-from ship_node.adapters.feeds import BlockFeed, EvaluatedBatch, Feed
-from ship_node.messages.batch import (
+from ship_node.adapters.adapter import TICK_PERIOD_NS, BlockFeed, EvaluatedBatch, Feed
+from ship_node.messages.field_checks import ReadMessage
+from ship_node.messages.inputs_outputs import (
     Arrival,
     Batch,
     BatchOutputs,
     Block,
     OutputBlock,
+    OutputMessage,
     PlacedMessages,
     ReadBatch,
     StampArray,
 )
-from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.topics import OutputMessage
 
 if TYPE_CHECKING:
     from ship_node.adapters.node_adapter import NodeAdapter

@@ -1,7 +1,7 @@
 """The adapter of all nodes: a batch of messages goes through readers and core; results become messages.
 
-A topic's entry in the adapter's table (:class:`ship_node.adapters.feeds.Feed`) reads a message and passes its value to
-the core. The health statistics record the result. Rejections, decisions, failures and estimates become messages. The
+A topic's entry in the adapter's table (:class:`ship_node.adapters.adapter.Feed`) reads a message and passes its value
+to the core. The health statistics record the result. Rejections, decisions, failures and estimates become messages. The
 adapter of each node adds the table, the messages of an estimate and the node's diagnostics.
 """
 
@@ -16,16 +16,12 @@ from ship_estimation.parameters.schema import with_changes
 from ship_estimation.rejection_rules import Reason, Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_node.adapters.adapter import ServiceResult
+from ship_node.adapters.adapter import Overload, ServiceResult
 from ship_node.adapters.batch_pass import BatchPass, DeferringPart
-from ship_node.adapters.input_report import InputReport
-from ship_node.adapters.sources_off import disabled_topics, off_statuses
-from ship_node.adapters.time_steps import step_text
-from ship_node.health.overload import Overload
+from ship_node.adapters.input_report import InputReport, disabled_topics, off_statuses, step_text
 from ship_node.messages import common_messages
-from ship_node.messages.batch import Batch, BatchOutputs
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
-from ship_node.messages.topics import OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import Batch, BatchOutputs, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_start import SavedStart
 
 INPUT_HEALTH_TOPIC = "input_health"

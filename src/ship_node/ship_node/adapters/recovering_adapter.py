@@ -1,10 +1,10 @@
 """Adapter with recovery: a second estimator may replace an estimator that is in trouble.
 
 Trouble is an excluded source, or a status that is worse than the inputs allow
-(:mod:`ship_estimation.recovery.trouble`). In trouble, a second estimator gets the same inputs and ticks as the first.
+(:mod:`ship_estimation.recovery.recovery`). In trouble, a second estimator gets the same inputs and ticks as the first.
 Once a second the adapter passes status and sources to :mod:`ship_estimation.recovery.recovery`, which decides on
 starting and adopting the second estimator. While the second estimator runs, messages are processed one by one. The
-filter's state is not saved while there is trouble.
+filter's state is not saved while there is trouble. The diagnostics report the trouble and its cause.
 """
 
 from abc import abstractmethod
@@ -16,11 +16,59 @@ from ship_estimation.integrity.protection_levels import alert_limit_text
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
 from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
-from ship_node.adapters.feeds import Feed
+from ship_geometry.rotations import ARCSEC
+from ship_node.adapters.adapter import Feed
 from ship_node.adapters.input_report import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import NodeAdapter
-from ship_node.adapters.recovery_status import trouble_text
-from ship_node.messages.topics import OutputMessage
+from ship_node.messages.common_messages import DiagnosticStatus, Level
+from ship_node.messages.inputs_outputs import OutputMessage
+
+_ADOPTION_SHOWN_NS = 60_000_000_000
+"""Time for which an adoption is reported as new, by the timeout clock, ns."""
+
+_Remedy = Callable[[Mapping[str, float]], str]
+"""Returns the advice for the operator about sources that have moved, from source → shift, rad."""
+
+
+def recovery_counts(recovery: EstimatorRecovery) -> dict[str, str]:
+    """Return the number of troubles in which a second estimator was started, and the number of adoptions."""
+    return {"second estimators started": str(recovery.started), "second estimators adopted": str(recovery.adopted)}
+
+
+def recovery_status(
+    recovery: EstimatorRecovery, excluded: Set[str], remedy: _Remedy, waiting_ns: int
+) -> DiagnosticStatus:
+    """Return the diagnostic status of the recovery.
+
+    Args:
+        recovery: the recovery.
+        excluded: sources that the current estimator excludes.
+        remedy: returns the advice for the operator.
+        waiting_ns: time by the timeout clock.
+    """
+    values = recovery_counts(recovery)
+    if recovery.adopted_ns is not None and waiting_ns - recovery.adopted_ns <= _ADOPTION_SHOWN_NS:
+        values["recovered after [s]"] = f"{recovery.recovery_time_s:.0f}"
+    for name, moved_rad in sorted(recovery.displaced.items()):
+        values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
+    if recovery.is_in_trouble:
+        text = f"a second estimator runs: {trouble_text(recovery.displaced, excluded, remedy)}"
+        return DiagnosticStatus("recovery", Level.WARN, text, values)
+    text = "no second estimator runs"
+    if recovery.adopted:
+        text += f"; the last one was adopted after {recovery.recovery_time_s:.0f} s"
+    return DiagnosticStatus("recovery", Level.OK, text, values)
+
+
+def trouble_text(displaced: Mapping[str, float], excluded: Set[str], remedy: _Remedy) -> str:
+    """Return the cause of the trouble, with the advice for the operator; see :func:`recovery_status`."""
+    if displaced:
+        moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
+        return f"shifted: {moved}; {remedy(displaced)}"
+    if excluded:
+        return f"excluded: {', '.join(sorted(excluded))}"
+    return "the output is not VALID although the inputs are good"
+
 
 _DECISION_PERIOD_NS = 1_000_000_000
 """Period of the decisions by the timeout clock, ns."""

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.renamed_topics import BLACK_BOX_METADATA
-from ship_node.health.overload import Overload
+from ship_bags.topic_names import BLACK_BOX_METADATA
+from ship_node.adapters.adapter import Overload
 
 FORMAT = "2"
 """Version of this format."""

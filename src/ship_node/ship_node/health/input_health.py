@@ -9,7 +9,7 @@ from ship_bags.stamps import duration_text
 from ship_estimation.rejection_rules import Reason
 from ship_node.health.input_record import DELAY_BIN_EDGES_S, MAX_AGE_S, InputRecord, InputRecords
 from ship_node.messages.common_messages import DiagnosticStatus, Level
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 
 FIRST_MESSAGE_TIMEOUT_NS = 5_000_000_000
 """Maximum time from the start to the first message of a topic, and between its first three messages, ns."""

@@ -14,7 +14,7 @@ import numpy as np
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.topics import InputTopic
+from ship_node.messages.inputs_outputs import InputTopic
 
 WINDOW = 50
 """Number of intervals between arrivals for the rate, and number of accepted messages for the latency."""

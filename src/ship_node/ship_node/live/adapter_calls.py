@@ -8,7 +8,7 @@ from rclpy.serialization import serialize_message
 
 from ship_bags.cdr_template import CdrMessage
 from ship_estimation.parameters.schema import ParameterError
-from ship_node.adapters.adapter import Adapter, ServiceResult
+from ship_node.adapters.adapter import Adapter, Overload, ServiceResult
 from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
@@ -19,11 +19,9 @@ from ship_node.black_box.black_box_format import (
     ServiceCalled,
     Tick,
 )
-from ship_node.health.overload import Overload
 from ship_node.live.node_report import StatusLog
-from ship_node.messages.batch import Batch
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
-from ship_node.messages.topics import OutputMessage
+from ship_node.messages.inputs_outputs import Batch, OutputMessage
 from ship_node.saved_files.saved_document import RecordingFiles
 
 if TYPE_CHECKING:

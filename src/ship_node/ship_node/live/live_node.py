@@ -24,16 +24,13 @@ from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
 from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.backlog import Backlog, OverloadChange, current_overload
-from ship_node.live.input_subscriptions import InputSubscriptions
 from ship_node.live.node_clock import NodeClock, TickGrid
-from ship_node.live.node_events import Inbox, NodeEvents, ReceivedMessage
-from ship_node.live.node_log import NodeLog
-from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
-from ship_node.live.qos import check_overrides, output_qos, overriding_options
+from ship_node.live.node_events import Backlog, Inbox, NodeEvents, OverloadChange, ReceivedMessage, current_overload
+from ship_node.live.node_report import ExceptionGuard, NodeLog, StatusLog, name_status, stamps_status, start_line
+from ship_node.live.node_topics import InputSubscriptions, check_overrides, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
-from ship_node.messages.topics import OutputTopic
+from ship_node.messages.inputs_outputs import OutputTopic
 from ship_node.parameters.parameter_file import error_with_location, section_warnings
 from ship_node.saved_files.saved_document import RecordingFiles
 

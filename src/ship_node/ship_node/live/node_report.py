@@ -1,14 +1,23 @@
 """Log and diagnostics of a live node's own state.
 
-One line at the start gives the set-up. A :class:`ExceptionGuard` catches, counts, logs and reports exceptions of
-callbacks, so that they do not end the node. A :class:`StatusLog` logs changes of the diagnostics for users who have
-only a terminal. Further statuses report a duplicate node name and too old stamps.
+A :class:`NodeLog` writes the lines of the log, each with its code location. One line at the start gives the set-up. A
+:class:`ExceptionGuard` catches, counts, logs and reports exceptions of callbacks, so that they do not end the node. A
+:class:`StatusLog` logs changes of the diagnostics for users who have only a terminal. Further statuses report a
+duplicate node name and too old stamps.
+
+The logger of rclpy would search for the code location in the files of all modules. The search takes 40 ms for the first
+line of a node and 0.3 ms for each later line, and no message is processed meanwhile.
 """
 
 import dataclasses
 import re
+import sys
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import LoggingSeverity
+from rclpy.node import Node
 
 from ship_estimation.rejection_rules import failure_rejection
 from ship_node.adapters.adapter import Adapter
@@ -17,6 +26,7 @@ from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+
 
 Result = TypeVar("Result")
 
@@ -198,3 +208,32 @@ def stamps_status(health: InputHealthMonitor) -> DiagnosticStatus:
     if not text:
         return DiagnosticStatus("stamps", Level.OK, "consistent with the node's time")
     return DiagnosticStatus("stamps", Level.ERROR, text)
+
+
+class NodeLog:
+    """Log of a node, written as by rclpy to the console, to a file and to /rosout.
+
+    Args:
+        node: the node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._logger = node.get_logger()
+
+    def info(self, message: str) -> None:
+        """Log information."""
+        self._write(LoggingSeverity.INFO, message)
+
+    def warning(self, message: str) -> None:
+        """Log a warning."""
+        self._write(LoggingSeverity.WARN, message)
+
+    def error(self, message: str) -> None:
+        """Log an error."""
+        self._write(LoggingSeverity.ERROR, message)
+
+    def _write(self, severity: LoggingSeverity, message: str) -> None:
+        if self._logger.is_enabled_for(severity):
+            caller = sys._getframe(2)
+            place = caller.f_code.co_name, caller.f_code.co_filename, caller.f_lineno
+            rclpy_implementation.rclpy_logging_rcutils_log(severity, self._logger.name, message, *place)

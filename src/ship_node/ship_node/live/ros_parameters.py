@@ -18,7 +18,7 @@ from ship_bags.parameter_yaml import (
     RELIABLE_INPUTS_PARAMETER,
     is_runtime_parameter,
 )
-from ship_bags.renamed_topics import TOPICS_PARAMETER, topic_map
+from ship_bags.topic_names import TOPICS_PARAMETER, topic_map
 from ship_estimation.parameters.schema import (
     ParameterDescription,
     ParameterError,
@@ -30,7 +30,7 @@ from ship_estimation.parameters.schema import (
 )
 from ship_estimation.rejection_rules import shorten
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.node_log import NodeLog
+from ship_node.live.node_report import NodeLog
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 USE_SIM_TIME = "use_sim_time"

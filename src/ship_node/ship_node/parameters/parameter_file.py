@@ -3,18 +3,25 @@
 A file has sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in namespaces
 or with wildcards (``/**``, ``/**/name``, ``/*/name``). As in rcl, a section whose name has neither namespace nor
 wildcard matches only a node without namespace. Later matching sections override earlier sections.
+
+A suite file may also have sections for nodes that are not estimators (:data:`COMPANIONS`); no replay runs them. The
+package of these nodes depends on this package. Therefore the nodes are listed here by name, and their parameters are
+imported only if a file has a section for them.
 """
 
+import importlib
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import (
     ANY_NAMESPACE,
     ParameterFile,
     Section,
+    full_name,
     in_any_namespace,
     merge_sections,
     read_sections,
@@ -225,3 +232,49 @@ def _section_names(sections: list[Section]) -> str:
 
 def _base_name(name: str) -> str:
     return name.rpartition("/")[2]
+
+
+@dataclass(frozen=True)
+class Companion:
+    """Node of a suite that is not an estimator.
+
+    Attributes:
+        node_name: name of the node and of its executable.
+        package: package of the node.
+        config: dataclass of the node's parameters, as ``"module:class"``.
+        feeds: True if the node publishes topics that a played bag contains.
+    """
+
+    node_name: str
+    package: str
+    config: str
+    feeds: bool = False
+
+    @property
+    def config_type(self) -> type[Any]:
+        """Dataclass of the node's parameters.
+
+        Raises:
+            ImportError: the node's package is not installed.
+        """
+        module, _, name = self.config.partition(":")
+        return cast(type[Any], getattr(importlib.import_module(module), name))
+
+
+COMPANIONS = (
+    Companion("nmea_in", "ship_nmea", "ship_nmea.instruments.config:NmeaInConfig", feeds=True),
+    Companion("nmea_out", "ship_nmea", "ship_nmea.out.config:NmeaOutConfig"),
+)
+
+
+def configured_companions(source: Path | str, namespace: str = "") -> Iterator[Companion]:
+    """Yield the companions for which a suite file has sections with their names.
+
+    A section for all nodes (``/**``) does not count.
+
+    Raises:
+        BadInput: the file cannot be read or is not a parameter file.
+    """
+    for companion in COMPANIONS:
+        if has_section(source, full_name(companion.node_name, namespace), wildcards=False):
+            yield companion

@@ -17,10 +17,9 @@ import numpy.typing as npt
 import yaml
 
 from ship_bags.errors import BadInput
+from ship_bags.input_files import check_regular, open_error_text, plain_data
 from ship_bags.output_files import write_atomically
-from ship_bags.regular_files import check_regular, open_error_text
 from ship_bags.stamps import END_OF_TIME_NS
-from ship_bags.yaml_text import plain_data
 
 MAX_FILE_BYTES = 16_000_000
 """Maximum size of a file, bytes; a saved alignment or calibration has about ten thousand."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.offline.nodes import ADAPTERS
+from ship_bags.topic_names import add_bag_name_options
+from ship_replay.offline.replay import ADAPTERS
 from ship_replay.preflight.check_bag import check_bag, check_rates
 from ship_replay.preflight.check_config import BagCheck, Findings, check_file
 from ship_replay.preflight.check_installation import check_installation, check_telescope

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force_option, check_file, write_atomically
-from ship_bags.renamed_topics import add_bag_name_options
+from ship_bags.topic_names import add_bag_name_options
 from ship_node.pages.console_tables import table_console
 from ship_replay.evaluation.bounds import Bounds, check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate

@@ -9,9 +9,8 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser,
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
-from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import replay
+from ship_bags.topic_names import add_bag_name_options
+from ship_replay.offline.replay import ADAPTERS, replay
 from ship_replay.offline.replay_summary import ReplaySummary
 from ship_replay.verification.black_box_identity import is_black_box
 from ship_replay.verification.black_box_replay import replay_black_box
@@ -110,7 +109,7 @@ def _report_names(options: argparse.Namespace) -> tuple[str, str]:
 def _report(options: argparse.Namespace) -> None:
     # Importing the figure libraries is slow.
     from ship_replay.report.page import page
-    from ship_replay.report.report_data import has_truth, read_report_data
+    from ship_replay.report.recording import has_truth, read_report_data
 
     # Only the input bag contains sensor data; if it contains a truth, the report evaluates these data too.
     truth = options.bag if has_truth(options.bag, options.namespace) else None

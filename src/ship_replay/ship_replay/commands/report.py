@@ -7,7 +7,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
-from ship_bags.renamed_topics import add_bag_name_options
+from ship_bags.topic_names import add_bag_name_options
 from ship_watch.safety.limits import Limits, read_limits
 
 
@@ -67,7 +67,7 @@ def _run(options: argparse.Namespace) -> int:
     if bags := bags_in(options.bag):
         return _report_folder(options, bags, path, limits)
     from ship_replay.report.page import page
-    from ship_replay.report.report_data import read_report_data
+    from ship_replay.report.recording import read_report_data
 
     report_data = read_report_data(options.bag, options.truth, limits, options.namespace)
     write_atomically(path, page(report_data))
@@ -80,7 +80,7 @@ def _run(options: argparse.Namespace) -> int:
 def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path, limits: Limits) -> int:
     """Write the report of each bag of a folder, and the page with a row for each bag."""
     from ship_replay.report.folder import SessionRow, index_page, session_reports
-    from ship_replay.report.report_data import read_report_data
+    from ship_replay.report.recording import read_report_data
 
     if options.truth is not None:
         raise BadInput("--truth is for one bag: the bags of a folder have their own truth or none", file=options.bag)

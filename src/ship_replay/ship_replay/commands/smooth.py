@@ -7,7 +7,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file
-from ship_bags.renamed_topics import add_bag_name_options
+from ship_bags.topic_names import add_bag_name_options
 from ship_replay.offline.smooth import smooth
 
 

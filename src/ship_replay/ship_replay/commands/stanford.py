@@ -12,7 +12,7 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser,
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, write_atomically
-from ship_bags.renamed_topics import add_bag_name_options
+from ship_bags.topic_names import add_bag_name_options
 from ship_node.pages.console_tables import console_table, table_console
 from ship_replay.evaluation.stanford import Epochs, Region, read_epochs
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE

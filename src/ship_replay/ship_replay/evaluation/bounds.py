@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from ship_bags.errors import BadInput
-from ship_bags.yaml_text import compose, data_of
+from ship_bags.input_files import compose, data_of
 
 SKIP_KEY = "skip_s"
 _LIMITS = ("min", "max")

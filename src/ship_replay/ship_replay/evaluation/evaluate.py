@@ -27,7 +27,7 @@ from ship_replay.evaluation.targets import TARGET_DIRECTION, TARGET_TRUTH, Targe
 from ship_replay.offline.adapter_chain import attachment_error
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.messages.pointing_messages import SMOOTHED_POINTING_TOPIC
+from theodolite_calib.messages.output_messages import SMOOTHED_POINTING_TOPIC
 
 Config = TypeVar("Config")
 

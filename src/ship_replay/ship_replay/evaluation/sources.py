@@ -10,12 +10,16 @@ from ship_attitude_star.messages.attitude_messages import SMOOTHED_TOPIC
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.parameters.ins import InsInputConfig
+from ship_estimation.parameters.ship_devices import InsInputConfig
 from ship_estimation.parameters.theodolite_devices import AxesConfig
 from ship_estimation.rejection_rules import Reason
-from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
+from ship_geometry.frames import (
+    horizon_covariance,
+    rotation_from_angles,
+    rotation_from_quaternion,
+    rotation_vector_covariance,
+)
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
-from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_node.messages.field_checks import MessageRejected
@@ -23,7 +27,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
 from ship_stars.camera.config import JOINT, MountingConfig
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.messages.pointing_messages import SMOOTHED_POINTING_TOPIC
+from theodolite_calib.messages.output_messages import SMOOTHED_POINTING_TOPIC
 
 JOINT_SOLUTION = f"star/{JOINT}/solution"
 """Topic of the deck's attitude from the stars of all sensors."""

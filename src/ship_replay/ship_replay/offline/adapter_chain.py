@@ -12,15 +12,22 @@ import numpy as np
 
 from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
+from ship_bags.input_files import check_regular
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import full_name
-from ship_bags.regular_files import check_regular
 from ship_bags.topic_names import relative_topics
 from ship_node.adapters.adapter import Adapter
-from ship_node.messages.batch import Arrival, Batch, BatchOutputs, Block, PlacedMessages
-from ship_node.messages.topics import InputTopic, OutputTopic
+from ship_node.messages.inputs_outputs import (
+    Arrival,
+    Batch,
+    BatchOutputs,
+    Block,
+    InputTopic,
+    OutputTopic,
+    PlacedMessages,
+)
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 from ship_node.saved_files.saved_document import READ_ONLY
 

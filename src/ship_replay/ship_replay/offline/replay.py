@@ -10,21 +10,27 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import ADDITIONAL_FIELD, RosbagsFactory
-from ship_bags.renamed_topics import remap_advice
 from ship_bags.stamps import NS_PER_S
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
-from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, remap_advice
 from ship_node.adapters.adapter import Adapter
-from ship_node.messages.topics import OutputTopic
+from ship_node.messages.inputs_outputs import OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import LogDelays, sort_by_stamp
 from ship_replay.offline.replay_run import LARGEST_BATCH, ReplayRun
-from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.status_history import poor_status_reasons
+from ship_replay.offline.replay_summary import ReplaySummary, poor_status_reasons
+from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
+
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter)
+"""Adapters of these nodes. The first node, the main node, also runs if the configuration names no node."""
+
 
 ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 

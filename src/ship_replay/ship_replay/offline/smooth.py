@@ -34,23 +34,23 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.parameters.frame_names import FrameNames
+from ship_estimation.parameters.fields import FrameNames
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.messages.topics import OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, READ_ONLY, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import sort_by_stamp
+from ship_replay.offline.outputs import DecodingSink
 from ship_replay.offline.replay import ProgressWrapper, match_inputs, median_delay_ns, truth_topic_names, write_head
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.sinks import DecodingSink
-from ship_stars.samples.attitude_samples import AttitudeEstimate
+from ship_stars.attitude_samples import AttitudeEstimate
 from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.messages.pointing_messages import (
+from theodolite_calib.messages.output_messages import (
     POINTING_TOPIC,
     POINTING_TYPE,
     SMOOTHED_POINTING_TOPIC,

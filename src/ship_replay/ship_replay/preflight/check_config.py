@@ -14,13 +14,19 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, full_name, in_any_namespace
-from ship_bags.renamed_topics import ship_names
-from ship_bags.topic_names import relative_topics
+from ship_bags.topic_names import relative_topics, ship_names
 from ship_estimation.parameters.schema import ParameterDescription, ParameterError, build, describe
 from ship_node.adapters.adapter import Adapter
-from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
 from ship_node.parameters.machine_resources import MachineResource
-from ship_node.parameters.parameter_file import has_section, read_node_parameters, section_warning, unknown_sections
+from ship_node.parameters.parameter_file import (
+    COMPANIONS,
+    Companion,
+    configured_companions,
+    has_section,
+    read_node_parameters,
+    section_warning,
+    unknown_sections,
+)
 from ship_node.saved_files.saved_document import READ_ONLY
 from ship_replay.offline.adapter_chain import nodes_of
 from ship_stars.camera.config import MountingConfig

@@ -9,19 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.devices import ReferenceConfig
+from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
-from ship_replay.preflight.camera_exposures import EXPECTED_AXES
-from ship_replay.preflight.check_camera import camera_contradictions
+from ship_replay.preflight.check_camera import (
+    CameraTurn,
+    camera_contradictions,
+    cameras_counting_from_one,
+    rate_corrected_turn,
+)
 from ship_replay.preflight.check_config import BagCheck
+from ship_replay.preflight.measured_camera import EXPECTED_AXES
 from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings
-from ship_replay.preflight.pixel_count import CameraTurn, cameras_counting_from_one, rate_corrected_turn
 from theodolite_calib.config import OpticalAxisConfig
 
 _SIGMAS = 5.0

@@ -1,38 +1,100 @@
 """Mountings and cameras of devices, measured at some times of a bag.
 
 Attitudes of devices on the deck are compared with the INS. A camera on the theodolite has no fixed attitude relative to
-the deck. Its stars are compared with one another, and its predicted attitude is only used to identify these stars and
-the axes of a mirrored image.
+the deck. Its stars are compared with one another. Its attitude, predicted from the ship's attitude and the encoders, is
+only used to identify these stars and the axes of a mirrored image.
 """
 
 import functools
 from bisect import bisect_left
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ship_attitude_star.messages.input_messages import inertial_attitude, reference_measurement, star_measurement
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.devices import ReferenceConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S, stamp_of_bytes
 from ship_estimation.rejection_rules import Rejection
-from ship_geometry.rotations import FloatArray
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.tracks.attitude_track import AttitudeTrack
+from ship_geometry.tracks.sample_track import VectorTrack
 from ship_node.messages.field_checks import MessageRejected
-from ship_node.messages.ins_messages import ins_sample
-from ship_replay.preflight.attitude_tracks import ENCODER_TOPIC, AttitudeTracks, offset_ns
-from ship_replay.preflight.camera_exposures import CameraRecord
-from ship_replay.preflight.measured_camera import MeasuredCamera, measure_camera
+from ship_node.messages.sensor_readers import ins_sample
+from ship_replay.preflight.measured_camera import CameraRecord, MeasuredCamera, measure_camera
 from ship_stars.camera.config import MountingConfig
 from ship_stars.messages.surroundings_messages import SURROUNDINGS, surroundings_reader
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
+from ship_stars.solution.selection import StarPrior
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.messages import input_messages as mount_messages_in
+from theodolite_calib.samples.samples import EncoderSample
+
+ENCODER_TOPIC = "theodolite/encoder"
+_FULL_TURN = 2.0 * np.pi
+
+
+@dataclass
+class AttitudeTracks:
+    """Samples of a bag that predict the attitude of a camera.
+
+    Attributes:
+        config: configuration of the node.
+        ship_topic: topic of the ship's attitude.
+        ship: attitudes of the ship.
+        encoder: readings of the theodolite's encoders.
+    """
+
+    config: Any
+    ship_topic: str
+    ship: AttitudeTrack = field(init=False)
+    encoder: VectorTrack[EncoderSample] = field(init=False)
+
+    def __post_init__(self) -> None:
+        on_mount = isinstance(self.config, OpticalAxisConfig)
+        self.ship = AttitudeTrack(round(self.config.ins.max_gap_s * NS_PER_S))
+        self.encoder = VectorTrack(round(self.config.encoder.max_gap_s * NS_PER_S) if on_mount else 1, _FULL_TURN)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics of the samples."""
+        return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
+
+    def predicted_attitude(self, device: Any, time_ns: int) -> StarPrior | None:
+        """Return the attitude of a camera (horizon from sensor) with its error covariance; None if unknown."""
+        ship, ins = self.ship.at(time_ns + offset_ns(device)), self.config.ins
+        if ship is None:
+            return None
+        sigma_arcsec = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec])
+        covariance_n = np.diag((sigma_arcsec * ARCSEC) ** 2)
+        if not isinstance(device, StarCameraConfig):
+            rotation_ns = ship.rotation_nd @ device.rotation_ds
+            mounting_n = rotation_ns * device.installation_sigma_s
+            return StarPrior(rotation_ns, covariance_n + mounting_n @ mounting_n.T)
+        angles = self.encoder.at(time_ns)
+        if angles is None:
+            return None
+        axes = AxisErrors.from_vector(self.config.axes.values)
+        rotation_dm = main_axis_rotation(axes, float(angles.vector[0]), float(angles.vector[1]))
+        rotation_sm = rotation_from_angles(*device.parallelism)
+        deformation = self.config.deformation.sigma_arcsec * ARCSEC
+        own = np.array([*self.config.axes.sigma, *device.parallelism_sigma, deformation])
+        # An upper bound: each of these errors rotates the camera by at most its own size.
+        covariance_n += own @ own * np.eye(3)
+        return StarPrior(ship.rotation_nd @ rotation_dm @ rotation_sm.T, covariance_n)
+
+
+def offset_ns(device: Any) -> int:
+    """Return the time offset of a device, ns: data are valid at their stamp plus this offset."""
+    return round(getattr(device, "time_offset_s", 0.0) * NS_PER_S)
+
 
 _EPOCHS = 30
 """Number of times of the bag at which a device is compared with the INS."""

@@ -14,7 +14,7 @@ from scipy.stats import binom, chi2, norm
 
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
-from ship_watch.sources.nis_consistency import (
+from ship_watch.sources.source_record import (
     BAND_SIGMAS,
     MAX_BAND,
     WINDOW_NS,

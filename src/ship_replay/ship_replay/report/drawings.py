@@ -21,10 +21,9 @@ from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.pages.figure_files import MAX_ROWS, short_name
 from ship_replay.evaluation.evaluate import Evaluation
-from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
+from ship_replay.evaluation.figures import attitude_error_figure, gap_times, innovation_figure, utc_axis, with_gaps
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_replay.report.recording import RecordedHistory
-from ship_replay.report.time_axis import gap_times, utc_axis, with_gaps
 from ship_watch.history.history import BudgetPoint, extreme_rows
 from ship_watch.suite_state import ANGLES, Safety
 from ship_watch.topics import source_of_name, source_of_topic

@@ -8,11 +8,9 @@ from ship_bags.mcap.folder import INFORMATION_FILE
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.input_error import InputError
 from ship_node.pages.html_page import render
-from ship_replay.report.page import page, versions
-from ship_replay.report.report_data import ReportData
-from ship_replay.report.summary import summary, valid_shares, worst_source
-from ship_replay.report.tables import outages, root_outages
-from ship_replay.report.wording import duration, utc
+from ship_replay.report.page import page, summary, valid_shares, versions, worst_source
+from ship_replay.report.recording import ReportData
+from ship_replay.report.tables import duration, outages, root_outages, utc
 from ship_watch.suite_state import ANGLES, Safety
 
 

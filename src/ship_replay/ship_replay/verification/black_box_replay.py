@@ -18,7 +18,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters.schema import ParameterError
-from ship_node.adapters.adapter import Adapter
+from ship_node.adapters.adapter import Adapter, Overload
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     ChangeRefused,
@@ -34,9 +34,7 @@ from ship_node.black_box.black_box_format import (
     Tick,
     event_from_text,
 )
-from ship_node.health.overload import Overload
-from ship_node.messages.batch import Batch
-from ship_node.messages.topics import OutputMessage
+from ship_node.messages.inputs_outputs import Batch, OutputMessage
 from ship_node.saved_files.saved_document import FileUse
 from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.verification.black_box_identity import (
@@ -46,11 +44,11 @@ from ship_replay.verification.black_box_identity import (
     check_topics,
     older_message_converters,
 )
-from ship_replay.verification.message_values import are_texts
 from ship_replay.verification.verification import (
     UNCOMPARED_TYPES,
     Difference,
     Verification,
+    are_texts,
     message_difference,
     stamp_of,
 )

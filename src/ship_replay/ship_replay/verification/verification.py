@@ -1,8 +1,10 @@
 """Comparison of a replay with recorded outputs to the last bit, for two messages and for a whole bag.
 
-Numbers and names (strings without a space) must be equal. Texts that differ are counted.
+Messages are compared field by field. Numbers and names (strings without a space) must be equal. Texts that differ are
+counted.
 """
 
+import dataclasses
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
@@ -19,11 +22,45 @@ from ship_bags.topic_names import relative_topics
 from ship_node.adapters.adapter import Adapter
 from ship_node.messages.common_messages import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.outputs import DecodingSink
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.sinks import DecodingSink
-from ship_replay.verification.message_values import are_texts, values
+
+Value = str | npt.NDArray[Any]
+"""A text, or an array; a number is an array without dimensions."""
+
+
+def values(message: Any, name: str = "") -> Iterator[tuple[str, Value]]:
+    """Yield the dotted name and the value of each field; a sequence of messages or texts is preceded by its length.
+
+    Args:
+        message: message as rosbags decodes it, or a part of one.
+        name: dotted name of the part, empty for a message.
+    """
+    if dataclasses.is_dataclass(message):
+        for field in dataclasses.fields(message):
+            if not field.name.startswith("__"):
+                yield from values(getattr(message, field.name), f"{name}.{field.name}".lstrip("."))
+    elif isinstance(message, list):
+        yield f"{name} (length)", np.asarray(len(message))
+        for i, element in enumerate(message):
+            yield from values(element, f"{name}[{i}]")
+    else:
+        yield name, message if isinstance(message, str) else np.asarray(message)
+
+
+def are_texts(one: object, other: object) -> bool:
+    """True if both values are strings and at least one contains a space.
+
+    Strings without a space are names of frames, sources or reasons. Names are compared like numbers.
+
+    Example:
+        >>> are_texts("late: 2 s", "late by 2 s"), are_texts("star.fore", "star.aft"), are_texts("1", 1)
+        (True, False, False)
+    """
+    return isinstance(one, str) and isinstance(other, str) and " " in one + other
+
 
 UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 """Types of messages that are not compared: they also contain the state of the middleware."""

@@ -15,9 +15,9 @@ import numpy as np
 
 from ship_bags.stamps import stamp_fields
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_simulation.draws.noise import random_stream
-from ship_simulation.faults.optics import Optics
+from ship_simulation.faults.device_geometry import Optics
 from ship_simulation.faults.values import ValueFault
+from ship_simulation.random_draws import random_stream
 from ship_simulation.scenario.fault import Fault
 
 _REPETITION_AFTER_NS = 1_000_000

@@ -14,10 +14,8 @@ import numpy as np
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_stamp, stamp_fields
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_two_pi
-from ship_simulation.faults.optics import Optics
-from ship_simulation.faults.turns import convert_axes, turn_in_device, turn_in_horizon
+from ship_simulation.faults.device_geometry import Optics, convert_axes, turn_in_device, turn_in_horizon
 from ship_simulation.scenario.fault import Fault
-from ship_simulation.scenario.fault_file import field_steps
 from ship_simulation.scenario.names import (
     BASELINE,
     COVARIANCES,
@@ -33,6 +31,7 @@ from ship_simulation.scenario.names import (
     TARGET,
     TEMPERATURE,
 )
+from ship_simulation.scenario.scenario_file import field_steps
 from ship_stars.sky.catalogue import hipparcos
 
 _OTHER = "_other"

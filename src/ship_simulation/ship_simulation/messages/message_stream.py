@@ -11,20 +11,21 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
-from ship_simulation.draws.noise import first_in_each_second
+from ship_simulation.faults.device_geometry import Optics, telescope_camera
 from ship_simulation.faults.faults import WATERMARK, Delivery, apply_faults
-from ship_simulation.faults.optics import Optics, telescope_camera
 from ship_simulation.messages.ship_messages import (
     Maker,
     deflection_maker,
     fix_maker,
     fused_maker,
+    inertial_maker,
     ins_maker,
+    observations_maker,
     reference_maker,
+    star_maker,
     true_attitude_maker,
     weather_makers,
 )
-from ship_simulation.messages.star_messages import inertial_maker, observations_maker, star_maker
 from ship_simulation.messages.theodolite_messages import (
     baseline_maker,
     theodolite_sources,
@@ -32,6 +33,7 @@ from ship_simulation.messages.theodolite_messages import (
     true_directions,
     true_pointings,
 )
+from ship_simulation.random_draws import first_in_each_second
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.names import (
     DECK_FRAME,

@@ -7,12 +7,19 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
+from ship_geometry.frames import ENU_FROM_HORIZON, enu_covariance
 from ship_geometry.mount.axes import NAMES
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
-from ship_simulation.draws.noise import first_in_each_second
-from ship_simulation.messages.lazy_rows import LazyRows
-from ship_simulation.messages.ship_messages import Maker, angle_rows, make_imu, make_vector, quaternion_rows, rate_rows
-from ship_simulation.messages.star_messages import observations_maker
+from ship_simulation.messages.ship_messages import (
+    LazyRows,
+    Maker,
+    angle_rows,
+    make_imu,
+    make_vector,
+    observations_maker,
+    quaternion_rows,
+    rate_rows,
+)
+from ship_simulation.random_draws import first_in_each_second
 from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
     BASELINE,
@@ -35,10 +42,14 @@ from ship_simulation.scenario.names import (
 )
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import MainDetector
-from ship_simulation.ship.rtk import BaselineSamples
-from ship_simulation.theodolite.devices import DroneSamples, EncoderSamples, ImageSamples
+from ship_simulation.theodolite.devices import (
+    BaselineSamples,
+    DroneSamples,
+    EncoderSamples,
+    ImageSamples,
+    TargetSamples,
+)
 from ship_simulation.theodolite.run import TheodoliteRun
-from ship_simulation.theodolite.targets import TargetSamples
 
 _UNKNOWN = float("nan")
 _EXACT_RATE = np.zeros(9)

@@ -1,7 +1,7 @@
 """Parameters of a scenario file: the voyage, the devices, their errors, and faults.
 
 Each field has a unit, a range and a description. Errors are drawn with the sigmas of the scenario. The suite file in
-the bag gives the same sigmas to the estimators (:mod:`ship_simulation.suite.suite`).
+the bag gives the same sigmas to the estimators (:mod:`ship_simulation.suite_file`).
 """
 
 import re
@@ -12,9 +12,17 @@ from datetime import datetime, timezone
 import numpy as np
 
 from ship_estimation.parameters.fields import mapping_of, parameter, section
-from ship_estimation.parameters.ins_errors import SCHULER, InsCorrelationTimes, InsErrorModel, InsErrors, InsRateErrors
 from ship_estimation.parameters.schema import ParameterDescription, describe
-from ship_estimation.parameters.ship_devices import ReferenceErrors, StarSensorErrors, StarSensorMounting
+from ship_estimation.parameters.ship_devices import (
+    SCHULER,
+    InsCorrelationTimes,
+    InsErrorModel,
+    InsErrors,
+    InsRateErrors,
+    ReferenceErrors,
+    StarSensorErrors,
+    StarSensorMounting,
+)
 from ship_estimation.parameters.theodolite_devices import MainAxisInCamera
 from ship_geometry.air.refraction import MODELS
 from ship_geometry.earth.time_scales import SECOND_NS
@@ -34,8 +42,7 @@ from ship_simulation.scenario.motion_scenario import (
 )
 from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Target, Theodolite
 from ship_stars.camera.config import CameraConfig
-from ship_stars.sky.deck_masks import SensorMasks
-from ship_stars.sky.masks import MaskConfig, sensor_masks
+from ship_stars.sky.deck_masks import MaskConfig, SensorMasks, sensor_masks
 
 _START_PATTERN = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 

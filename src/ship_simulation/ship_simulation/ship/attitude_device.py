@@ -10,22 +10,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.parameters.ins_errors import SCHULER
+from ship_estimation.parameters.ship_devices import SCHULER
 from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_simulation.draws.noise import (
+from ship_simulation.random_draws import (
+    Draws,
     ExposureTimes,
+    Stretch,
     arrival_times,
     exposure_times,
     is_outside,
     random_stream,
 )
-from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Reference, Scenario, StarSensor
-from ship_simulation.ship.deflection import Deflection
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.ship.schuler import SchulerError
+from ship_simulation.ship.ship_track import Deflection
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from ship_geometry.earth.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition,
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Scenario, start_time_ns
-from ship_simulation.ship.deflection import Deflection
-from ship_simulation.ship.ship_track import ShipTrack
+from ship_simulation.ship.ship_track import Deflection, ShipTrack
 
 _STEP_S = 1.0
 _STEPS_PER_LATITUDE = 300

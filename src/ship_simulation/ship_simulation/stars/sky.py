@@ -18,7 +18,7 @@ from ship_geometry.earth.geodetic import rotation_horizon_from_ecef
 from ship_geometry.earth.star_directions import Observer, StarPositions, directions, fixed_stars
 from ship_geometry.earth.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_geometry.rotations import FloatArray, exp_rotation
-from ship_simulation.draws.noise import random_stream
+from ship_simulation.random_draws import random_stream
 from ship_simulation.scenario.scenario import Scenario, WeatherStation
 from ship_simulation.ship.ship_track import ShipTrack
 from ship_stars.sky.catalogue import StarCatalogue, hipparcos

@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 
 from ship_geometry.earth.star_directions import StarPositions, fixed_stars
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_simulation.draws.noise import arrival_times, centroids, is_outside, random_stream
-from ship_simulation.draws.stretch import Draws
+from ship_simulation.random_draws import Draws, arrival_times, centroids, is_outside, random_stream
 from ship_simulation.scenario.scenario import Scenario, StarImaging
 from ship_simulation.ship.attitude_device import DeviceExposures, StarSensorMotion
 from ship_simulation.stars.sky import TrueSky, julian_year, position_of_date
-from ship_simulation.stars.spatial_errors import DetectorErrors
-from ship_simulation.stars.star_field import stars_in_field, swap_identities
-from ship_simulation.stars.true_optics import draw_optics
+from ship_simulation.stars.true_camera import DetectorErrors, draw_optics, stars_in_field, swap_identities
 from ship_stars.camera.camera import equivalent_sigma
 from ship_stars.sky.catalogue import UNKNOWN
 

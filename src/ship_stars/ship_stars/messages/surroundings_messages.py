@@ -12,12 +12,12 @@ import numpy as np
 
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
-from ship_geometry.ros_axes import horizon_covariance
-from ship_node.adapters.feeds import Feed
+from ship_geometry.frames import horizon_covariance
+from ship_node.adapters.adapter import Feed
 from ship_node.health.duplicate_publishers import POSITION
 from ship_node.messages.field_checks import MessageRejected, ReadMessage, check_finite, covariance_3x3, stamp_ns
-from ship_node.messages.topics import InputTopic
-from ship_stars.samples.readings import AirReading, PositionFix, SkyInput
+from ship_node.messages.inputs_outputs import InputTopic
+from ship_stars.attitude_samples import AirReading, PositionFix, SkyInput
 from ship_stars.sky.config import SkyConfig
 
 _NO_FIX = -1

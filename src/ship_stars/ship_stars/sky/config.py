@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_estimation.parameters.fields import parameter
 from ship_geometry.air.refraction import MODELS
-from ship_stars.samples.readings import FieldOfView
+from ship_stars.attitude_samples import FieldOfView
 
 
 @dataclass(frozen=True, kw_only=True)

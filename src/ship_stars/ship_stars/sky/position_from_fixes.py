@@ -28,7 +28,7 @@ from ship_geometry.earth.geodetic import (
 from ship_geometry.earth.star_directions import Observer
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_stars.samples.readings import PositionFix
+from ship_stars.attitude_samples import PositionFix
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.stamped_values import JumpLimits, StampedValues
 

@@ -3,7 +3,8 @@
 :class:`SkyModel` returns a :class:`LocalSky` for a time, from position fixes and air readings. The :class:`LocalSky`
 computes directions of stars in the horizon frame (North, Up, East), with refraction (SOFA's observed places). Errors of
 refraction, Earth rotation (UT1) and the ship's position are common to all stars and do not average. Each direction
-therefore has its displacement by one standard deviation of each of these errors (docs/explanation/stars.md).
+therefore has its displacement by one standard deviation of each of these errors (docs/explanation/stars.md). The errors
+are states of the filters (:func:`sky_blocks`).
 
 An error of UTC rotates the sky like an error of UT1, but has another cause and is therefore a separate term. The term
 is absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
@@ -11,12 +12,14 @@ is absent if the clocks are taken as exact (``sky.utc_sigma_s`` is 0).
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_estimation.kalman.kalman_filter import StateBlock, block
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.air.refraction import LOWEST_ELEVATION, ModelName, refraction, refraction_slopes, seen_through_air
 from ship_geometry.earth import late_erfa as erfa
@@ -299,3 +302,36 @@ def _sky_rotations(position: ShipPosition, ut1_sigma_s: float, utc_sigma_s: floa
 def _polar_rotation_vector(turn: float, latitude: float) -> list[float]:
     """Return the rotation vector (North, Up, East) of a rotation about the Earth's axis, rad."""
     return [turn * math.cos(latitude), turn * math.sin(latitude), 0.0]
+
+
+SOURCE_REFRACTION = "refraction"
+SOURCE_EARTH_ROTATION = "earth_rotation"
+SOURCE_POSITION = "ship_position"
+SOURCE_UTC = UTC
+
+
+def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
+    """Return the state blocks, in the order of :data:`ship_stars.sky.sky_model.SHARED_TERMS`.
+
+    The states are in units of sigma, because the sigmas differ between exposures. The error of UT1 is constant for
+    days, and so is the error of an unsynchronised clock.
+    """
+    blocks = [
+        block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
+        block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
+        block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
+    ]
+    if sky.utc_sigma_s > 0.0:
+        blocks.append(block("sky.utc", [1.0], SOURCE_UTC))
+    return blocks
+
+
+def sky_slice(slices: Mapping[str, slice]) -> slice:
+    """Return the slice of the states of :func:`sky_blocks` in a filter; empty without such states.
+
+    Args:
+        slices: slice of the filter's states for each block.
+    """
+    if "sky.refraction" not in slices:
+        return slice(0, 0)
+    return slice(slices["sky.refraction"].start, slices.get("sky.utc", slices["sky.position"]).stop)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from ship_estimation.rejection_rules import Rejection
 from ship_geometry.air.refraction import Weather
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_stars.samples.readings import AirReading, PositionFix, SkyInput
+from ship_stars.attitude_samples import AirReading, PositionFix, SkyInput
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.position_from_fixes import PositionFromFixes, ShipPosition
 from ship_stars.sky.stamped_values import JumpLimits, StampedValues

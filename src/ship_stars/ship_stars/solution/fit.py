@@ -10,8 +10,8 @@ displacement d_i of the star is linear in small unknowns:
 - m_s is the mounting error of the star's sensor s.
 - t are the errors of the rotations that transfer the exposures to one time. The columns of T_s are the rotations of the
   sensor by one sigma of each of these errors; sensors may share these errors.
-- f are the coefficients of the cameras' errors (:mod:`ship_stars.camera.optics_errors`,
-  :mod:`ship_stars.camera.spatial_errors`). The columns of F_i are the displacements of the measured direction by
+- f are the coefficients of the cameras' errors (:mod:`ship_stars.camera.errors`,
+  :mod:`ship_stars.camera.errors`). The columns of F_i are the displacements of the measured direction by
   one sigma of each coefficient.
 - z are the errors that all stars share (refraction, Earth rotation, position). The columns of G_i are the displacements
   of the sky direction by one sigma of each error.
@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.innovations.chi_square import probability_above
+from ship_estimation.innovations.gates import probability_above
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_kernels import compiled_stars

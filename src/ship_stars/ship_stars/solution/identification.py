@@ -15,8 +15,7 @@ from ship_estimation.innovations.gates import chi_square_gate
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
 from ship_stars.sky.deck_masks import SensorMasks
 from ship_stars.sky.sky_model import LocalSky
-from ship_stars.solution.false_matches import GATE_PROBABILITY
-from ship_stars.solution.selection import StarPrior, mahalanobis_squared, perpendicular_basis
+from ship_stars.solution.selection import GATE_PROBABILITY, StarPrior, mahalanobis_squared, perpendicular_basis
 
 MAGNITUDE_TOLERANCE = 1.5
 """Maximum difference between a measured magnitude and the catalogue's magnitude.

@@ -6,9 +6,9 @@ the line of sight. A rotation ε of the sensor (rotation vector in the sensor fr
 p = Rᵀ v by p × ε.
 
 The errors that all stars share (refraction, Earth rotation, position) are states of the filter
-(:mod:`ship_stars.sky.shared_states`). One sigma of such an error displaces v by g, and the predicted direction
-by Rᵀ g. The errors of the camera's optics (:mod:`ship_stars.camera.optics_errors`) and the coefficients of the
-field-spatial error (:mod:`ship_stars.camera.spatial_errors`) are states too; they displace the measured
+(:mod:`ship_stars.sky.sky_model`). One sigma of such an error displaces v by g, and the predicted direction
+by Rᵀ g. The errors of the camera's optics (:mod:`ship_stars.camera.errors`) and the coefficients of the
+field-spatial error (:mod:`ship_stars.camera.errors`) are states too; they displace the measured
 direction.
 """
 
@@ -21,13 +21,12 @@ from numpy.typing import NDArray
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_kernels import compiled_stars
-from ship_stars.camera.spatial_errors import SOURCE_PIXEL, PixelDwell
+from ship_stars.camera.errors import SOURCE_PIXEL, PixelDwell
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.false_matches import ambiguous_identity_rejection
+from ship_stars.solution.field_scale import check_focal_length
 from ship_stars.solution.fit import MatchedStars
-from ship_stars.solution.scale_check import check_focal_length
-from ship_stars.solution.selection import StarPrior, select_stars
+from ship_stars.solution.selection import StarPrior, ambiguous_identity_rejection, select_stars
 from ship_stars.solution.solution import SolutionStatus, solve_stars
 
 SOURCE_STAR_NOISE = "star_noise"

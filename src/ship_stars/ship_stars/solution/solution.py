@@ -17,12 +17,10 @@ from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_kernels import compiled_stars
 from ship_kernels.compiled_innovations import square_root
-from ship_stars.camera.optics_errors import SOURCE_OPTICS
-from ship_stars.camera.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
+from ship_stars.camera.errors import SOURCE_FIELD, SOURCE_OPTICS, SOURCE_PIXEL
 from ship_stars.sky.sky_model import SHARED_TERMS, UTC
-from ship_stars.solution.false_matches import ambiguous_identity_rejection
 from ship_stars.solution.fit import ATTITUDE, AttitudeFit, MatchedStars, field_columns, fit_attitude, linearise_stars
-from ship_stars.solution.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
+from ship_stars.solution.selection import MIN_VERIFIED_STARS, StarPrior, ambiguous_identity_rejection, select_stars
 
 SOLUTION_TERMS = (
     "star_noise",

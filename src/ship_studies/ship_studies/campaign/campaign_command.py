@@ -6,17 +6,14 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command, with_count
 from ship_bags.errors import BadInput
 from ship_bags.output_files import write_atomically
-from ship_bags.progress import with_count
-from ship_bags.renamed_topics import add_bag_name_options
+from ship_bags.topic_names import add_bag_name_options
 from ship_node.pages.console_tables import table_console
-from ship_studies.campaign.cluster import run_in_cluster
 from ship_studies.campaign.items import Item, campaign_items, parse_seeds
-from ship_studies.campaign.one_item import Result, run_item
-from ship_studies.campaign.processes import run_in_processes
-from ship_studies.campaign.results import PAGE, TABLE, ItemResult, ResultFolder, csv_table
+from ship_studies.campaign.results import PAGE, TABLE, ItemResult, Result, ResultFolder, csv_table, run_item
+from ship_studies.campaign.workers import run_in_cluster, run_in_processes
 
 _MAX_FAILURES_PRINTED = 10
 

@@ -11,7 +11,7 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_replay.offline.adapter_chain import nodes_of
 from ship_replay.offline.digests import code_sha256, content_sha256
-from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ADAPTERS
 from ship_simulation.scenario.scenario_file import load_scenario
 
 _SCENARIO_SUFFIXES = ".yaml", ".yml"
@@ -64,7 +64,7 @@ class Item:
         seed: seed of the simulation; None for a bag.
         skip_s: duration at the beginning of the bag that is excluded from the evaluation.
         namespace: namespace of the ship in the bag.
-        remaps: topic remappings in the bag, see :class:`ship_bags.renamed_topics.TopicNames`.
+        remaps: topic remappings in the bag, see :class:`ship_bags.topic_names.TopicNames`.
         code: hash of the code that runs the item.
     """
 

@@ -1,18 +1,181 @@
-"""Summary of a campaign as a page and as a table on the terminal."""
+"""Summary of a campaign as a page and as a table on the terminal, from statistics pooled over many results.
 
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, repeat
+The statistics are the errors, sigmas and statuses of each parameter set, and the worst items.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, groupby, repeat
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
 from ship_node.pages.console_tables import console_table
 from ship_node.pages.html_page import render
+from ship_replay.report.consistency import SigmaFit, mean_nees_fit, nees_band
 from ship_replay.report.page import versions
-from ship_replay.report.wording import number
+from ship_replay.report.tables import number
 from ship_studies.campaign.items import InputFile, Item
-from ship_studies.campaign.pooled import Pool, pools, worst_items
 from ship_studies.campaign.results import ItemResult
+
+MAX_WORST_ITEMS = 10
+
+
+@dataclass(frozen=True)
+class PooledChannel:
+    """Statistics of one channel of one source, over all samples of several items.
+
+    Attributes:
+        name: name of the channel.
+        rms_arcsec: root mean square of the errors.
+        sigma_arcsec: root of the mean predicted variance; NaN if an item has no predicted variance.
+    """
+
+    name: str
+    rms_arcsec: float
+    sigma_arcsec: float
+
+    @property
+    def ratio(self) -> float:
+        """RMS of the errors divided by sigma."""
+        return self.rms_arcsec / self.sigma_arcsec
+
+
+@dataclass(frozen=True)
+class PooledErrors:
+    """Statistics of the errors of one source over several items.
+
+    Attributes:
+        label: label as in an evaluation: ``fused``, ``ins``, ``star.<id>``, ``pointing``.
+        items: number of items with this source.
+        samples: total number of samples.
+        channels: statistics of the source's three channels.
+        fit: result of the consistency test of the mean NEES.
+        band: 99.9 % band of the mean NEES.
+    """
+
+    label: str
+    items: int
+    samples: int
+    channels: list[PooledChannel]
+    fit: SigmaFit
+    band: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Common statistics of several items.
+
+    Attributes:
+        name: name that the items share.
+        items: number of completed items.
+        failed: number of failed items.
+        errors: statistics of the errors of each source, in the order of the items.
+        shares: topic → status → share of the topic's outputs with this status.
+        refused: number of messages that were not used.
+    """
+
+    name: str
+    items: int
+    failed: int
+    errors: list[PooledErrors]
+    shares: dict[str, dict[str, float]]
+    refused: int
+
+
+@dataclass(frozen=True)
+class WorstItem:
+    """An item with its worst channel, whose ratio of RMS error to sigma is the largest."""
+
+    item: Item
+    label: str
+    channel: str
+    rms_arcsec: float
+    sigma_arcsec: float
+    ratio: float
+
+
+def pools(results: Sequence[ItemResult], name: Callable[[Item], str]) -> list[Pool]:
+    """Return one pool for each name, with all items of this name, sorted by name."""
+    by_name = sorted(results, key=lambda each: (name(each[0]), each[0].sort_key))
+    return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
+
+
+def worst_items(results: Sequence[ItemResult]) -> list[WorstItem]:
+    """Return up to ten items with the largest ratios of RMS to predicted sigma, the worst first."""
+    worst = []
+    for item, result in results:
+        ratios = [
+            (values[f"{channel}.rms_over_sigma"], label, channel)
+            for label, values in result["errors"].items()
+            for channel in values["channels"]
+            if values[f"{channel}.rms_over_sigma"] is not None
+        ]
+        if ratios:
+            ratio, label, channel = max(ratios)
+            values = result["errors"][label]
+            worst.append(
+                WorstItem(
+                    item, label, channel, values[f"{channel}.rms_arcsec"], values[f"{channel}.sigma_arcsec"], ratio
+                )
+            )
+    return sorted(worst, key=lambda each: (-each.ratio, each.item.sort_key))[:MAX_WORST_ITEMS]
+
+
+def _pool(name: str, item_results: list[ItemResult]) -> Pool:
+    results = [result for _, result in item_results if result["error"] is None]
+    labels = dict.fromkeys(label for result in results for label in result["errors"])
+    counts: dict[str, Counter[str]] = {}
+    for result in results:
+        for topic, statuses in result["statuses"].items():
+            counts.setdefault(topic, Counter()).update(statuses)
+    return Pool(
+        name=name,
+        items=len(results),
+        failed=len(item_results) - len(results),
+        errors=[
+            _pooled_errors(label, [result["errors"][label] for result in results if label in result["errors"]])
+            for label in labels
+        ],
+        shares={
+            topic: {word: count / statuses_of_topic.total() for word, count in statuses_of_topic.items()}
+            for topic, statuses_of_topic in counts.items()
+        },
+        refused=sum(sum(reasons.values()) for result in results for reasons in result["refused"].values()),
+    )
+
+
+def _pooled_errors(label: str, parts: list[dict[str, Any]]) -> PooledErrors:
+    samples = [part["samples"] for part in parts]
+    channels = [
+        PooledChannel(
+            channel,
+            _root_mean_square((part[f"{channel}.rms_arcsec"] for part in parts), samples),
+            _root_mean_square((part[f"{channel}.sigma_arcsec"] for part in parts), samples),
+        )
+        for channel in parts[0]["channels"]
+    ]
+    # Errors are correlated within a run: the weight of a run is its equivalent number of independent errors.
+    with_nees = [part for part in parts if part["nees_mean"] is not None]
+    independent = math.fsum(part["nees_independent"] for part in with_nees)
+    mean = (
+        math.fsum(part["nees_mean"] * part["nees_independent"] for part in with_nees) / independent
+        if with_nees
+        else math.nan
+    )
+    count = round(math.fsum(part["nees_count"] for part in with_nees))
+    fit = mean_nees_fit(label, mean, count, independent)
+    return PooledErrors(label, len(parts), round(math.fsum(samples)), channels, fit, nees_band(independent))
+
+
+def _root_mean_square(values: Iterable[float | None], weights: Sequence[float]) -> float:
+    """Return the root of the weighted mean square; NaN if a value is missing."""
+    squares = [math.nan if value is None else weight * value**2 for value, weight in zip(values, weights, strict=True)]
+    return math.sqrt(sum(squares) / math.fsum(weights))
+
 
 SECTIONS = (
     ("made", "Items"),

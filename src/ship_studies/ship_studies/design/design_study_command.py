@@ -7,7 +7,7 @@ from typing import Any
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import check_folder
-from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.frames import ENU_FROM_HORIZON
 from ship_node.pages.study_files import Table, add_study_arguments, study_of_file, write_study
 from ship_studies.design.config import W18, study_config
 from ship_studies.design.study import DesignStudy, compute_study
@@ -55,8 +55,7 @@ def _run(options: argparse.Namespace) -> int:
 
     study = study_of_file(options.file, W18, checked_study)
     # Imported here, so that bad input is reported before the figures' library is loaded.
-    from ship_studies.design.figures import study_figures
-    from ship_studies.design.page import page_text
+    from ship_studies.design.page import page_text, study_figures
 
     page = partial(page_text, study, title=_DEFAULT_TITLE if options.file is None else options.file.name)
     write_study(options.out / PAGE, study_tables(study), study_figures(study), page, _summary(study))

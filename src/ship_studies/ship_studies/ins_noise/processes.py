@@ -17,11 +17,11 @@ import numpy as np
 from scipy.linalg import expm
 
 from ship_attitude_star.ins_errors.schuler import SchulerIns
-from ship_attitude_star.ship_attitude.devices import InsConfig
+from ship_attitude_star.ship_attitude.config import InsConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.parameters.ins_errors import GAUSS_MARKOV, SCHULER, SchulerConfig
+from ship_estimation.parameters.ship_devices import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_studies.ins_noise.likelihood import ProcessSteps
+from ship_studies.ins_noise.star_record import ProcessSteps
 
 _NARROWEST, _LONGEST_S = 1e-4, 1e7
 _STEP_S = 1e-3

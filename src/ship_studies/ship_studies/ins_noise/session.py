@@ -16,28 +16,27 @@ import numpy as np
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.attitude_output import INS
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.devices import InsConfig
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_attitude_star.vertical.config import UNKNOWN, GravityConfig
+from ship_attitude_star.vertical.deflection import UNKNOWN, GravityConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.parameters.ins_errors import GAUSS_MARKOV
+from ship_estimation.parameters.ship_devices import GAUSS_MARKOV
 from ship_geometry.rotations import FloatArray
-from ship_node.adapters.feeds import Feed
-from ship_node.messages.topics import OutputMessage
+from ship_node.adapters.adapter import Feed
+from ship_node.messages.inputs_outputs import OutputMessage
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.outputs import NullSink
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.sinks import NullSink
-from ship_stars.samples.attitude_samples import AttitudeDecision
+from ship_stars.attitude_samples import AttitudeDecision
 
 _SIGMA_FACTOR = 3.0
 """Factor on the configured sigmas, so that sigmas too small by this factor cause no rejections."""

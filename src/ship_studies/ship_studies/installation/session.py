@@ -14,9 +14,8 @@ import numpy as np
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.alignment import current_alignment
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.devices import StarSensorConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_factory import MessageFactory
@@ -27,10 +26,10 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.adapters.adapter import Adapter
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.outputs import DecodingSink
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
-from ship_replay.offline.sinks import DecodingSink
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word

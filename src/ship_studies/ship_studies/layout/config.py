@@ -15,7 +15,7 @@ import numpy as np
 from ship_estimation.parameters.fields import mapping_of, parameter, section
 from ship_estimation.parameters.schema import ParameterError, build
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_stars.sky.masks import MaskConfig, deck_masks
+from ship_stars.sky.deck_masks import MaskConfig, deck_masks
 
 MIN_ELEVATION_DEG = 5.0
 """Minimum elevation of a boresight above the deck; at lower elevations in the sky no refraction model is valid."""

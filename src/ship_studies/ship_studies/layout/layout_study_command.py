@@ -13,6 +13,8 @@ from ship_bags.output_files import check_folder
 from ship_estimation.parameters.schema import describe
 from ship_node.pages.study_files import Table, add_study_arguments, study_of_file, write_study
 from ship_studies.layout.config import LayoutStudyConfig, study_config
+from ship_studies.layout.error_budget import total_arcsec
+from ship_studies.layout.field_of_view import PERCENTILES
 from ship_studies.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
     SOURCES,
@@ -20,8 +22,6 @@ from ship_studies.layout.installation_model import (
     InstallationConvention,
     source_errors_arcsec,
 )
-from ship_studies.layout.joint_error import total_arcsec
-from ship_studies.layout.optics import PERCENTILES
 from ship_studies.layout.requirement_text import REQUIREMENT_TABLES, requirement_lines, requirement_tables
 from ship_studies.layout.study import LayoutStudy, compute_study
 

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
-from ship_studies.layout.allocation import Allocation, allocate_errors, requirement_use
 from ship_studies.layout.config import MIN_ELEVATION_DEG, LayoutStudyConfig
-from ship_studies.layout.joint_error import ErrorMap, Layout
-from ship_studies.layout.masks import Obstructions
+from ship_studies.layout.error_budget import Allocation, ErrorMap, Layout, allocate_errors, requirement_use
+from ship_studies.layout.field_of_view import Obstructions
 
 AS_GIVEN, RECOMMENDED, ALL_MOVED = "as given", "recommended azimuths", "all sensors moved"
 """Names of layouts. An alternative has the name in the file; a layout with one sensor moved is "<id> moved"."""

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from ship_node.pages.study_files import Table
-from ship_studies.layout.allocation import Allocation, binding_angle
+from ship_studies.layout.error_budget import Allocation, Layout, binding_angle
 from ship_studies.layout.installation_model import SHIP_ANGLES
-from ship_studies.layout.joint_error import Layout
 from ship_studies.layout.requirement import Candidate, RequirementResult
 from ship_studies.layout.study import LayoutStudy
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from ship_estimation.parameters.schema import ParameterError
 from ship_geometry.rotations import FloatArray, wrap_pi
 from ship_studies.layout.config import MIN_ELEVATION_DEG, LayoutStudyConfig
+from ship_studies.layout.error_budget import ErrorMap, Layout, SourceError, error_map, total_arcsec
+from ship_studies.layout.field_of_view import MIN_STARS, Obstructions, SkyStatistics, sky_statistics
 from ship_studies.layout.installation_model import Curve, all_curves
-from ship_studies.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
-from ship_studies.layout.masks import Obstructions
-from ship_studies.layout.optics import MIN_STARS, SkyStatistics, sky_statistics
 from ship_studies.layout.requirement import RequirementResult, evaluate_layouts
 
 _STEP_DEG = 1.0

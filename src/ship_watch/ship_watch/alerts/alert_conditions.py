@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from ship_geometry.rotations import ARCSEC
-from ship_watch.alerts.alert_states import Condition
+from ship_watch.alerts.alerts import Condition
 from ship_watch.safety.functions import ATTITUDE, POINTING, FunctionState, functions
 from ship_watch.safety.limits import InputLimits, Limits
 from ship_watch.suite_state import CAUSE_NODE, Presence, Priority, SourceDetails, SuiteState

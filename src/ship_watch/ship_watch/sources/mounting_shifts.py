@@ -11,9 +11,9 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.rotations import FloatArray, log_rotation
-from ship_watch.names import MAX_NAMES, has_room
 from ship_watch.sources.decision_history import angle_text
 from ship_watch.suite_state import Presence, SourceState
+from ship_watch.topics import MAX_NAMES, has_room
 
 DISPLAY_TIME_NS = 600 * NS_PER_S
 """Time for which a shift is shown after the reinstatement, ns."""

@@ -7,8 +7,8 @@ from itertools import islice
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES
 from ship_watch.suite_state import InputState
+from ship_watch.topics import MAX_NAME_LENGTH, MAX_NAMES
 
 WINDOW_NS = 60_000_000_000
 """Time over which rejections are counted, ns."""

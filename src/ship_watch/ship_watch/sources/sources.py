@@ -1,23 +1,109 @@
-"""Presence of all sources, the reasons why sources are OUT, and the offsets of faulty sources.
+"""Presence of all sources, the reasons why sources are OUT, overloaded nodes, and the offsets of faulty sources.
 
 A source is OUT if a node excludes it, if five of its measurements in a row were rejected, if it sends no usable data,
 or if it reports itself invalid. After rejections the source is IN again when ten measurements in a row were accepted;
 both numbers are defaults of the ship's limits. A source that cannot be used because another source is OUT is also OUT,
 with the other source as its cause.
+
+An overloaded node cannot keep up with its inputs and drops waiting messages. Measurements of good sources then lack
+their counterparts, in that node and in the nodes that read its output. These sources are not faulty.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_watch.names import MAX_NAMES, has_room
 from ship_watch.safety.limits import Limits
 from ship_watch.sources.decision_history import DecisionHistory
 from ship_watch.sources.reports import TopicReports
 from ship_watch.sources.source_record import SourceFault, SourceRecord, unconfigured_source
 from ship_watch.suite_state import Presence, SourceDetails, SourceState
-from ship_watch.topics import display_order, source_of_name, source_of_topic
+from ship_watch.topics import MAX_NAMES, display_order, has_room, source_of_name, source_of_topic
+
+REPORT_TIMEOUT_NS = 5_000_000_000
+"""Maximum age of an overload report with which its node counts as overloaded, ns. A node reports once a second, and
+less often if it hardly runs."""
+
+_NEW_OVERLOAD_NS = 2 * REPORT_TIMEOUT_NS
+"""Time without a report after which the next report starts a new overload, ns."""
+
+_ONSET_NS = REPORT_TIMEOUT_NS
+"""Time before the first report within which a source that goes OUT is attributed to the overload, ns."""
+
+_NODES = ("ship_attitude", "star_attitude", "optical_axis")
+"""Nodes that report an overload, in the order in which their texts are preferred."""
+
+_ATTITUDE_NODES = _NODES[:2]
+
+
+@dataclass
+class _Overload:
+    text: str
+    since_ns: int
+    reported_ns: int
+
+
+class OverloadedNodes:
+    """Overloaded nodes, from innovations with the reason BEHIND."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, _Overload] = {}
+        self._out_since_ns: dict[str, int] = {}
+        self._causes: dict[str, str] = {}
+
+    def record_report(self, message: Any, now_ns: int) -> None:
+        """Record an Innovation with the reason BEHIND if its source is a node, not the source of a dropped message."""
+        node = str(message.source)
+        if node not in _NODES:
+            return
+        known = self._nodes.get(node)
+        since_ns = now_ns if known is None or now_ns - known.reported_ns > _NEW_OVERLOAD_NS else known.since_ns
+        self._nodes[node] = _Overload(str(message.reason_text), since_ns, now_ns)
+
+    def overload_text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:
+        """Return the overload text of the first overloaded node on which an output depends; empty if there is none.
+
+        Args:
+            now_ns: caller's time, ns.
+            is_pointing: True for the pointing, False for the attitude.
+            by_attitude: True if the pointing uses the attitude that the suite publishes.
+        """
+        own = ("optical_axis",) if is_pointing else ()
+        nodes = (*own, *(_ATTITUDE_NODES if by_attitude or not is_pointing else ()))
+        return next((self._nodes[node].text for node in nodes if self._is_overloaded(node, now_ns)), "")
+
+    def with_causes(self, sources: Sequence[SourceState], now_ns: int) -> list[SourceState]:
+        """Return the sources; a source that went OUT during an overload or just before has the node as its cause.
+
+        The cause stays until the source is IN again.
+
+        Args:
+            sources: states from the measurements.
+            now_ns: caller's time, ns.
+        """
+        node = next((node for node in _NODES if self._is_overloaded(node, now_ns)), "")
+        return [self._with_cause(source, node, now_ns) for source in sources]
+
+    def _with_cause(self, source: SourceState, node: str, now_ns: int) -> SourceState:
+        name = source.name
+        if source.presence is not Presence.OUT:
+            self._out_since_ns.pop(name, None)
+            self._causes.pop(name, None)
+        elif not source.because_of:
+            since_ns = self._out_since_ns.setdefault(name, now_ns)
+            if node and since_ns >= self._nodes[node].since_ns - _ONSET_NS:
+                self._causes[name] = node
+            if name in self._causes:
+                node = self._causes[name]
+                return replace(source, reason=f"{node} is behind", disagreement="", because_of=node)
+        return source
+
+    def _is_overloaded(self, node: str, now_ns: int) -> bool:
+        known = self._nodes.get(node)
+        return known is not None and now_ns - known.reported_ns <= REPORT_TIMEOUT_NS
+
 
 STAR_INNOVATION = "star/innovation"
 """Topic of the innovations of single stars against the solution of their sensor, along the axes of the sensor."""

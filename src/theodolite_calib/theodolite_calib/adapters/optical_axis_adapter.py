@@ -8,20 +8,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.recovery.displacements import TOGETHER
+from ship_estimation.recovery.displacement import TOGETHER
 from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.ros_axes import flu_from_device_vector
+from ship_geometry.frames import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
+from ship_node.adapters.adapter import Feed, ignore_time
 from ship_node.adapters.batch_pass import DeferringPart
-from ship_node.adapters.feeds import Feed, ignore_time
 from ship_node.adapters.input_report import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
-from ship_node.adapters.recovering_adapter import RecoveringAdapter
-from ship_node.adapters.recovery_status import recovery_status
+from ship_node.adapters.recovering_adapter import RecoveringAdapter, recovery_status
+from ship_node.adapters.result_report import clock_status
 from ship_node.health.duplicate_publishers import ATTITUDE, BASELINE, ENCODERS
-from ship_node.health.innovation_report import clock_status
-from ship_node.messages.batch import OutputRows
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -32,7 +30,7 @@ from ship_node.messages.common_messages import (
     Level,
     rejection_message,
 )
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
 from ship_stars.messages.star_messages import ExposingSensor, star_exposure
@@ -41,23 +39,26 @@ from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from theodolite_calib.adapters.calibration_file import CALIBRATION_FILE
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP
-from theodolite_calib.messages import input_messages, input_rows
-from theodolite_calib.messages.escort_messages import ESCORT_TOPIC, ESCORT_TYPE, escort_message
-from theodolite_calib.messages.pointing_messages import (
+from theodolite_calib.messages import input_messages
+from theodolite_calib.messages.output_messages import (
+    ESCORT_TOPIC,
+    ESCORT_TYPE,
     MAIN_FRAME,
     POINTING_TOPIC,
     POINTING_TYPE,
+    TARGET_TOPIC,
+    TARGET_TYPE,
     PointingNumbers,
     error_arcsec,
+    escort_message,
     pointing_budget,
     pointing_messages,
     pointing_rows,
+    target_message,
 )
-from theodolite_calib.messages.target_messages import TARGET_TOPIC, TARGET_TYPE, target_message
 from theodolite_calib.optical_axis.calibration import Calibration, CalibrationPrior, calibration_from_state
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.optical_axis.integrity import QUANTITIES
-from theodolite_calib.optical_axis.output import invalid_pointing
+from theodolite_calib.optical_axis.output import QUANTITIES, invalid_pointing
 from theodolite_calib.samples.samples import (
     Exposure,
     ExposureDecision,
@@ -181,13 +182,13 @@ class OpticalAxisAdapter(RecoveringAdapter):
         """Yield the inputs with the core's methods that process them."""
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(input_messages.encoder, config=config)
-        read_encoders = functools.partial(input_rows.encoders, config=config)
+        read_encoders = functools.partial(input_messages.encoders, config=config)
         add_encoder = core.pointings.add_encoder
         yield Feed(encoder, "encoder", read_encoder, add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS)
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
-        read_ships = None if by_ins else functools.partial(input_rows.ship_attitudes, config=config)
+        read_ships = None if by_ins else functools.partial(input_messages.ship_attitudes, config=config)
         read_ship = functools.partial(read_ship, config=config)
         yield Feed(ship, "ship", read_ship, core.pointings.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
@@ -209,7 +210,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/imu", _IMU_TYPE, required=False, depth=1000)
             read_imu = functools.partial(input_messages.drone_attitude, beacon=beacon)
-            read_imus = functools.partial(input_rows.drone_attitudes, beacon=beacon)
+            read_imus = functools.partial(input_messages.drone_attitudes, beacon=beacon)
             process = ignore_time(functools.partial(core.streams.add_drone_attitude, id_))
             yield Feed(topic, f"drone.{id_}", read_imu, process, read_rows=read_imus, stream_quantity=ATTITUDE)
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.time_order.outcome import Status
-from ship_node.adapters.feeds import Feed
+from ship_node.adapters.adapter import Feed
 from ship_node.adapters.node_adapter import OWN_OUTPUTS, NodeAdapter
 from ship_node.messages.common_messages import INNOVATION_TYPE, DiagnosticStatus, Level, rejection_message
-from ship_node.messages.topics import InputTopic, OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
-from theodolite_calib.messages.direction_messages import direction
-from theodolite_calib.messages.target_messages import TARGET_TYPE, target_message
+from theodolite_calib.messages.input_messages import direction
+from theodolite_calib.messages.output_messages import TARGET_TYPE, target_message
 from theodolite_calib.samples.samples import TargetEstimate
-from theodolite_calib.triangulation.config import TriangulationConfig
+from theodolite_calib.triangulation.triangulation import TriangulationConfig
 from theodolite_calib.triangulation.triangulation_core import PositionEstimate, TriangulationCore, TriangulationOutcome
 
 POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"

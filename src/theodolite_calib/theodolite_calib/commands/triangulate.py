@@ -1,23 +1,107 @@
-"""``triangulate``: positions of a target from the recorded directions of several theodolites."""
+"""``triangulate``: positions of a target from the recorded directions of several theodolites.
+
+The file of the command has the parameters of the node ``triangulation``, and for each theodolite a bag with its
+directions.
+"""
 
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, write_csv
 from ship_bags.parameter_yaml import read_nested_parameters
-from ship_bags.stamps import utc_text
+from ship_bags.stamps import END_OF_TIME_NS, utc_text
+from ship_estimation.parameters.fields import mapping_of, parameter
 from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejection_rules import Rejection
-from theodolite_calib.commands.recorded_directions import read_directions, target_positions
-from theodolite_calib.commands.triangulation_file import RecordedTriangulationConfig
-from theodolite_calib.triangulation.common_times import TargetPosition
-from theodolite_calib.triangulation.triangulation import TriangulatedPosition
+from ship_estimation.time_order.outcome import Status
+from ship_node.messages.field_checks import MessageRejected
+from theodolite_calib.messages.input_messages import direction
+from theodolite_calib.messages.output_messages import TARGET_TYPE
+from theodolite_calib.triangulation.triangulation import (
+    DIRECTION_TOPIC,
+    PositioningConfig,
+    StationPositionConfig,
+    TriangulatedPosition,
+)
+from theodolite_calib.triangulation.triangulation_core import (
+    DirectionSample,
+    StationDirections,
+    TargetPosition,
+    is_leading,
+    position_at,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedStationConfig(StationPositionConfig):
+    """One theodolite: its position, and the bag with its directions."""
+
+    bag: str = parameter(doc="bag with its directions; a relative path starts at the file")
+    topic: str = parameter(DIRECTION_TOPIC, doc="topic of ship_msgs/msg/TargetDirection in that bag")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedTriangulationConfig(PositioningConfig):
+    """All parameters of the file."""
+
+    stations: dict[str, RecordedStationConfig] = mapping_of("theodolites by name, two or more")
+
+
+def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id: str) -> list[StationDirections]:
+    """Return the recorded directions of each theodolite to a target, without unusable directions.
+
+    If two directions have the same stamp, the first is used.
+
+    Raises:
+        BadInput: a bag cannot be read, lacks the configured topic, or has no direction of the target.
+    """
+    recorded = []
+    for name, station in config.stations.items():
+        directions = StationDirections(station.station(name), config.max_gap_s)
+        for sample in _recorded_directions(folder / station.bag, station.topic, name, target_id):
+            if directions.track.get(sample.time_ns) is None:
+                directions.track.insert(sample)
+        recorded.append(directions)
+    return recorded
+
+
+def target_positions(config: PositioningConfig, recorded: Sequence[StationDirections]) -> Iterator[TargetPosition]:
+    """Yield position or rejection at each stamp of a leading theodolite; a position needs two directions."""
+    stamps = [(time_ns, number) for number, seen in enumerate(recorded) for time_ns in seen.track.times_ns]
+    for time_ns, number in sorted(stamps):
+        if is_leading(number, time_ns, recorded):
+            yield position_at(time_ns, recorded, config)
+
+
+def _recorded_directions(path: Path, topic: str, station: str, target_id: str) -> list[DirectionSample]:
+    found, others = [], set()
+    with read_bag(path) as bag:
+        if bag.topics.get(topic) != TARGET_TYPE:
+            there = ", ".join(sorted(name for name, kind in bag.topics.items() if kind == TARGET_TYPE)) or "none"
+            raise BadInput(f"has no topic '{topic}' of {TARGET_TYPE} (of that type it has: {there})", file=path)
+        for record in with_bag_progress(bag.records([topic]), bag):
+            message = record.decode()
+            try:
+                sample = direction(message, station, END_OF_TIME_NS).value
+            except MessageRejected:
+                continue
+            if sample.target_id != target_id:
+                others.add(sample.target_id)
+            else:
+                found.append(sample)
+    if all(sample.status is Status.INVALID for sample in found):
+        there = ", ".join(sorted(others)) or "none"
+        raise BadInput(f"topic '{topic}' has no direction of target '{target_id}' (other targets: {there})", file=path)
+    return found
+
 
 COLUMNS = (
     *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),

@@ -16,17 +16,23 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_estimation.fault_detection.detector import FaultDetector
-from ship_estimation.fault_detection.exclusions import ExcludedSource, evaluate_reinstatement, with_consistency
-from ship_estimation.fault_detection.fault_state import FaultState, UnresolvedFault, with_entry
-from ship_estimation.fault_detection.innovation_means import (
+from ship_estimation.fault_detection.detector import (
+    ExcludedSource,
+    FaultDetector,
+    FaultState,
+    UnresolvedFault,
+    evaluate_reinstatement,
+    with_consistency,
+    with_entry,
+)
+from ship_estimation.fault_detection.isolation import (
     CONSISTENT_RATIO,
     FIELDS_BY_SUBFILTER,
+    MAX_MEASUREMENT_AGE_NS,
     cleared_means,
     initial_means,
     updated_means,
 )
-from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.fault_detection.subfilters import FilterInnovations
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate
 from ship_estimation.integrity.protection_levels import IntegrityConfig
@@ -41,8 +47,8 @@ from theodolite_calib.filter.subfilters import (
     AxisSubfilters,
     SubfilterInnovations,
 )
-from theodolite_calib.samples.baseline_track import BaselineJump
-from theodolite_calib.samples.stream_consistency import StreamConsistency
+from theodolite_calib.samples.stream_steps import StreamConsistency
+from theodolite_calib.samples.tracks import BaselineJump
 
 _SAME_JUMP_NS = SECOND_NS
 """Jumps of one baseline within this time count as one jump, ns."""

@@ -12,10 +12,10 @@ import numpy as np
 
 from ship_estimation.fault_detection.subfilters import subfilter_innovations
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, propagate_covariance, update
-from ship_estimation.plausibility.ins_jump import InsJump
+from ship_estimation.plausibility.checked_ins import InsJump
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import FloatArray
-from ship_stars.camera.spatial_errors import PixelDwell
+from ship_stars.camera.errors import PixelDwell
 from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import AxisFaultState, initial_fault_state

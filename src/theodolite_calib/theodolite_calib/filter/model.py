@@ -16,7 +16,7 @@ telescope.<id>.parallelism            errors of another star camera's parallelis
 telescope.<id>.optics (4)             errors of the optics of a star camera: focal length, principal point (u, v) and
                                       k1, in their sigmas; calibration telescope: 3, without the focal length
 telescope.<id>.field (18)             field-spatial error of a star camera, in sigmas
-sky.<cause>                           errors common to all stars, in sigmas (ship_stars.sky.shared_states);
+sky.<cause>                           errors common to all stars, in sigmas (ship_stars.sky.sky_model);
                                       only with star cameras
 refraction (1)                        error of the refraction coefficient k, common to all beacons
 light.<id>.rtk (3)         horizon    correlated error of this light's baseline, m
@@ -40,9 +40,9 @@ from ship_estimation.kalman.kalman_filter import (
 )
 from ship_geometry.mount.axes import AXES, DEFORMATION, SHIP, SHIP_TIME
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_stars.camera.camera_states import camera_blocks
-from ship_stars.camera.spatial_errors import SOURCE_PIXEL
-from ship_stars.sky.shared_states import sky_blocks
+from ship_stars.camera.config import camera_blocks
+from ship_stars.camera.errors import SOURCE_PIXEL
+from ship_stars.sky.sky_model import sky_blocks
 from ship_stars.solution.residuals import SOURCE_STAR_NOISE
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.kalman.kalman_filter import StateModel
-from ship_geometry.mount.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry
+from ship_geometry.mount.axes import AXES, SHIP_TIME, AxisGeometry, axis_geometry, telescope_rotation
 from ship_geometry.mount.image import Camera, predict_points
 from ship_geometry.mount.line_of_sight import (
     BASELINE,
@@ -24,7 +24,6 @@ from ship_geometry.mount.line_of_sight import (
     Survey,
     lines_of_sight,
 )
-from ship_geometry.mount.parallelism import telescope_rotation
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_kernels import compiled_pointing
 from theodolite_calib.config import OpticalAxisConfig

@@ -7,7 +7,7 @@ The camera s is fixed to the main axis. The attitude of the camera follows from 
 
 A star has no baseline, lever, N' or terrestrial refraction. The direction of a star in the horizon is the catalogue
 direction with aberration and refraction. Errors common to all stars are states
-(:mod:`ship_stars.sky.shared_states`). The ship's filter uses the same identification, rejection and residuals
+(:mod:`ship_stars.sky.sky_model`). The ship's filter uses the same identification, rejection and residuals
 of stars (:mod:`ship_stars.solution.residuals`).
 """
 
@@ -18,19 +18,17 @@ import numpy as np
 from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel
 from ship_estimation.rejection_rules import Rejection
-from ship_geometry.mount.axes import axis_geometry
-from ship_geometry.mount.parallelism import telescope_rotation
+from ship_geometry.mount.axes import axis_geometry, telescope_rotation
 from ship_geometry.rotations import FloatArray
-from ship_stars.camera.camera_states import camera_state_indices
-from ship_stars.sky.shared_states import sky_slice
-from ship_stars.sky.sky_model import SkyModel
+from ship_stars.camera.config import camera_state_indices
+from ship_stars.sky.sky_model import SkyModel, sky_slice
+from ship_stars.solution.field_scale import check_estimated_focal_length
 from ship_stars.solution.residuals import PredictedSensor, StarResiduals, star_residuals
-from ship_stars.solution.scale_check import check_estimated_focal_length
 from ship_stars.solution.selection import StarPrior
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
 from theodolite_calib.filter.prediction import SightingModel
-from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.sighting import StarSighting
 
 _STEPS = 6
 # Step size, rad, below which the non-linear remainder, of the order of the step squared, is negligible.

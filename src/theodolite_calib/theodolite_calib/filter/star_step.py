@@ -22,7 +22,7 @@ from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.filter.step import count_rejection, solution_separations
 from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.samples.samples import ExposureDecision
-from theodolite_calib.samples.star_sighting import StarSighting
+from theodolite_calib.samples.sighting import StarSighting
 
 _CONFLICT_REASONS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
 """Reasons for which a rejection of stars contradicts the prediction: a correct prediction identifies most stars."""

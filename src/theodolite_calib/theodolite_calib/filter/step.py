@@ -37,10 +37,10 @@ from theodolite_calib.filter.subfilters import (
     SubfilterStates,
     beacon_innovation,
 )
-from theodolite_calib.samples.baseline_track import BaselineJump
 from theodolite_calib.samples.samples import Exposure, ExposureDecision
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.samples.stream_consistency import StreamConsistency
+from theodolite_calib.samples.stream_steps import StreamConsistency
+from theodolite_calib.samples.tracks import BaselineJump
 
 
 class SightingStep:

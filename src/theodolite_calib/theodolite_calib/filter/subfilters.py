@@ -16,8 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.fault_detection.subfilter_table import SubfilterTable
-from ship_estimation.fault_detection.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
+from ship_estimation.fault_detection.subfilters import (
+    FilterInnovations,
+    SubfilterTable,
+    subfilter_innovations,
+    update_subfilters,
+)
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.integrity.protection_levels import SigmaMultipliers, sigma_multipliers
 from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel, propagate_covariance

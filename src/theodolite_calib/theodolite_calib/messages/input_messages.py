@@ -1,39 +1,58 @@
-"""Conversion of messages to the core's structs, with checks; any class with the fields of the message is accepted."""
+"""Conversion of input messages to the cores' structs, with checks: one message, or all regular ones of a batch.
+
+A reader of one message (:func:`encoder`) accepts any class with the fields of the message. A reader of a batch
+(:func:`encoders`) gives results that equal those of the reader of one message to the last bit. A result None stands for
+a message that must be read singly. :func:`direction` is for the node ``triangulation`` and for bags.
+"""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from ship_bags.cdr_template import CdrRows
+from ship_estimation.parameters.fields import FRAME_NAMES
 from ship_estimation.rejection_rules import Reason, Rejection, shorten
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
-from ship_geometry.ros_axes import (
+from ship_geometry.frames import (
+    ENU_FROM_HORIZON,
+    angles_from_rotation,
     device_vector_from_ros,
     horizon_covariance,
     rotation_from_quaternion,
+    rotation_vector_covariance,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
-from ship_node.messages.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_node.messages.field_checks import (
     MAX_VARIANCE,
     MessageRejected,
     ReadMessage,
+    ReadRows,
+    angular_covariance,
+    angular_covariances,
     check_device_id,
     check_finite,
     check_frame,
     covariance_3x3,
     exposure_length_s,
+    finite_vector,
+    imu_quaternions,
     imu_rotation,
     optional_sigma,
     quoted_id,
+    read_valid,
     ship_rate,
+    ship_rates,
     stamp_ns,
+    stamps,
     unit_quaternion,
+    unit_quaternions,
 )
-from ship_node.messages.ins_messages import ins_sample
+from ship_node.messages.inputs_outputs import StampArray
+from ship_node.messages.sensor_readers import baseline_stamp_ns, baseline_vector, fix_rejection, ins_sample
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 from theodolite_calib.samples.samples import (
     BaselineSample,
@@ -43,6 +62,7 @@ from theodolite_calib.samples.samples import (
     ShipSample,
     TargetSample,
 )
+from theodolite_calib.triangulation.triangulation_core import DirectionSample
 
 MAX_BEACONS = 100
 """Maximum number of beacons of one image; further beacons are ignored, so that no message can delay the node."""
@@ -266,3 +286,104 @@ def _ins_covariance(config: OpticalAxisConfig) -> FloatArray:
     """Return the configured covariance of the INS, for messages without a covariance."""
     tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
     return np.diag([tilt**2, heading**2, tilt**2])
+
+
+def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
+    """Read ``theodolite/encoder``; see :func:`theodolite_calib.messages.input_messages.encoder`."""
+    numbers = messages.numbers
+    times_ns, good = stamps(numbers, receive_ns)
+    angles = np.stack([numbers["azimuth"], numbers["elevation"]], axis=1)
+    sigma = numbers["sigma"].astype(np.float64)
+    unknown = np.isnan(sigma) | (sigma == 0.0)
+    good &= (numbers["status"] != ENCODER_INVALID) & np.isfinite(angles).all(axis=1)
+    good &= unknown | ((sigma > 0.0) & (sigma <= 2.0 * np.pi))
+    sigma[unknown] = config.encoder.sigma_arcsec * ARCSEC
+
+    def samples() -> Iterator[ReadMessage[Any]]:
+        read = map(EncoderSample, times_ns[good].tolist(), angles[good], sigma[good].tolist())
+        return map(ReadMessage, read, (~unknown[good]).tolist())
+
+    return read_valid(messages, config.encoder.frame_id, good, samples)
+
+
+def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
+    """Read ``ship/attitude`` with rates and covariances; see ``input_messages.ship_attitude``."""
+    numbers = messages.numbers
+    times_ns, timely = stamps(numbers, receive_ns)
+    quaternions, of_norm_1 = unit_quaternions(numbers)
+    rates_ros, of_ship = ship_rates(numbers)
+    covariances_enu, positive = angular_covariances(numbers["rotation_covariance"])
+    good = timely & of_norm_1 & of_ship & positive & (numbers["status"] < int(Status.INVALID))
+
+    def samples() -> Iterator[ReadMessage[Any]]:
+        rotations_nd = rotation_from_quaternion(quaternions[good])
+        rates_d = device_vector_from_ros(rates_ros[good])
+        slow_n = without_white(horizon_covariance(covariances_enu[good]), config.ship.white_sigma_arcsec)
+        status = map(Status, numbers["status"][good].tolist())
+        return map(ReadMessage, map(ShipSample, times_ns[good].tolist(), rotations_nd, rates_d, slow_n, status))
+
+    return read_valid(messages, config.ship.frame_id, good, samples)
+
+
+def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
+    """Read ``beacon/<id>/imu``; see :func:`theodolite_calib.messages.input_messages.drone_attitude`."""
+    times_ns, timely = stamps(messages.numbers, receive_ns)
+    quaternions, given = imu_quaternions(messages.numbers, beacon.imu.accept_unset_covariance)
+    good = timely & given
+
+    def samples() -> Iterator[ReadMessage[Any]]:
+        rotations_nb = rotation_from_quaternion(quaternions[good], beacon.imu.convention)
+        return map(ReadMessage, map(AttitudeSample, times_ns[good].tolist(), rotations_nb))
+
+    return read_valid(messages, beacon.imu.frame_id, good, samples)
+
+
+_NORM_TOLERANCE = 1e-3
+_LEAST_SHARE = 1e-9
+"""Ratio of the smaller to the larger variance across a direction up to which the covariance counts as singular."""
+
+
+def direction(
+    message: Any, station: str, receive_ns: int, horizon: str = FRAME_NAMES.horizon
+) -> ReadMessage[DirectionSample]:
+    """Read a direction, or an INVALID report of the theodolite.
+
+    Args:
+        message: TargetDirection.
+        station: name of the theodolite.
+        receive_ns: arrival time of the message.
+        horizon: required frame_id.
+
+    Raises:
+        MessageRejected: the message cannot be used.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    # A position from several theodolites is rejected here, because its frame is not the horizon.
+    check_frame(message.header.frame_id, horizon)
+    if message.status not in list(Status):
+        expected = ", ".join(status.name for status in Status)
+        raise MessageRejected(Reason.UNITS, f"status {message.status} is unknown: expected one of {expected}")
+    status, vector, covariance_n = Status(message.status), np.full(3, np.nan), np.full((3, 3), np.nan)
+    if status is not Status.INVALID:
+        direction_enu = finite_vector(message.direction, "direction")
+        norm = math.hypot(*direction_enu.tolist())
+        if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+            raise MessageRejected(Reason.UNITS, f"norm of direction is {norm:.6g}: expected 1")
+        covariance_enu = angular_covariance(message.direction_covariance, "direction_covariance")
+        if covariance_enu is None:
+            raise MessageRejected(Reason.BAD_COVARIANCE, "direction_covariance is not given: required for the position")
+        vector, covariance_n = ENU_FROM_HORIZON.T @ direction_enu / norm, horizon_covariance(covariance_enu)
+        across = np.linalg.svd(vector[None])[2][1:]
+        least, greatest = np.linalg.eigvalsh(across @ covariance_n @ across.T).tolist()
+        if not least > _LEAST_SHARE * greatest:
+            raise MessageRejected(Reason.BAD_COVARIANCE, "direction_covariance is singular across the direction")
+    return ReadMessage(
+        DirectionSample(
+            time_ns=time_ns,
+            vector=vector,
+            source=f"station.{station}",
+            target_id=shorten(message.target_id, LONGEST_TARGET_ID),
+            covariance_n=covariance_n,
+            status=status,
+        )
+    )

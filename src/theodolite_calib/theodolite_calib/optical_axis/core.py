@@ -11,11 +11,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from ship_estimation.integrity.protection_levels import IntegrityReport
-from ship_estimation.recovery.recoverable_core import RecoverableCore
+from ship_estimation.recovery.recoverable_core import RecoverableCore, with_shifted_stamps
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
-from ship_estimation.time_order.time_shift import with_shifted_stamps
-from ship_stars.samples.readings import SkyInput
+from ship_stars.attitude_samples import SkyInput
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
@@ -23,8 +22,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, 
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.calibration import CalibrationPrior, prior_from_state, state_from_prior
-from theodolite_calib.optical_axis.consistency import AxisConsistency
-from theodolite_calib.optical_axis.memory import start_from_memory
+from theodolite_calib.optical_axis.memory import AxisConsistency, start_from_memory
 from theodolite_calib.optical_axis.output import PendingPointing
 from theodolite_calib.optical_axis.pointings import Pointings
 from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams, StreamJump
@@ -35,11 +33,11 @@ from theodolite_calib.samples.samples import (
     PointingOutcome,
     TargetSample,
 )
-from theodolite_calib.samples.star_sighting import star_sighting
+from theodolite_calib.samples.sighting import star_sighting
 from theodolite_calib.samples.tracks import MeasuredTracks
 
 if TYPE_CHECKING:
-    from theodolite_calib.optical_axis.escort_advisor import EscortAdvisor
+    from theodolite_calib.escort.advice import EscortAdvisor
 
 _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal stamps: a clock has repeated this time"
 
@@ -262,6 +260,6 @@ def _escort_advisor(
     if not config.escort.enabled:
         return None
     # Imported here, because loading scipy's optimisers takes longer than the rest of the node.
-    from theodolite_calib.optical_axis.escort_advisor import EscortAdvisor
+    from theodolite_calib.escort.advice import EscortAdvisor
 
     return EscortAdvisor(config, filter_, tracks)

@@ -1,8 +1,11 @@
-"""Pointings at encoder readings, from one state of the filter and the ship's attitude at the readings.
+"""Pointings at encoder readings with their protection levels, from a filter state and the ship's attitude.
 
-One function computes both the single pointing of a live node and the pointings of a batch.
+One function computes both the single pointing of a live node and the pointings of a batch. The module
+:mod:`ship_estimation.integrity.protection_levels` computes the protection levels from the solution separations of the
+subfilters (:mod:`theodolite_calib.filter.subfilters`).
 """
 
+import math
 from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -10,11 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.integrity.protection_levels import IntegrityReport, alert_limit_text, separation_inflation
+from ship_estimation.integrity.protection_levels import (
+    IntegrityReport,
+    alert_limit_text,
+    integrity_report,
+    protection_levels,
+    separation_inflation,
+)
 from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.frames import rotation_from_angles
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.mount.axes import DEFORMATION, SHIP
 from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_pointing
@@ -30,7 +39,6 @@ from theodolite_calib.filter.model import (
     ship_error_steps,
 )
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
-from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
 from theodolite_calib.samples.samples import (
     EncoderSample,
     EncoderSeries,
@@ -40,6 +48,75 @@ from theodolite_calib.samples.samples import (
     StampArray,
 )
 from theodolite_calib.samples.tracks import ShipAt, ShipSeries
+
+QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
+"""Quantities bounded by the protection levels."""
+
+
+class PointingLevels:
+    """Protection levels of pointings from one state of the filter; created once per state.
+
+    Args:
+        filter_: filter with its model.
+        config: parameters of the node.
+        state: state of the filter.
+
+    Attributes:
+        state: state of the filter.
+    """
+
+    def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
+        self.state, self._config = state, config.integrity
+        sources, self._multipliers = filter_.subfilters.names, filter_.subfilters.k
+        self._axis_indices = axis_state_indices(filter_.model)
+        excluded = {name: one.since_ns for name, one in state.fault_state.excluded.items()}
+        self._subfilter_indices = np.array(
+            [row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp
+        )
+        self._names = tuple([sources[row] for row in self._subfilter_indices])
+        self._excluded = tuple(sorted(excluded.items()))
+        self._has_unresolved_fault = state.fault_state.unresolved_fault is not None or state.consecutive_rejections > 0
+
+    def integrity_of(self, estimate: PointingEstimate) -> IntegrityReport:
+        """Return the integrity of a pointing."""
+        azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
+        to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
+        to_angles[0] *= math.cos(elevation)
+        # The levels already include the separations. The errors of a pointing besides the state, such as the
+        # noise of the encoders, are equal in every subfilter.
+        result = protection_levels(
+            self._multipliers,
+            self._subfilter_indices,
+            self._axis_indices,
+            (to_angles, to_angles @ estimate.by_error_n, estimate.covariance_without_separation_n),
+            self.state.mean,
+            self.state.subfilters.mean,
+            self.state.covariance_by_source,
+            self.state.subfilters.covariances[:, 0],
+        )
+        # Encoders and ship's attitude are unchecked without beacons and stars, and so are stars alone.
+        is_stars_only = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
+        is_unchecked = (
+            self._has_unresolved_fault
+            or estimate.mode is Mode.ENCODER
+            or is_stars_only
+            or estimate.status is Status.INVALID
+        )
+        return integrity_report(
+            estimate.time_ns,
+            self._config,
+            self._multipliers,
+            self._names,
+            result,
+            self._excluded,
+            is_checked=not is_unchecked,
+        )
+
+
+def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
+    """Return the integrity of one pointing, from the filter's state in ``estimate``."""
+    return PointingLevels(filter_, config, estimate.state).integrity_of(estimate)
+
 
 _NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
 """Empty factors and added covariances, if the ship's error has no step."""

@@ -4,7 +4,7 @@ A theodolite at rest repeats its readings for hours, and so does a theodolite wi
 difference: the encoders are stuck if the telescope has rotated in the deck. Readings that stop during a motion are
 unconfirmed. A reading is rejected if it would need more acceleration than the mount has. A few such readings that are
 consistent with one another are a slip of the encoders. After a smaller step
-(:mod:`theodolite_calib.samples.encoder_steps`) readings are unconfirmed until beacons confirm them. The step is a slip
+(:mod:`theodolite_calib.samples.stream_steps`) readings are unconfirmed until beacons confirm them. The step is a slip
 if the mount could not have moved and stopped between two readings.
 """
 
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
+from ship_estimation.fault_detection.detector import UnconfirmedStep
 from ship_estimation.plausibility.motion_check import MotionReference
 from ship_estimation.plausibility.value_checks import (
     JumpCheck,
@@ -27,9 +27,9 @@ from ship_estimation.plausibility.value_checks import (
 )
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.tracks.vector_track import VectorTrack
-from theodolite_calib.samples.encoder_steps import EncoderStep, EncoderStepDetector, wrap_angles
+from ship_geometry.tracks.sample_track import VectorTrack
 from theodolite_calib.samples.samples import EncoderSample
+from theodolite_calib.samples.stream_steps import EncoderStep, EncoderStepDetector, wrap_angles
 
 _BEACONS = "lights"
 """Name of the beacons as a motion reference."""

@@ -14,7 +14,7 @@ from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Sta
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_geometry.tracks.exposure_mean import Nodes, exposure_nodes
-from ship_geometry.tracks.vector_track import VectorSample
+from ship_geometry.tracks.sample_track import VectorSample
 from ship_stars.solution.exposure import StarExposure
 
 StampArray = NDArray[np.int64]

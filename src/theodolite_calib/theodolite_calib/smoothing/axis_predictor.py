@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ship_estimation.kalman.rts_smoother import Anchor
-from ship_estimation.kalman.rts_step import GaussianEstimate
+from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate
 from ship_geometry.mount.axes import SHIP
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.filter.filter import CalibrationFilter

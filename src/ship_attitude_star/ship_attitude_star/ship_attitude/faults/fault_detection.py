@@ -1,6 +1,6 @@
 """Fault detection and exclusion (FDE) of the ship filter, from innovations and solution separations of the subfilters.
 
-The filters are defined in :mod:`ship_attitude_star.ship_attitude.faults.subfilter_set`. A source is excluded if only
+The filters are defined in :mod:`ship_attitude_star.ship_attitude.model`. A source is excluded if only
 the subfilter without this source is consistent with all sources that the subfilter uses. An INS that drifts away from
 all other sources is excluded in the same way.
 
@@ -17,13 +17,20 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.faults.source_exclusion import ShipSourceExclusion
-from ship_attitude_star.ship_attitude.faults.subfilter_set import INS, MIN_SOURCES_FOR_PAIRS
 from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
+from ship_attitude_star.ship_attitude.model import INS, MIN_SOURCES_FOR_PAIRS
 from ship_attitude_star.ship_attitude.state import FilterState, RecentInnovations, SourceInnovation
 from ship_estimation.fault_detection.common_error import COMMON_ERROR_START_SIGMAS
-from ship_estimation.fault_detection.fault_state import UnresolvedFault, with_changes, with_entry
-from ship_estimation.fault_detection.innovation_means import INITIAL_MEANS, initial_means, updated_mean, updated_means
-from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS, FaultIsolation, is_consistent_with_all
+from ship_estimation.fault_detection.detector import UnresolvedFault, with_changes, with_entry
+from ship_estimation.fault_detection.isolation import (
+    INITIAL_MEANS,
+    MAX_MEASUREMENT_AGE_NS,
+    FaultIsolation,
+    initial_means,
+    is_consistent_with_all,
+    updated_mean,
+    updated_means,
+)
 from ship_estimation.fault_detection.subfilters import (
     FilterInnovations,
     are_consistent,

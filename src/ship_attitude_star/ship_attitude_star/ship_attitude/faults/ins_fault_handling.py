@@ -20,14 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.faults.subfilter_set import INS, ShipSubfilters
-from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
+from ship_attitude_star.ship_attitude.model import INS, SOURCE_INS, ShipStateModel, ShipSubfilters
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.fault_detection.exclusions import ExcludedSource, reinstatement_time_s
-from ship_estimation.fault_detection.fault_state import UnresolvedFault, with_changes, with_entry, without_entry
-from ship_estimation.fault_detection.innovation_means import cleared_means
+from ship_estimation.fault_detection.detector import (
+    ExcludedSource,
+    UnconfirmedStep,
+    UnresolvedFault,
+    reinstatement_time_s,
+    with_changes,
+    with_entry,
+    without_entry,
+)
+from ship_estimation.fault_detection.isolation import cleared_means
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error
-from ship_estimation.fault_detection.unconfirmed_step import UnconfirmedStep
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray

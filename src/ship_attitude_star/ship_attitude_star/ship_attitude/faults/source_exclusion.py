@@ -17,20 +17,19 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import InsFaultHandling, is_ins_excluded_by_stars
-from ship_attitude_star.ship_attitude.faults.subfilter_set import INS, ShipSubfilters
 from ship_attitude_star.ship_attitude.measurements.kind import Device
-from ship_attitude_star.ship_attitude.model import ShipStateModel
+from ship_attitude_star.ship_attitude.model import INS, ShipStateModel, ShipSubfilters
 from ship_attitude_star.ship_attitude.state import FilterState, shared_rotation
-from ship_estimation.fault_detection.detector import FaultDetector
-from ship_estimation.fault_detection.exclusions import (
+from ship_estimation.fault_detection.detector import (
     MAX_REMAINING_RATIO,
     ExcludedSource,
+    FaultDetector,
     evaluate_reinstatement,
     reinstatement_time_s,
+    with_changes,
+    with_entry,
 )
-from ship_estimation.fault_detection.fault_state import with_changes, with_entry
-from ship_estimation.fault_detection.innovation_means import cleared_means
-from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS, cleared_means
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, restart_from_subfilter
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -1,1 +1,0 @@
-"""INS samples of the ship attitude: checks, batches, and attitudes corrected by the filter."""

@@ -1,1 +1,0 @@
-"""Measurements and outputs that several cores share, as data classes in radians, metres and nanoseconds."""

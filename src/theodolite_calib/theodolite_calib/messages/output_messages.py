@@ -1,0 +1,248 @@
+"""Output messages: pointings, the main frame on /tf, slow topics of a pointing, directions of targets, advice.
+
+One function fills the fields of pointings: with numbers for a single pointing in a live node, and with columns of
+numbers for the pointings of a batch, whose messages are encoded together.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.parameters.fields import FRAME_NAMES, FrameNames
+from ship_estimation.time_order.outcome import Status
+from ship_geometry.frames import (
+    ENU_FROM_HORIZON,
+    FLU_FROM_DEVICE,
+    SINGULAR_ELEVATION,
+    angle_covariance,
+    angles_from_rotation,
+    enu_covariance,
+)
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_kernels.compiled_rotations import angle_covariances, angles, quaternions
+from ship_node.messages.common_messages import (
+    TF_TOPIC,
+    TF_TYPE,
+    ZERO_VECTOR,
+    Fields,
+    MessageFields,
+    column_numbers,
+    error_budget_message,
+    join_fields,
+    rows_by_kind,
+    select_values,
+    single_numbers,
+)
+from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
+from theodolite_calib.optical_axis.target_direction import direction_angles
+from theodolite_calib.samples.samples import PointingEstimate, PointingSeries, StampArray, TargetEstimate
+
+if TYPE_CHECKING:
+    from theodolite_calib.escort.advice import EscortAdvice
+
+
+MAIN_FRAME = "theodolite_main"
+POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
+SMOOTHED_POINTING_TOPIC = "theodolite/pointing_smoothed"
+_TELESCOPE_ANGLES = "telescope_azimuth", "telescope_elevation", "telescope_rotation"
+
+
+class PointingNumbers(NamedTuple):
+    """Published numbers of N pointings, which may have different filter states; see :class:`PointingSeries`."""
+
+    time_ns: StampArray
+    rotation_nm: FloatArray
+    covariance_n: FloatArray
+    rotation_nt: FloatArray
+    mode: NDArray[np.int64]
+    status: list[Status]
+    light_count: NDArray[np.int64]
+    rotation_dm: FloatArray
+
+    @classmethod
+    def from_series(cls, series: Sequence[PointingSeries]) -> "PointingNumbers":
+        """Return the numbers of several series in sequence."""
+        return cls(*join_fields(series, cls._fields))
+
+    @classmethod
+    def from_estimate(cls, estimate: PointingEstimate) -> "PointingNumbers":
+        """Return the numbers of one pointing."""
+        return cls(
+            time_ns=np.array([estimate.time_ns]),
+            rotation_nm=estimate.rotation_nm[None],
+            covariance_n=estimate.covariance_n[None],
+            rotation_nt=estimate.rotation_nt[None],
+            mode=np.array([estimate.mode]),
+            status=[estimate.status],
+            light_count=np.array([estimate.light_count]),
+            rotation_dm=estimate.rotation_dm[None],
+        )
+
+    def subset(self, indices: NDArray[np.int64]) -> "PointingNumbers":
+        """Return the numbers of the pointings with given indices."""
+        return (
+            self
+            if len(indices) == len(self.time_ns)
+            else PointingNumbers(*(select_values(each, indices) for each in self))
+        )
+
+
+def pointing_messages(
+    factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate, frames: FrameNames = FRAME_NAMES
+) -> list[OutputMessage]:
+    """Return the messages of one pointing.
+
+    If the pointing is INVALID, its numbers are NaN and there is no message on /tf.
+
+    Args:
+        factory: creates the messages.
+        lever: position of the theodolite in the deck, x forward, y left, z up, m.
+        estimate: the pointing.
+        frames: names of the frames of deck and horizon.
+    """
+    pointing, in_deck = PointingNumbers.from_estimate(estimate), math.isfinite(estimate.rotation_dm[0, 0])
+    return [
+        (topic, factory.encode(type_name, **fields))
+        for topic, type_name, fields in _messages(pointing, lever, in_deck, single_numbers, frames)
+    ]
+
+
+def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> OutputMessage:
+    """Return the message of a smoothed pointing: the first message of :func:`pointing_messages`, on another topic."""
+    pointing = PointingNumbers.from_estimate(estimate)
+    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, single_numbers, FRAME_NAMES))
+    return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
+
+
+def pointing_rows(
+    factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers, frames: FrameNames = FRAME_NAMES
+) -> Iterator[OutputRows]:
+    """Yield the messages of N pointings; messages of one pointing are in the order of :func:`pointing_messages`."""
+    in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
+    claimed = [status is not Status.INVALID for status in pointings.status]
+    kinds = zip(claimed, in_deck, strict=True)
+    return rows_by_kind(
+        factory, kinds, lambda kind, places: _messages(pointings.subset(places), lever, kind[1], column_numbers, frames)
+    )
+
+
+def _messages(
+    pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]], frames: FrameNames
+) -> MessageFields:
+    """Yield topic, type and fields of the messages of pointings that are all INVALID, or all not INVALID.
+
+    The transform on /tf is relative to the deck if ``in_deck``, otherwise to the horizon.
+    """
+    of_main = angles(pointings.rotation_nm)
+    covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
+    time_ns, mode, status, light_count = values_of(
+        pointings.time_ns, pointings.mode, np.array(pointings.status), pointings.light_count
+    )
+    main_angles, telescope_angles, covariance, rotation_covariance = values_of(
+        of_main,
+        angles(pointings.rotation_nt),
+        covariances.reshape(-1, 9),
+        enu_covariance(pointings.covariance_n).reshape(-1, 9),
+    )
+    yield (
+        POINTING_TOPIC,
+        POINTING_TYPE,
+        {
+            "header": {"stamp": time_ns, "frame_id": MAIN_FRAME},
+            **dict(zip(("azimuth", "elevation", "image_rotation"), main_angles, strict=True)),
+            "covariance": covariance,
+            "rotation_covariance": rotation_covariance,
+            **dict(zip(_TELESCOPE_ANGLES, telescope_angles, strict=True)),
+            "mode": mode,
+            "status": status,
+            "light_count": light_count,
+        },
+    )
+    if pointings.status[0] is Status.INVALID:
+        return
+    if in_deck:
+        parent, translation = frames.deck, lever
+        rotations = quaternions(FLU_FROM_DEVICE @ pointings.rotation_dm @ FLU_FROM_DEVICE.T)
+    else:
+        # With the INS alone the frame of the deck is not published, because its attitude comes from ship/attitude.
+        parent, translation = frames.horizon, ZERO_VECTOR
+        rotations = quaternions(ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T)
+    (quaternion,) = values_of(rotations)
+    main = {
+        "header": {"stamp": time_ns, "frame_id": parent},
+        "child_frame_id": MAIN_FRAME,
+        "transform": {"translation": translation, "rotation": dict(zip("xyzw", quaternion, strict=True))},
+    }
+    yield TF_TOPIC, TF_TYPE, {"transforms": [main]}
+
+
+def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
+    """Return ship_msgs/ErrorBudget of a published pointing; ``sources`` are the names of its covariance's parts."""
+    parts_n, covariance_n = estimate.covariance_by_source_n, estimate.covariance_n
+    return error_budget_message(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
+
+
+def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:
+    """Return ship_msgs/PointingErrorArcsec with predicted sigmas; the errors are NaN, because no truth is available."""
+    azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
+    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, azimuth, elevation))) / ARCSEC
+    unknown = float("nan")
+    return factory.make(
+        "ship_msgs/msg/PointingErrorArcsec",
+        header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
+        sigma_azimuth_cos_elevation=float(sigma[0] * np.cos(elevation)),
+        sigma_elevation=float(sigma[1]),
+        sigma_image_rotation=float(sigma[2]),
+        error_azimuth_cos_elevation=unknown,
+        error_elevation=unknown,
+        error_image_rotation=unknown,
+    )
+
+
+TARGET_TOPIC, TARGET_TYPE = "theodolite/target_direction", "ship_msgs/msg/TargetDirection"
+
+
+def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: str) -> Any:
+    """Return ship_msgs/TargetDirection of one image; all numbers are NaN if INVALID."""
+    (azimuth, elevation), covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
+    make: Callable[..., Any] = factory.make
+    return make(
+        TARGET_TYPE,
+        header={"stamp": estimate.time_ns, "frame_id": frame_id},
+        target_id=estimate.target_id,
+        azimuth=float(azimuth),
+        elevation=float(elevation),
+        covariance=covariance.ravel(),
+        direction=_enu(estimate.direction_n),
+        direction_covariance=enu_covariance(estimate.covariance_n).ravel(),
+        position=_enu(estimate.position_n),
+        position_covariance=enu_covariance(estimate.position_covariance_n).ravel(),
+        status=int(estimate.status),
+    )
+
+
+def _enu(vector_n: FloatArray) -> dict[str, float]:
+    return dict(zip("xyz", (ENU_FROM_HORIZON @ vector_n).tolist(), strict=True))
+
+
+ESCORT_TOPIC, ESCORT_TYPE = "theodolite/escort", "ship_msgs/msg/EscortAdvice"
+
+
+def escort_message(
+    factory: MessageFactory, advice: "EscortAdvice", time_ns: int, horizon: str = FRAME_NAMES.horizon
+) -> Any:
+    """Return ship_msgs/EscortAdvice for the pointing at a time; positions are NaN if no position meets the limits."""
+    places = (advice.places_n @ ENU_FROM_HORIZON.T).tolist()
+    return factory.make(
+        ESCORT_TYPE,
+        header={"stamp": time_ns, "frame_id": horizon},
+        beacon_ids=list(advice.names),
+        places=[dict(zip("xyz", place, strict=True)) for place in places],
+        sigma_now=advice.sigma_now,
+        sigma_advised=advice.sigma_advised,
+        limits_reached=list(advice.limits_reached),
+    )
