@@ -101,7 +101,7 @@ def test_another_end_sends_no_second_request_to_a_slow_program():
     """A second SIGINT may interrupt a program while it saves its state."""
     slow = (
         "import signal, time\n"
-        "signal.signal(signal.SIGINT, lambda *_: print('told', flush=True))\nprint('ready', flush=True)\n"
+        "signal.signal(signal.SIGINT, lambda *_: print('requested', flush=True))\nprint('ready', flush=True)\n"
         "signal.pause()\ntime.sleep(3.0)\nprint('ends', flush=True)"
     )
     _, lines = run_suite(
@@ -109,7 +109,7 @@ def test_another_end_sends_no_second_request_to_a_slow_program():
         program("slow", slow, Role.WATCHER),
         program("player", "import time; time.sleep(2.0)", Role.PLAYER),
     )
-    assert [line for line in lines if line.startswith("[slow]")] == ["[slow] ready", "[slow] told", "[slow] ends"]
+    assert [line for line in lines if line.startswith("[slow]")] == ["[slow] ready", "[slow] requested", "[slow] ends"]
 
 
 def test_time_without_a_heartbeat_does_not_shorten_the_restart_delay(monkeypatch):

@@ -200,9 +200,9 @@ class Inbox:
     If a queue is full, its oldest message is dropped for the newest. The bound limits the age of the data in a node
     that is behind. A flood on one topic displaces no message of another topic.
 
-    If a node is behind, all waiting messages are dropped. Messages that arrive later are dropped as well if their stamp is not after the cut time, because their counterparts of other topics are gone.
-    The cut time is the newest stamp on the topic with most dropped messages; stamps ahead of the node's clock do not
-    count.
+    If a node is behind, all waiting messages are dropped. Messages that arrive later are dropped as well if their
+    stamp is not after the cut time, because their counterparts of other topics are gone. The cut time is the newest
+    stamp on the topic with most dropped messages; stamps ahead of the node's clock do not count.
 
     Args:
         depths: topic → maximum number of waiting messages.

@@ -77,8 +77,9 @@ class BudgetPoint:
         utc_ns: time of the budget, UTC as POSIX time.
         variances: source of error → variance about East, North and Up, rad², shape (3,).
         total: variance of all sources, rad², shape (3,).
-        by_angle: angle → source of error → variance, rad² (:func:`ship_watch.history.history_recorder.angle_variances`):
-            heading, pitch and roll, or azimuth times the cosine of the elevation, and elevation.
+        by_angle: angle → source of error → variance, rad²
+            (:func:`ship_watch.history.history_recorder.angle_variances`): heading, pitch and roll, or azimuth times the
+            cosine of the elevation, and elevation.
     """
 
     utc_ns: int
