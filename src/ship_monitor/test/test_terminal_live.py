@@ -24,16 +24,19 @@ class Terminal:
     """A terminal of 80 by 24 with the view."""
 
     def __init__(self, *arguments, language="C.UTF-8"):
-        # Its own socket: the server of the previous terminal may still be ending.
-        self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}_{id(self)}", "-f", os.devnull]
         view = f'{sys.executable} -c "{COMMAND}" {" ".join(arguments)}; echo EXIT CODE $?; exec sleep 60'
-        self._call("new-session", "-d", "-x", "80", "-y", "24", f"LANG={language} LC_ALL={language} {view}")
+        start = ("new-session", "-d", "-x", "80", "-y", "24", f"LANG={language} LC_ALL={language} {view}")
+        # On a busy machine the server of tmux sometimes ends at its start. Each attempt has its own socket.
+        for attempt in range(3):
+            self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}_{id(self)}_{attempt}", "-f", os.devnull]
+            started = subprocess.run([*self._tmux, *start], check=False, capture_output=True, text=True)
+            if started.returncode == 0:
+                break
+        assert started.returncode == 0, f"tmux: {started.stderr.strip()}"
         self._call("set", "-g", "status", "off")
 
     def _call(self, *arguments):
-        done = subprocess.run([*self._tmux, *arguments], check=False, capture_output=True, text=True)
-        assert done.returncode == 0, f"tmux {arguments[0]}: {done.stderr.strip()}"
-        return done.stdout
+        return subprocess.run([*self._tmux, *arguments], check=True, capture_output=True, text=True).stdout
 
     def press(self, key):
         self._call("send-keys", key)
