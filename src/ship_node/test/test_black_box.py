@@ -271,8 +271,9 @@ def test_black_box_continues_in_a_new_file_after_a_full_disk(tmp_path: Path, mon
     assert events == [EntriesLost(1003), Closed()]
 
 
-def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> None:
+def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first file gives access to the entries of all files; each file is also a black box with its parameters."""
+    monkeypatch.setattr(black_box_module, "FLUSH_PERIOD_S", 60.0)
     black_box = new_black_box(tmp_path / "box.mcap", part_bytes=20_000)
     random = np.random.default_rng(1)
     given = [(SECOND_NS * number, random.bytes(100)) for number in range(1, 301)]
