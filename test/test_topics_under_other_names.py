@@ -20,7 +20,7 @@ from ship_bringup.checks.network_state import observe_network
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import check_nodes
 from ship_monitor.commands.monitor import _parser as monitor_parser
-from ship_monitor.page.recorded_suite import RecordedSuite
+from ship_monitor.page.bag_playback import RecordedSuite
 from ship_node.messages.inputs_outputs import InputTopic
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.evaluate import main as evaluate

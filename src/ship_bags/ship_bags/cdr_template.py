@@ -156,18 +156,6 @@ class CdrTemplate:
             messages[name] = column
         return rows
 
-    def decode_many(self, data: Any) -> np.ndarray:
-        """Return the numbers of many messages in contiguous bytes, as a view with :attr:`dtype`, shape (count,).
-
-        Raises:
-            ValueError: the bytes are not a whole number of messages, or a message has another layout.
-        """
-        rows = np.frombuffer(data, dtype=np.uint8).reshape(-1, self.size)
-        others = np.flatnonzero(~self.matching_rows(rows))
-        if others.size:
-            raise ValueError(f"message {others[0]} is not a {self.type_name} of this layout")
-        return rows.view(self.dtype)[:, 0]
-
     def matching_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return True for each row, shape (count, size), that has this layout; the result has shape (count,)."""
         fitting = np.ones(len(rows), dtype=bool)

@@ -8,12 +8,13 @@ follows no link, so that no file of another program is written. A part left by a
 another program is writing is kept.
 """
 
+import contextlib
 import errno
 import fcntl
 import io
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -125,22 +126,28 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         OSError: the file cannot be written; the error names the file, and no part of it is left.
     """
     part = part_path(path)
+    with file_in_errors(path), open_new(part) as stream:
+        try:
+            stream.write(content.encode() if isinstance(content, str) else content)
+            stream.flush()
+            os.fsync(stream.fileno())
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+
+
+@contextlib.contextmanager
+def file_in_errors(path: Path) -> Iterator[None]:
+    """Put the final file name, as given by the user, into an OSError."""
     try:
-        with open_new(part) as stream:
-            try:
-                stream.write(content.encode() if isinstance(content, str) else content)
-                stream.flush()
-                os.fsync(stream.fileno())
-                part.replace(path)
-            except BaseException:
-                part.unlink(missing_ok=True)
-                raise
+        yield
     except OSError as problem:
         raise error_with_path(problem, path) from problem
 
 
 def error_with_path(problem: OSError, path: Path) -> OSError:
-    """Return the error with the final file name, as given by the user."""
+    """Return the error with a file name."""
     return OSError(problem.errno, problem.strerror or str(problem), str(path))
 
 

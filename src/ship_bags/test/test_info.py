@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ship_bags.commands.info import main
-from ship_bags.mcap.bag_content import bag_content
+from ship_bags.commands.info import bag_content, main
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import serialize

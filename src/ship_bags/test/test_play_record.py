@@ -13,7 +13,7 @@ import pytest
 from mcap.writer import Writer
 from rosbags.typesys import get_types_from_msg
 
-from ship_bags.live.play import CLOCK_PERIOD_NS, add_ticks
+from ship_bags.commands.play import CLOCK_PERIOD_NS, add_ticks
 from ship_bags.live.recorded_graph import is_activity
 from ship_bags.live.ros_process import dds_has_security, executable, loaded_libraries
 from ship_bags.mcap.bag_reader import read_bag

@@ -9,9 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from ship_bags.commands.record import main
+from ship_bags.commands.record import MIN_STEP_NS, ClockStepDetector, Recorder, _parser, main
 from ship_bags.errors import BadInput
-from ship_bags.live.record import MIN_STEP_NS, ClockStepDetector, Recorder, RecordOptions
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_testing.rosbag2_folders import information, rosbags_times
@@ -221,7 +220,7 @@ class TestLive:
             publisher = graph.node.create_publisher(Imu, "ins/imu", 10)
             simulated = [Parameter("use_sim_time", value=True)]
             node = rclpy.create_node("record", context=graph.node.context, parameter_overrides=simulated)
-            options = RecordOptions(topics=("ins/imu",), until_idle_s=idle_s)
+            options = _parser().parse_args(["--topics", "ins/imu", "--until-idle-s", str(idle_s)])
             recorder = Recorder(node, StallingBag(tmp_path / "voyage.mcap", atomic=False), options)
             recorder.run()
             node.destroy_node()

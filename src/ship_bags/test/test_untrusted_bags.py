@@ -16,8 +16,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from ship_bags.commands import info as info_command
+from ship_bags.commands.info import BagContent, bag_content
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_content import BagContent, bag_content
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.records import MAX_CHUNK_RECORDS, records_of_chunk
 from ship_replay.commands import evaluate as evaluate_command

@@ -80,10 +80,10 @@ def _run(options: argparse.Namespace) -> int:
     order = ExportRequest(
         options.bag, options.out, tuple(options.topics), options.format, options.since, options.until, options.force
     )
-    exported = export(order)
-    for line in exported.problems:
+    row_counts, problems = export(order)
+    for line in problems:
         print(f"export: {one_line(line)}", file=sys.stderr)
-    for path, rows in exported.row_counts.items():
+    for path, rows in row_counts.items():
         print(f"export: {path}: {rows} rows")
     return EXIT_DONE
 

@@ -4,16 +4,17 @@ import difflib
 import errno
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.export.netcdf_file import NetcdfFile, midnight_before
 from ship_bags.export.table_files import CsvFile, ParquetFile, TableFile, TableHead, check_parquet
 from ship_bags.export.table_rows import MessageTable, TopicRows
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
+from ship_bags.mcap.bag_reader import Bag, read_bag, with_bag_progress
 from ship_bags.output_files import check_file, check_folder
 from ship_bags.stamps import END_OF_TIME_NS, utc_text
 from ship_bags.topic_names import TRUTH_PREFIX
@@ -56,14 +57,6 @@ class ExportRequest:
 
 
 @dataclass
-class ExportResult:
-    """Result of an export: number of rows of each file, and one line for each omission or problem of the bag."""
-
-    row_counts: dict[Path, int] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-
-
-@dataclass
 class _Topic:
     """Topic being exported: its rows, and the file of each of its tables."""
 
@@ -78,8 +71,11 @@ class _Topic:
                 file.append(table.take_columns())
 
 
-def export(order: ExportRequest) -> ExportResult:
+def export(order: ExportRequest) -> tuple[dict[Path, int], list[str]]:
     """Write the topics of a bag as tables; no table gets its final name before all tables are complete.
+
+    Returns:
+        Number of rows of each file, and one line for each omission or problem of the bag.
 
     Raises:
         BadInput: bag, topics or names of files cannot be used; the text gives the reason.
@@ -93,8 +89,9 @@ def export(order: ExportRequest) -> ExportResult:
         topics, refused = _topic_rows(bag, names, bool(order.topics))
         paths = _paths(order, kind, topics)
         folder = _prepare_folder(order, paths)
-        stack.callback(_remove_if_empty, folder)
-        epoch_ns = midnight_before(bag.start_ns or 0)
+        if folder is not None:
+            stack.callback(_remove_if_empty, folder)
+        epoch_ns = midnight_before(bag.start_ns)
         for name, topic in topics.items():
             for table in topic.rows.tables:
                 head = TableHead(order.bag.name, name, bag.topics[name], table.name, epoch_ns)
@@ -108,7 +105,7 @@ def export(order: ExportRequest) -> ExportResult:
             file.finish()
         for file in files:
             file.publish()
-        return ExportResult({file.path: file.row_count for file in files}, [*bag.problems, *refused, *left_out])
+        return {file.path: file.row_count for file in files}, [*bag.problems, *refused, *left_out]
 
 
 def _open_file(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
@@ -129,7 +126,8 @@ def _take_messages(bag: Bag, order: ExportRequest, topics: dict[str, _Topic]) ->
     met: set[str] = set()
     counts: Counter[str] = Counter()
     first: dict[str, str] = {}
-    for record in with_bag_progress(_records_until(bag.records(topics.keys(), order.since_ns), order.until_ns), bag):
+    records = takewhile(lambda record: record.log_time_ns < order.until_ns, bag.records(topics.keys(), order.since_ns))
+    for record in with_bag_progress(records, bag):
         topic = topics[record.topic]
         met.add(record.topic)
         try:
@@ -151,23 +149,11 @@ def _take_messages(bag: Bag, order: ExportRequest, topics: dict[str, _Topic]) ->
     empty = [f"'{name}'" for name in topics if name not in met]
     if not met:
         what = "no message of these topics" if order.topics else "no message"
-        raise BadInput(f"{what} was logged between --from and --to: the bag {_time_range_text(bag)}", file=order.bag)
+        bag_times = f"the bag is from {utc_text(bag.start_ns)} to {utc_text(bag.end_ns)}"
+        raise BadInput(f"{what} was logged between --from and --to: {bag_times}", file=order.bag)
     nothing = "no message was logged between --from and --to, so no file is written for"
     left_out = [f"{nothing} {', '.join(empty)}"] if empty else []
     return [name for name in topics if name in met], [*undecoded, *left_out]
-
-
-def _time_range_text(bag: Bag) -> str:
-    if bag.start_ns is None or bag.end_ns is None:
-        return "has no messages"
-    return f"is from {utc_text(bag.start_ns)} to {utc_text(bag.end_ns)}"
-
-
-def _records_until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
-    for record in records:
-        if record.log_time_ns >= until_ns:
-            return
-        yield record
 
 
 def _file_kind(order: ExportRequest) -> type[TableFile]:
@@ -230,25 +216,17 @@ def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _
     """Return the topics whose types can become tables, and one line for each other topic."""
     topics, refused = {}, []
     for name in names:
-        rows, why = _rows_of(bag, name)
-        if rows is not None:
-            topics[name] = _Topic(rows)
-        elif required:
-            raise BadInput(why, file=bag.path)
-        else:
+        try:
+            topics[name] = _Topic(TopicRows(bag.topics[name], bag.store))
+        except BadInput as problem:  # noqa: PERF203 - each topic by itself
+            why = f"topic '{name}' ({bag.topics[name]}) cannot become a table: {problem}"
+            if required:
+                raise BadInput(why, file=bag.path) from problem
             refused.append(why)
     if not topics:
         skipped = [f"topic '{name}' is skipped: {why}" for name, why in sorted(bag.skipped_topics.items())]
         raise BadInput(f"no topic can be exported: {'; '.join(refused + skipped)}", file=bag.path)
     return topics, refused
-
-
-def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
-    """Return the tables of a topic, or the reason why it cannot become a table."""
-    try:
-        return TopicRows(bag.topics[name], bag.store), ""
-    except BadInput as problem:
-        return None, f"topic '{name}' ({bag.topics[name]}) cannot become a table: {problem}"
 
 
 def _paths(order: ExportRequest, kind: type[TableFile], topics: dict[str, _Topic]) -> dict[tuple[str, str], Path]:
@@ -301,8 +279,7 @@ def _prepare_folder(order: ExportRequest, paths: dict[tuple[str, str], Path]) ->
     return order.out
 
 
-def _remove_if_empty(folder: Path | None) -> None:
+def _remove_if_empty(folder: Path) -> None:
     """Remove a folder that was created for files that were not written."""
-    if folder is not None:
-        with suppress(OSError):
-            folder.rmdir()
+    with suppress(OSError):
+        folder.rmdir()

@@ -3,8 +3,8 @@
 import csv
 import io
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.export.table_rows import TEXT, Column
-from ship_bags.output_files import csv_text, error_with_path, open_new, part_path
+from ship_bags.output_files import csv_text, file_in_errors, open_new, part_path
 
 _ROW_GROUP_BYTES = 8_000_000
 """Size of a row group of a Parquet table, bytes; readers are slow with many small groups."""
@@ -57,7 +57,7 @@ class TableFile:
         self.columns = columns
         self.row_count = 0
         self._part = part_path(path)
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._stream = open_new(self._part)
 
     def append(self, values: list[list[Any]]) -> None:
@@ -67,7 +67,7 @@ class TableFile:
             BadInput: the format cannot represent the rows.
             OSError: the disk is full, or the like.
         """
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._write(values)
         self.row_count += len(values[0])
 
@@ -78,7 +78,7 @@ class TableFile:
             BadInput: the format cannot represent so many rows.
             OSError: the disk is full, or the like.
         """
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._end()
             self._stream.flush()
             os.fsync(self._stream.fileno())
@@ -89,7 +89,7 @@ class TableFile:
         Raises:
             OSError: the name is now a folder, or the like.
         """
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._part.replace(self.path)
             self._stream.close()
 
@@ -100,14 +100,6 @@ class TableFile:
             # Closing flushes the buffer, which fails again on a full disk.
             with suppress(OSError):
                 self._stream.close()
-
-    @contextmanager
-    def _name_file_in_errors(self) -> Iterator[None]:
-        """Add the file name to an OSError."""
-        try:
-            yield
-        except OSError as problem:
-            raise error_with_path(problem, self.path) from problem
 
     def _write(self, values: list[list[Any]]) -> None:
         raise NotImplementedError
@@ -157,7 +149,11 @@ class ParquetFile(TableFile):
         self._pyarrow = pyarrow
         self._schema = pyarrow.schema(
             [
-                pyarrow.field(column.name, _arrow_type(column), metadata=_arrow_metadata(column))
+                pyarrow.field(
+                    column.name,
+                    "string" if column.kind == TEXT else column.kind,
+                    metadata={"field": column.origin} | ({"unit": column.unit.symbol} if column.unit else {}),
+                )
                 for column in columns
             ],
             metadata={"title": head.title, "topic": head.topic, "type": head.type_name},
@@ -207,14 +203,6 @@ def _pyarrow() -> tuple[Any, Any]:
             "pyarrow, or take --format csv or netcdf"
         ) from problem
     return pyarrow, pyarrow.parquet
-
-
-def _arrow_type(column: Column) -> str:
-    return "string" if column.kind == TEXT else column.kind
-
-
-def _arrow_metadata(column: Column) -> dict[str, str]:
-    return {"field": column.origin} | ({} if column.unit is None else {"unit": column.unit.symbol})
 
 
 def _csv_values(column: Column, values: list[Any]) -> Iterable[Any]:

@@ -40,7 +40,6 @@ places."""
 _RECORD_BYTES = 250
 """Memory of a message in addition to its data, bytes."""
 
-
 _XCDR2_HEADS = b"\x00\x06", b"\x00\x07"
 """Encapsulations of plain XCDR2, big and little endian. XCDR2 is read as XCDR1, which is right if the padding is the
 same; if XCDR2 pads less, the message is too short to be decoded."""
@@ -95,6 +94,7 @@ class Bag:
         topics: topic → type name, for the readable topics.
         recorded_names: topic → its name in the bag, for renamed topics (:mod:`ship_bags.topic_names`).
         skipped_topics: topic → why it cannot be read.
+        store: types of the bag's messages; the definitions in the bag take precedence.
         differences: type name → one line per field that the bag defines differently from this version of the suite.
         attachments: name → content.
         metadata: name → entries.
@@ -118,23 +118,18 @@ class Bag:
         ]
         self._usable_channels = [self._channels_of(file) for file in files]
         types = self._types()
-        self._store, self.differences = types.store, types.differences
+        self.store, self.differences = types.store, types.differences
         self._skip_unreadable(types.unreadable)
 
     @property
-    def store(self) -> Typestore:
-        """Types of the bag's messages; the definitions in the bag take precedence."""
-        return self._store
+    def start_ns(self) -> int:
+        """Log time of the first message; :func:`read_bag` refuses a bag without messages."""
+        return min(place.start_ns for file in self._files for place in file.chunks)
 
     @property
-    def start_ns(self) -> int | None:
-        """Log time of the first message."""
-        return min((place.start_ns for file in self._files for place in file.chunks), default=None)
-
-    @property
-    def end_ns(self) -> int | None:
+    def end_ns(self) -> int:
         """Log time of the last message."""
-        return max((place.end_ns for file in self._files for place in file.chunks), default=None)
+        return max(place.end_ns for file in self._files for place in file.chunks)
 
     @property
     def latched_topics(self) -> set[str]:
@@ -264,13 +259,7 @@ class Bag:
         if data[:2] in _XCDR2_HEADS:
             data = b"\0" + bytes([data[1] & 1]) + data[2:]
         return BagRecord(
-            topic,
-            self.topics[topic],
-            message.log_time,
-            data,
-            self._store,
-            message.sequence,
-            message.publish_time,
+            topic, self.topics[topic], message.log_time, data, self.store, message.sequence, message.publish_time
         )
 
     def _channels_of(self, file: BagFile) -> dict[int, str]:
@@ -397,8 +386,6 @@ def with_bag_progress(records: Iterator[BagRecord], bag: Bag, doing: str = "") -
         bag: bag whose name is shown.
         doing: task in the shown line, as "evaluating".
     """
-    if bag.start_ns is None or bag.end_ns is None:
-        return records
     label = f"{doing} {bag.path.name}".lstrip()
     return with_progress(records, label, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
 

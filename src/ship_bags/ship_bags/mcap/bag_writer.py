@@ -8,7 +8,7 @@ chunk and after it, so that no single damage makes the messages of other chunks 
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.mcap_writer import McapWriter
-from ship_bags.output_files import DiskSync, error_with_path, open_new, part_path
+from ship_bags.output_files import DiskSync, error_with_path, file_in_errors, open_new, part_path
 
 SUITE_ATTACHMENT = "suite.yaml"
 """Name of the attachment with the suite's configuration."""
@@ -214,19 +214,19 @@ class BagWriter:
             before = self._sequences.get(channel_id, 0)
             self._sequences[channel_id] = before + len(places)
             channel_ids[places], sequences[places] = channel_id, before + 1 + np.arange(len(places))
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._writer.add_messages(channel_ids, log_times_ns, data, sequences)
         self.message_count += len(data)
 
     def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
         """Attach a file."""
         data = content.encode() if isinstance(content, str) else content
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._writer.add_attachment(name, media_type, data)
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
         """Add a metadata record."""
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._writer.add_metadata(name, entries)
 
     def flush(self) -> None:
@@ -235,7 +235,7 @@ class BagWriter:
         Raises:
             OSError: the file cannot be written, or the sync of an earlier flush failed.
         """
-        with self._name_file_in_errors():
+        with file_in_errors(self.path):
             self._writer.flush()
             self._repeat_definitions()
             self._file.flush()
@@ -251,7 +251,7 @@ class BagWriter:
         if self._file.closed:
             return
         try:
-            with self._name_file_in_errors():
+            with file_in_errors(self.path):
                 self._writer.finish()
                 self._file.flush()
                 self._sync.finish()
@@ -286,14 +286,6 @@ class BagWriter:
         self._sync.finish()
         with contextlib.suppress(OSError):
             self._file.close()
-
-    @contextlib.contextmanager
-    def _name_file_in_errors(self) -> Iterator[None]:
-        """Add the file name to an OSError."""
-        try:
-            yield
-        except OSError as problem:
-            raise error_with_path(problem, self.path) from problem
 
     def __enter__(self) -> "BagWriter":
         return self

@@ -30,6 +30,14 @@ _MAX_MESSAGES = 16
 """Maximum number of messages per topic; several nodes may have published a message each, as on /tf_static."""
 _MAX_BYTES = 16 * 2**20
 
+INFORMATION_FILE = "metadata.yaml"
+_STORAGES = "mcap", "sqlite3"
+_SQLITE_SUFFIX = ".db3"
+_COMPRESSION_MODES = "none", "file", "message"
+_INFORMATION_KEY = "rosbag2_bagfile_information"
+_VERSION = 9
+_ROS_DISTRO = "jazzy"
+
 
 class LatchedMessage(NamedTuple):
     """Message as written."""
@@ -74,20 +82,12 @@ def repeated_message_times(metadata: Mapping[str, Mapping[str, str]]) -> set[tup
     return {(topic, int(time)) for topic, time in entries.items() if time.isascii() and time.isdecimal()}
 
 
-INFORMATION_FILE = "metadata.yaml"
-_STORAGES = "mcap", "sqlite3"
-_SQLITE_SUFFIX = ".db3"
-_COMPRESSION_MODES = "none", "file", "message"
-_INFORMATION_KEY = "rosbag2_bagfile_information"
-_VERSION = 9
-_ROS_DISTRO = "jazzy"
 
 
-@dataclass
-class FileInformation:
-    """Entry of the information file for one file; times are None before its first message."""
+@dataclass(kw_only=True)
+class MessageCount:
+    """Number of messages, and their first and last log time; the times are None without a message."""
 
-    name: str
     start_ns: int | None = None
     end_ns: int | None = None
     message_count: int = 0
@@ -97,6 +97,13 @@ class FileInformation:
         self.message_count += 1
         self.start_ns = log_time_ns if self.start_ns is None else min(self.start_ns, log_time_ns)
         self.end_ns = log_time_ns if self.end_ns is None else max(self.end_ns, log_time_ns)
+
+
+@dataclass
+class FileInformation(MessageCount):
+    """Entry of the information file for one file."""
+
+    name: str
 
 
 @dataclass

@@ -21,7 +21,7 @@ from ship_bags.command_line import with_progress
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile, open_mcap
 from ship_bags.mcap.folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
-from ship_bags.output_files import check_file, error_with_path, open_new
+from ship_bags.output_files import check_file, file_in_errors, open_new
 
 _LIBRARY = "ship_bags record --recover"
 _NOTE = "recovered"
@@ -123,18 +123,17 @@ def _recover_file(
         if not file.chunks:
             raise BadInput("no message reached the disk, there is nothing to recover", file=source)
         try:
-            written, information = _rewrite(file, part, target.name, topics)
-            if not written.counts:
-                raise BadInput(f"no message can be read: {'; '.join(file.problems)}", file=source)
-            _read_back(part, target, "mcap", _read_by_mcap, written)
-            _read_back(part, target, "rosbags", _read_by_rosbags, written)
-            part.replace(target)
-            whole.counts.update(written.counts)
-            whole.digests.update(written.digests)
-        except OSError as problem:
-            raise error_with_path(problem, target) from problem
+            with file_in_errors(target):
+                written, information = _rewrite(file, part, target.name, topics)
+                if not written.counts:
+                    raise BadInput(f"no message can be read: {'; '.join(file.problems)}", file=source)
+                _read_back(part, target, "mcap", _read_by_mcap, written)
+                _read_back(part, target, "rosbags", _read_by_rosbags, written)
+                part.replace(target)
         finally:
             part.unlink(missing_ok=True)
+        whole.counts.update(written.counts)
+        whole.digests.update(written.digests)
     finally:
         file.close()
     return Recovery(target, written.counts, file.problems), information
