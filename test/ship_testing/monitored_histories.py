@@ -96,11 +96,7 @@ def _innovations(rng: np.random.Generator, name: str, length_s: float) -> list[I
                 axes,
                 mean * ARCSEC,
                 np.full(2, 3.0 * ARCSEC),
-                mean[None] * ARCSEC,
-                float(mean @ mean / 9.0),
-                18.0,
                 not is_shifted,
-                "gate" if is_shifted else "",
             )
         )
     return points
@@ -133,9 +129,7 @@ def _budget_point(at_second: float) -> BudgetPoint:
     }
     of_angle = {name: (value * ARCSEC) ** 2 for name, value in part.items()}
     by_angle = {"heading": of_angle, "pitch": of_angle, "roll": {name: 2.0 * value for name, value in of_angle.items()}}
-    variances = {name: np.full(3, value) for name, value in of_angle.items()}
-    total = np.sum(list(variances.values()), axis=0)
-    return BudgetPoint(NOW_NS + int(at_second * 1e9), variances, total, by_angle)
+    return BudgetPoint(NOW_NS + int(at_second * 1e9), by_angle)
 
 
 def _beacon_points(rng: np.random.Generator, x: float, z: float) -> list[BeaconPoint]:

@@ -5,7 +5,7 @@ If the texts of a message and the lengths of its sequences are known, every numb
 message with other texts or lengths has another template. The encoding is plain CDR (XCDR1), little endian.
 
 :class:`CdrReader` reads the messages of a topic that differ only in numbers.
-:class:`ship_bags.message_factory.CdrEncoder` makes messages by templates.
+:class:`ship_bags.message_factory.MessageFactory` encodes messages by templates.
 """
 
 import struct

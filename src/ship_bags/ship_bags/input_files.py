@@ -15,6 +15,17 @@ import yaml
 
 from ship_bags.errors import BadInput
 
+MAX_TEXT_LENGTH = 4_000_000
+"""Maximum length of a text, characters; the parser takes minutes for a longer text."""
+
+MAX_NESTING = 50
+MAX_NODES = 1_000_000
+"""Maximum number of values of a document with its aliases expanded."""
+
+_LONGEST_INTEGER = 30
+_FIRST_TOO_LARGE = 2**63
+_TOO_DEEP = "nested too deeply, or a group that contains itself by an alias"
+
 
 def check_regular(path: Path) -> None:
     """Raise an error unless a path is a regular file; a missing file is reported later, when it is opened.
@@ -38,18 +49,6 @@ def open_error_text(number: int) -> str:
     if number == errno.ESPIPE:
         return "it is a pipe, a device or a socket: expected a file"
     return os.strerror(number)
-
-
-MAX_TEXT_LENGTH = 4_000_000
-"""Maximum length of a text, characters; the parser takes minutes for a longer text."""
-
-MAX_NESTING = 50
-MAX_NODES = 1_000_000
-"""Maximum number of values of a document with its aliases expanded."""
-
-_LONGEST_INTEGER = 30
-_FIRST_TOO_LARGE = 2**63
-_TOO_DEEP = "nested too deeply, or a group that contains itself by an alias"
 
 
 class _DataLoader(yaml.SafeLoader):

@@ -17,7 +17,7 @@ from rosbags.typesys.store import Typestore
 
 from ship_bags.cdr_template import CdrMessage, Definition, FieldType
 from ship_bags.errors import BadInput
-from ship_bags.message_factory import Converters, PlannedFactory
+from ship_bags.message_factory import Converters, MessageFactory
 
 SHIP_MESSAGES = "ship_msgs"
 
@@ -202,7 +202,7 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
     return lines
 
 
-class RosbagsFactory(PlannedFactory):
+class RosbagsFactory(MessageFactory):
     """Factory of messages by the name of their type, for writing to bags (see :mod:`ship_bags.message_factory`).
 
     Arrays of numbers may be any sequence; they become numpy arrays of the field's type. A field of type byte
@@ -210,13 +210,13 @@ class RosbagsFactory(PlannedFactory):
     """
 
     def plan(self, type_name: str) -> tuple[Any, Converters]:
-        """See :meth:`PlannedFactory.plan`."""
+        """See :meth:`MessageFactory.plan`."""
         store = message_store()
         fields = store.fielddefs[type_name][1]
         return store.types[type_name], {name: self._converter(node, content) for name, (node, content) in fields}
 
     def definition(self, type_name: str) -> Definition:
-        """See :meth:`PlannedFactory.definition`."""
+        """See :meth:`MessageFactory.definition`."""
         return definition_in(message_store(), type_name)
 
     def _converter(self, node: Nodetype, content: Any) -> Callable[[Any], Any] | None:
@@ -224,7 +224,8 @@ class RosbagsFactory(PlannedFactory):
         if node == Nodetype.NAME:
             return self.message_converter(content)
         if node == Nodetype.BASE:
-            return _integer_from_byte if content[0] == "byte" else None
+            is_byte = content[0] == "byte"
+            return (lambda value: value[0] if isinstance(value, bytes) else int(value)) if is_byte else None
         element_node, element = content[0]
         if element_node == Nodetype.NAME:
             return self.list_converter(element)
@@ -252,10 +253,6 @@ def _field_type(node: Nodetype, content: Any) -> FieldType:
     if content[0] not in _ELEMENTS:
         raise TypeError(f"there is no template for a field of type {content[0]}")
     return FieldType(_ELEMENTS[content[0]])
-
-
-def _integer_from_byte(value: int | bytes) -> int:
-    return value[0] if isinstance(value, bytes) else int(value)
 
 
 def _referenced_types(fields: object) -> set[str]:

@@ -302,7 +302,6 @@ def _integer(text: str) -> int | None:
 
 
 def _kind(node: yaml.Node) -> str:
-    """Return the kind of a YAML node as text."""
     if isinstance(node, yaml.ScalarNode):
         return f"a single value ({node.value:.40})" if node.value else "nothing"
     return "a list" if isinstance(node, yaml.SequenceNode) else "a group"

@@ -23,6 +23,19 @@ TRUTH_PREFIX = "truth/"
 """Prefix of topics of simulated bags with the truth, which an estimator must not use."""
 
 
+TOPICS_PARAMETER = "topics"
+"""Group of parameters, the same in each node: the suite's name of an input → the ship's name."""
+
+BLACK_BOX_METADATA = "black_box"
+"""Name of the metadata record of a node's black box, in which topics have the suite's names."""
+
+_MOST_ADVISED = 3
+_PREFIX = f"{TOPICS_PARAMETER}."
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+_SUITE_NAME = re.compile(rf"{_NAME}(/{_NAME})+", re.ASCII)
+_SHIP_NAME = re.compile(rf"/?{_NAME}(/{_NAME})*", re.ASCII)
+
+
 def relative_topic(name: str, namespace: str = "") -> str | None:
     """Return the suite's relative name of a bag's topic; None for a topic outside the namespace.
 
@@ -69,19 +82,6 @@ def likely_namespace(names: Iterable[str], wanted: Iterable[str]) -> str | None:
     prefixes = [name.removesuffix("/" + first) for name in bare if name.endswith("/" + first)]
     fitting = [prefix for prefix in prefixes if all(f"{prefix}/{name}" in bare for name in needed)]
     return fitting[0] if len(fitting) == 1 else None
-
-
-TOPICS_PARAMETER = "topics"
-"""Group of parameters, the same in each node: the suite's name of an input → the ship's name."""
-
-BLACK_BOX_METADATA = "black_box"
-"""Name of the metadata record of a node's black box, in which topics have the suite's names."""
-
-_MOST_ADVISED = 3
-_PREFIX = f"{TOPICS_PARAMETER}."
-_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
-_SUITE_NAME = re.compile(rf"{_NAME}(/{_NAME})+", re.ASCII)
-_SHIP_NAME = re.compile(rf"/?{_NAME}(/{_NAME})*", re.ASCII)
 
 
 @dataclass(frozen=True)

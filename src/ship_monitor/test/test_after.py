@@ -9,8 +9,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import NS_PER_S, make_header
 from ship_monitor.page import bag_playback
-from ship_monitor.page.bag_playback import BagPlayback
-from ship_monitor.page.bag_playback import THINNING_PERIOD_NS, RecordedSuite
+from ship_monitor.page.bag_playback import THINNING_PERIOD_NS, BagPlayback, RecordedSuite
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
 from ship_watch.history.history import HISTORY_S

@@ -2,8 +2,7 @@
 
 import pytest
 
-from ship_monitor.page.bag_playback import BagPlayback
-from ship_monitor.page.bag_playback import RecordedSuite
+from ship_monitor.page.bag_playback import BagPlayback, RecordedSuite
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
 from ship_testing.hand_made_bags import write_imu_bag

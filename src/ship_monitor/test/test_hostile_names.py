@@ -41,14 +41,13 @@ def hostile(name):
     history = simulated_history()
     points = history.innovations.pop("star.fore")
     stars = history.star_exposures.pop("star.fore")
-    history.innovations[f"star.{name}"] = deque(replace(each, object_names=(name,)) for each in points)
+    history.innovations[f"star.{name}"] = points
     history.star_exposures[f"star.{name}"] = stars
     history.beacons[name] = history.beacons.pop("a")
     for topic, budget in history.budgets.items():
         history.budgets[topic] = deque(
             replace(
                 each,
-                variances={name: next(iter(each.variances.values())), **each.variances},
                 by_angle={angle: {name: max(of.values()), **of} for angle, of in each.by_angle.items()},
             )
             for each in budget

@@ -5,10 +5,10 @@ received message.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.suite_state import AngleState, NisConsistency, Presence, Safety, SourceDetails, SuiteState
@@ -27,15 +27,50 @@ _PRESENCES = tuple(Presence)
 _MAX_TEXT_LENGTH = 4 * MAX_NAME_LENGTH
 
 
+def _text(text: Any) -> str:
+    return str(text)[:_MAX_TEXT_LENGTH]
+
+
+class _Conversion(NamedTuple):
+    """Conversion of a value: from the message, to the message; ``ending`` is that of the state's name of the field."""
+
+    read: Callable[[Any], Any]
+    write: Callable[[Any], Any] = lambda value: value
+    ending: str = ""
+
+
+_NUMBER, _TEXT = _Conversion(float), _Conversion(_text)
+_TIME = _Conversion(ns_from_stamp, lambda time_ns: max(time_ns, 0), "_ns")
+
+_ANGLE_FIELDS = {
+    **dict.fromkeys(("name", "reason", "because_of"), _TEXT),
+    **dict.fromkeys(("value", "accuracy_95", "limit", "protection_level", "age_s"), _NUMBER),
+    **dict.fromkeys(("stamp", "since"), _TIME),
+    "safety": _Conversion(Safety, int),
+    "is_old": _Conversion(bool),
+}
+"""Field of a message of one angle → conversion."""
+
+_SOURCE_FIELDS = {
+    **dict.fromkeys(("name", "reason", "because_of", "disagreement"), _TEXT),
+    **dict.fromkeys(("residual", "age_s", "rate_hz", "mounting_shift"), _NUMBER),
+    "out_since": _TIME,
+    "presence": _Conversion(_PRESENCES.__getitem__, _PRESENCES.index),
+    "rejected_in_a_row": _Conversion(int),
+    "topics": _Conversion(lambda topics: tuple(map(_text, islice(topics, MAX_NAMES))), list),
+}
+"""Field of a message of one source → conversion, without the fields of the NIS consistency."""
+
+
 def suite_state_fields(state: SuiteState) -> dict[str, Any]:
     """Return the fields of a SuiteState message for :meth:`ship_bags.message_factory.MessageFactory.make`."""
     return {
         "header": {"stamp": state.utc_ns, "frame_id": ""},
-        "angles": [_angle_fields(angle) for angle in state.angles],
+        "angles": [_message_fields(_ANGLE_FIELDS, angle) for angle in state.angles],
         **{f"{name}_age_s": state.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")},
         "pointing_by": state.pointing_by,
         "horizon": state.horizon,
-        "sources": [_source_fields(source) for source in state.sources],
+        "sources": [_message_fields(_SOURCE_FIELDS, source) | _nis_fields(source) for source in state.sources],
         "waiting_for": state.waiting_for,
     }
 
@@ -51,14 +86,15 @@ def change_key(state: SuiteState) -> tuple[Any, ...]:
 
 @dataclass(frozen=True)
 class PublishedState:
-    """Content of a SuiteState message, with its time of arrival by the caller's clock."""
+    """Content of a SuiteState message, with its time of arrival by the caller's clock.
+
+    ``texts`` are the other fields of a suite state.
+    """
 
     angles: tuple[AngleState, ...]
     ages_s: Mapping[str, float]
     sources: tuple[SourceDetails, ...]
-    pointing_by: str
-    horizon: str
-    waiting_for: str
+    texts: Mapping[str, str]
     arrived_ns: int
 
     def is_current(self, now_ns: int) -> bool:
@@ -73,7 +109,7 @@ class PublishedState:
             angles=tuple(replace(angle, age_s=angle.age_s + overdue_s) for angle in self.angles),
             ages_s={name: age_s + overdue_s for name, age_s in self.ages_s.items()},
             sources=tuple(replace(source, age_s=source.age_s + overdue_s) for source in self.sources),
-            pointing_by=self.pointing_by, horizon=self.horizon, waiting_for=self.waiting_for,
+            **self.texts,  # type: ignore[arg-type]
         )
 
 
@@ -84,69 +120,29 @@ def published_state(message: Any, arrived_ns: int) -> PublishedState:
         ValueError: the message contains an undefined safety or presence.
     """
     return PublishedState(
-        angles=tuple(_angle(each) for each in islice(message.angles, MAX_NAMES)),
+        angles=tuple(AngleState(**_values(_ANGLE_FIELDS, each)) for each in islice(message.angles, MAX_NAMES)),
         ages_s={name: float(getattr(message, f"{name}_age_s")) for name in ("stars", "lights", "ins")},
         sources=tuple(_source(each) for each in islice(message.sources, MAX_NAMES)),
-        pointing_by=_text(message.pointing_by),
-        horizon=_text(message.horizon),
-        waiting_for=_text(message.waiting_for),
+        texts={name: _text(getattr(message, name)) for name in ("pointing_by", "horizon", "waiting_for")},
         arrived_ns=arrived_ns,
     )
 
 
-def _angle_fields(angle: AngleState) -> dict[str, Any]:
-    return {
-        "name": angle.name,
-        "value": angle.value,
-        "accuracy_95": angle.accuracy_95,
-        "limit": angle.limit,
-        "protection_level": angle.protection_level,
-        "safety": int(angle.safety),
-        "reason": angle.reason,
-        "because_of": angle.because_of,
-        "age_s": angle.age_s,
-        "is_old": angle.is_old,
-        "stamp": max(angle.stamp_ns, 0),
-        "since": max(angle.since_ns, 0),
-    }
+def _message_fields(fields: Mapping[str, _Conversion], state: AngleState | SourceDetails) -> dict[str, Any]:
+    return {name: each.write(getattr(state, name + each.ending)) for name, each in fields.items()}
 
 
-def _angle(message: Any) -> AngleState:
-    return AngleState(
-        name=_text(message.name),
-        value=float(message.value),
-        accuracy_95=float(message.accuracy_95),
-        limit=float(message.limit),
-        protection_level=float(message.protection_level),
-        safety=Safety(message.safety),
-        reason=_text(message.reason),
-        age_s=float(message.age_s),
-        is_old=bool(message.is_old),
-        stamp_ns=ns_from_stamp(message.stamp),
-        since_ns=ns_from_stamp(message.since),
-        because_of=_text(message.because_of),
-    )
+def _values(fields: Mapping[str, _Conversion], message: Any) -> dict[str, Any]:
+    return {name + each.ending: each.read(getattr(message, name)) for name, each in fields.items()}
 
 
-def _source_fields(source: SourceDetails) -> dict[str, Any]:
+def _nis_fields(source: SourceDetails) -> dict[str, Any]:
     consistency = source.nis_consistency or NisConsistency(math.nan, -1, "", False)
     return {
-        "name": source.name,
-        "presence": _PRESENCES.index(source.presence),
-        "reason": source.reason,
-        "because_of": source.because_of,
-        "disagreement": source.disagreement,
-        "residual": source.residual,
-        "out_since": max(source.out_since_ns, 0),
         "nis_degrees": consistency.degrees_of_freedom,
         "nis_ratio": consistency.ratio,
         "nis_text": consistency.text,
         "is_as_stated": consistency.is_consistent,
-        "age_s": source.age_s,
-        "rate_hz": source.rate_hz,
-        "rejected_in_a_row": source.rejected_in_a_row,
-        "topics": list(source.topics),
-        "mounting_shift": source.mounting_shift,
     }
 
 
@@ -157,21 +153,5 @@ def _source(message: Any) -> SourceDetails:
     if not 0 <= message.presence < len(_PRESENCES):
         raise ValueError(f"presence {message.presence} of source '{_text(message.name)}' does not exist")
     return SourceDetails(
-        name=_text(message.name),
-        presence=_PRESENCES[message.presence],
-        reason=_text(message.reason),
-        disagreement=_text(message.disagreement),
-        residual=float(message.residual),
-        out_since_ns=ns_from_stamp(message.out_since),
-        because_of=_text(message.because_of),
-        nis_consistency=consistency if message.nis_degrees >= 0 else None,
-        age_s=float(message.age_s),
-        rate_hz=float(message.rate_hz),
-        rejected_in_a_row=int(message.rejected_in_a_row),
-        topics=tuple(_text(topic) for topic in islice(message.topics, MAX_NAMES)),
-        mounting_shift=float(message.mounting_shift),
+        **_values(_SOURCE_FIELDS, message), nis_consistency=consistency if message.nis_degrees >= 0 else None
     )
-
-
-def _text(text: Any) -> str:
-    return str(text)[:_MAX_TEXT_LENGTH]

@@ -50,6 +50,30 @@ CLOCK_TIMEOUT_NS = 5 * NS_PER_S
 """Time without a confirming stamp after which the suite's time is set again, ns."""
 
 
+MAX_EVENTS = 200
+"""Number of events that are kept."""
+
+START_UP_NS = 3 * NS_PER_S
+"""Time after the start of monitoring, and after a reported start of a node, without reports of further starts, ns."""
+
+_NUMBER = re.compile(r"\d+ ")
+_PRIORITIES = {int(priority) for priority in Priority}
+_ALERT_STATE_TEXTS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
+"""State of an alert, as in ship_msgs/Alert → its text."""
+
+EVALUATION_PERIOD_NS = 100_000_000
+"""Period at which safety and events are evaluated, ns."""
+
+MAX_GAP_NS = 120 * NS_PER_S
+"""Longest part of a gap without messages that is evaluated, ns.
+
+Of a longer gap only the end is evaluated, because all ages are then over their limits.
+"""
+
+TIME_JUMP_NS = NS_PER_S
+"""Step back of an output's stamp that resets all except the alerts, ns, as when a bag is played in a loop."""
+
+
 class SuiteTime:
     """The suite's time: stamp of the output or InputHealth with the least delay, plus the time since then.
 
@@ -80,18 +104,6 @@ class SuiteTime:
         elif offset_ns > self.utc_offset_ns - CLOCK_TOLERANCE_NS:
             self._confirmed_ns = now_ns
         self._newest_ns = max(self._newest_ns, stamp_ns)
-
-
-MAX_EVENTS = 200
-"""Number of events that are kept."""
-
-START_UP_NS = 3 * NS_PER_S
-"""Time after the start of monitoring, and after a reported start of a node, without reports of further starts, ns."""
-
-_NUMBER = re.compile(r"\d+ ")
-_PRIORITIES = {int(priority) for priority in Priority}
-_ALERT_STATE_TEXTS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
-"""State of an alert, as in ship_msgs/Alert → its text."""
 
 
 class EventLog:
@@ -158,19 +170,6 @@ def _alert_from_message(alert: Any) -> AlertEntry:
         raised_ns=ns_from_stamp(alert.raised),
         changed_ns=ns_from_stamp(alert.changed),
     )
-
-
-EVALUATION_PERIOD_NS = 100_000_000
-"""Period at which safety and events are evaluated, ns."""
-
-MAX_GAP_NS = 120 * NS_PER_S
-"""Longest part of a gap without messages that is evaluated, ns.
-
-Of a longer gap only the end is evaluated, because all ages are then over their limits.
-"""
-
-TIME_JUMP_NS = NS_PER_S
-"""Step back of an output's stamp that resets all except the alerts, ns, as when a bag is played in a loop."""
 
 
 class SuiteMonitor:

@@ -13,6 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
+"""Names of the angles, in the order in which they are displayed."""
+
+CAUSE_NODE = "its node"
+"""Cause of a source that is OUT because the node that reads it has stopped reporting."""
+
 ADVICE = {
     "attitude.silent": "Check that the node ship_attitude runs, and its log; use the gyro meanwhile",
     "attitude.degraded": "Read the error budget; wait for stars; do not use lost angles",
@@ -51,33 +57,6 @@ ADVICE = {
 
 _ENDINGS = {"unreported": "SOURCE", "mended": "SOURCE", "rate": "SOURCE"}
 _NODE_ENDINGS = ("box", "clock", "stamps", "name", "overload", "recovered", "software")
-
-
-def kind_of(alert_id: str) -> str:
-    """Return the kind of an alert, such as "star.ID.out" for "star.fore.out"; no key of :data:`ADVICE` if unknown."""
-    if alert_id in ADVICE:
-        return alert_id
-    first, _, ending = alert_id.rpartition(".")
-    if ending in _ENDINGS:
-        return f"{_ENDINGS[ending]}.{ending}"
-    if line := re.search(r"\.(sink|source)\.[^.]+$", alert_id):
-        return f"NODE.{line[1]}.ID"
-    device = first.partition(".")[0]
-    if device in ("star", "reference"):
-        return f"{device}.ID.{ending}"
-    return f"NODE.{ending}" if ending in _NODE_ENDINGS else ""
-
-
-def advice_for(alert_id: str) -> str:
-    """Return the advice for an alert, one line; empty for an unknown id."""
-    return ADVICE.get(kind_of(alert_id), "")
-
-
-ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
-"""Names of the angles, in the order in which they are displayed."""
-
-CAUSE_NODE = "its node"
-"""Cause of a source that is OUT because the node that reads it has stopped reporting."""
 
 
 class Safety(enum.IntEnum):
@@ -197,14 +176,14 @@ class SourceState:
 
     name: str
     presence: Presence
-    reason: str
-    disagreement: str
-    residual: float
-    out_since_ns: int
-    because_of: str
+    reason: str = ""
+    disagreement: str = ""
+    residual: float = math.nan
+    out_since_ns: int = 0
+    because_of: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SourceDetails(SourceState):
     """State of a source with its ages, rates and NIS consistency.
 
@@ -383,3 +362,23 @@ class SuiteStateSource(Protocol):
     def current_state(self) -> SuiteState:
         """Return the current state. Displays read it twice a second; a source for several displays caches the state."""
         ...
+
+
+def kind_of(alert_id: str) -> str:
+    """Return the kind of an alert, such as "star.ID.out" for "star.fore.out"; no key of :data:`ADVICE` if unknown."""
+    if alert_id in ADVICE:
+        return alert_id
+    first, _, ending = alert_id.rpartition(".")
+    if ending in _ENDINGS:
+        return f"{_ENDINGS[ending]}.{ending}"
+    if line := re.search(r"\.(sink|source)\.[^.]+$", alert_id):
+        return f"NODE.{line[1]}.ID"
+    device = first.partition(".")[0]
+    if device in ("star", "reference"):
+        return f"{device}.ID.{ending}"
+    return f"NODE.{ending}" if ending in _NODE_ENDINGS else ""
+
+
+def advice_for(alert_id: str) -> str:
+    """Return the advice for an alert, one line; empty for an unknown id."""
+    return ADVICE.get(kind_of(alert_id), "")

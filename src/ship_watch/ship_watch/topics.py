@@ -18,6 +18,11 @@ MAX_NAMES = 256
 MAX_NAME_LENGTH = 256
 """Maximum length of a name, characters."""
 
+MESSAGES = "ship_msgs/msg/"
+
+SOURCE_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
+"""Kinds of sources in the order of display. A kind is the name of a source, or the part of the name before the id."""
+
 _LINE_PERIOD_S = 600.0
 _logged_s: dict[str, float] = {}
 
@@ -48,9 +53,6 @@ def has_room(names: Collection[Any], name: Any, kind: str, max_names: int = MAX_
         )
         logging.getLogger(__name__).warning(f"{kind} {str(name)[:60]!r} and others are not shown: {why}")
     return False
-
-
-MESSAGES = "ship_msgs/msg/"
 
 
 @dataclass(frozen=True)
@@ -162,11 +164,8 @@ def source_member(name: str) -> str:
     return rest if first in ("baseline", "drone", "beacon", "light") else ""
 
 
-_DISPLAY_ORDER = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
-
-
 @functools.lru_cache(256)
 def display_order(source: str) -> tuple[int, str]:
     """Return the sort key of a source in the fixed order of all sources."""
     first = source.partition(".")[0]
-    return (_DISPLAY_ORDER.index(first) if first in _DISPLAY_ORDER else len(_DISPLAY_ORDER), source)
+    return (SOURCE_KINDS.index(first) if first in SOURCE_KINDS else len(SOURCE_KINDS), source)

@@ -6,8 +6,9 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_estimation.parameters.schema import build
-from ship_watch.safety.limits import INPUT_KINDS, InputLimits, Limits, read_limits
+from ship_watch.safety.limits import InputLimits, Limits, read_limits
 from ship_watch.suite_state import ANGLES
+from ship_watch.topics import SOURCE_KINDS
 
 ARCSEC = 4.84813681109536e-06
 
@@ -68,7 +69,7 @@ def test_error_is_reported_in_one_line(tmp_path: Path, text: str, line: int, nam
 
 def test_sources_are_not_accepted_as_angles() -> None:
     """A kind of source is not an angle."""
-    for kind in INPUT_KINDS:
+    for kind in SOURCE_KINDS:
         with pytest.raises(KeyError):
             Limits().angle_limit(kind)
 

@@ -186,8 +186,6 @@ def _count(counts: dict[str, TopicContent], file: BagFile) -> None:
             topics[message.channel_id].add(message.log_time)
 
 
-
-
 def _lines(path: Path, content: BagContent) -> Iterator[str]:
     files = f" in {len(content.files)} files" if len(content.files) > 1 else ""
     yield one_line(f"{path}: {sum(content.files.values())} bytes{files}, {content.message_count} messages")
@@ -227,7 +225,6 @@ def _topic_table(content: BagContent) -> Iterator[str]:
 
 
 def _times(topic: TopicContent, start_ns: int | None) -> tuple[str, str, str]:
-    """Return rate, first and last time as texts."""
     rate = "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}"
     if start_ns is None or topic.start_ns is None or topic.end_ns is None:
         return rate, "-", "-"

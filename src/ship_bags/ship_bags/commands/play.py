@@ -239,7 +239,6 @@ class Player:
         ]
 
     def _create_publishers(self, bag: Bag) -> None:
-        """Create a publisher for each topic to be played."""
         in_bag = {topic: bag.recorded_names.get(topic, topic) for topic in bag.topics}
         for name in self._options.topics:
             if name not in in_bag.values():
@@ -333,8 +332,6 @@ def add_ticks(
             tick_ns += CLOCK_PERIOD_NS * max(1, min(stride(), steps_to_record))
         yield record.log_time_ns, record
     yield tick_ns, None
-
-
 
 
 def _seconds(text: str) -> float:

@@ -110,86 +110,6 @@ _COMMENT_UNIT = re.compile(r"\[([^\]]+)\]")
 _FIELD = re.compile(r"^(\S+)\s+([A-Za-z]\w*)\s*(?:#.*)?$")
 
 
-def unit_of(type_name: str, field: str) -> Unit | None:
-    """Return the unit of a field of a message type, or of the numbers inside it; None if unknown."""
-    text = _TABLE.get(type_name, {}).get(field)
-    if text is None and type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
-        text = _commented_units(type_name.rpartition("/")[2]).get(field)
-    return None if text is None else _UNITS[text]
-
-
-def standard_name(type_name: str, field: str) -> str | None:
-    """Return the CF standard name of a field of a type; None if it has none."""
-    return _STANDARD_NAMES.get((type_name, field))
-
-
-def standard_name_on(topic: str, field: str) -> str | None:
-    """Return the CF standard name that a field has because of its topic; None if it has none."""
-    return _STANDARD_NAMES_IN_THE_AIR.get(("/".join(topic.split("/")[-2:]), field))
-
-
-def cf_units(unit: Unit, name: str | None) -> str:
-    """Return the attribute ``units`` of a variable with the given standard name (None if there is none)."""
-    return _CF_UNITS.get(name or "", unit.symbol)
-
-
-def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, Any]]) -> dict[str, int]:
-    """Return the constants that are possible values of a field, name → value; empty if the field has no such constants.
-
-    Args:
-        type_name: type of the message.
-        field: field of that type.
-        constants: name, type and value of each constant, in the order of the definition in use.
-    """
-    values = {name: value for name, _, value in constants if isinstance(value, int)}
-    prefix = _CONSTANTS.get(type_name, {}).get(field)
-    if prefix is not None:
-        return {name: value for name, value in values.items() if name.startswith(prefix)}
-    if not type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
-        return {}
-    one_of = _ONE_OF.search(_comments(type_name.rpartition("/")[2]).get(field, ""))
-    return {} if one_of is None else _selection(one_of, values)
-
-
-def _selection(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
-    """Return the constants that a comment names: a list, a range, or all."""
-    names = list(values)
-    if one_of["listed"]:
-        names = [name for name in one_of["listed"].split(", ") if name in values]
-    elif one_of["first"] in values and one_of["last"] in values:
-        names = names[names.index(one_of["first"]) : names.index(one_of["last"]) + 1]
-    return {name: values[name] for name in names}
-
-
-@functools.cache
-def _commented_units(message: str) -> dict[str, str]:
-    """Return field → unit in brackets, from the field's comment."""
-    units = {}
-    for field, comment in _comments(message).items():
-        known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
-        if known:
-            units[field] = known[0]
-    return units
-
-
-@functools.cache
-def _comments(message: str) -> dict[str, str]:
-    """Return field (other than text) → its comment; a comment applies to all fields up to the next comment."""
-    path = ship_message_folder() / f"{message}.msg"
-    comments: dict[str, str] = {}
-    comment, ended = "", True
-    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
-        if line.startswith("#"):
-            comment = line if ended else f"{comment} {line}"
-            ended = False
-            continue
-        ended = True
-        field = _FIELD.match(line)
-        if field is not None and not field[1].startswith("string"):
-            comments[field[2]] = comment
-    return comments
-
-
 _MAX_NUMBERED = 64
 """Maximum length of a fixed array that becomes numbered columns; a longer array becomes a table of its own."""
 
@@ -339,3 +259,83 @@ def as_list(array: Any) -> list[Any]:
 def type_in_row(array: MessageField, width: int) -> tuple[Nodetype, Any]:
     """Return the type of a row's value: an element, or an array of ``width`` elements."""
     return array.content[0] if width == 1 else (Nodetype.ARRAY, (array.content[0], width))
+
+
+def unit_of(type_name: str, field: str) -> Unit | None:
+    """Return the unit of a field of a message type, or of the numbers inside it; None if unknown."""
+    text = _TABLE.get(type_name, {}).get(field)
+    if text is None and type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
+        text = _commented_units(type_name.rpartition("/")[2]).get(field)
+    return None if text is None else _UNITS[text]
+
+
+def standard_name(type_name: str, field: str) -> str | None:
+    """Return the CF standard name of a field of a type; None if it has none."""
+    return _STANDARD_NAMES.get((type_name, field))
+
+
+def standard_name_on(topic: str, field: str) -> str | None:
+    """Return the CF standard name that a field has because of its topic; None if it has none."""
+    return _STANDARD_NAMES_IN_THE_AIR.get(("/".join(topic.split("/")[-2:]), field))
+
+
+def cf_units(unit: Unit, name: str | None) -> str:
+    """Return the attribute ``units`` of a variable with the given standard name (None if there is none)."""
+    return _CF_UNITS.get(name or "", unit.symbol)
+
+
+def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, Any]]) -> dict[str, int]:
+    """Return the constants that are possible values of a field, name → value; empty if the field has no such constants.
+
+    Args:
+        type_name: type of the message.
+        field: field of that type.
+        constants: name, type and value of each constant, in the order of the definition in use.
+    """
+    values = {name: value for name, _, value in constants if isinstance(value, int)}
+    prefix = _CONSTANTS.get(type_name, {}).get(field)
+    if prefix is not None:
+        return {name: value for name, value in values.items() if name.startswith(prefix)}
+    if not type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
+        return {}
+    one_of = _ONE_OF.search(_comments(type_name.rpartition("/")[2]).get(field, ""))
+    return {} if one_of is None else _selection(one_of, values)
+
+
+def _selection(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
+    """Return the constants that a comment names: a list, a range, or all."""
+    names = list(values)
+    if one_of["listed"]:
+        names = [name for name in one_of["listed"].split(", ") if name in values]
+    elif one_of["first"] in values and one_of["last"] in values:
+        names = names[names.index(one_of["first"]) : names.index(one_of["last"]) + 1]
+    return {name: values[name] for name in names}
+
+
+@functools.cache
+def _commented_units(message: str) -> dict[str, str]:
+    """Return field → unit in brackets, from the field's comment."""
+    units = {}
+    for field, comment in _comments(message).items():
+        known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
+        if known:
+            units[field] = known[0]
+    return units
+
+
+@functools.cache
+def _comments(message: str) -> dict[str, str]:
+    """Return field (other than text) → its comment; a comment applies to all fields up to the next comment."""
+    path = ship_message_folder() / f"{message}.msg"
+    comments: dict[str, str] = {}
+    comment, ended = "", True
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+        if line.startswith("#"):
+            comment = line if ended else f"{comment} {line}"
+            ended = False
+            continue
+        ended = True
+        field = _FIELD.match(line)
+        if field is not None and not field[1].startswith("string"):
+            comments[field[2]] = comment
+    return comments

@@ -35,12 +35,17 @@ class PlaybackClock:
     Args:
         rate: initial rate, seconds of bag time per second of steady time, positive.
         paused: True to start paused.
+
+    Attributes:
+        rate: seconds of bag time per second of steady time.
+        is_paused: True if only steps are played now.
+        is_stopped: True if the playback is to end.
     """
 
     def __init__(self, rate: float, paused: bool = False) -> None:
-        self._rate = min(rate, _MAX_RATE)
-        self._is_paused = paused
-        self._is_stopped = False
+        self.rate = min(rate, _MAX_RATE)
+        self.is_paused = paused
+        self.is_stopped = False
         self._steps = 0
         # Bag time `_bag_ns` is due at steady time `_steady_ns`.
         self._bag_ns = 0
@@ -48,27 +53,12 @@ class PlaybackClock:
         # Reentrant (as Condition's own lock is): a signal handler may call stop() inside a wait.
         self._changed = threading.Condition()
 
-    @property
-    def rate(self) -> float:
-        """Seconds of bag time per second of steady time."""
-        return self._rate
-
-    @property
-    def is_paused(self) -> bool:
-        """True if only steps are played now."""
-        return self._is_paused
-
-    @property
-    def is_stopped(self) -> bool:
-        """True if the playback is to end."""
-        return self._is_stopped
-
     def change_rate(self, factor: float) -> None:
         """Multiply the rate by `factor`, from the current bag time on."""
         with self._changed:
-            if not self._is_paused:
+            if not self.is_paused:
                 self._bag_ns, self._steady_ns = self._bag_time_ns(), time.monotonic_ns()
-            self._rate = min(self._rate * factor, _MAX_RATE)
+            self.rate = min(self.rate * factor, _MAX_RATE)
             self._changed.notify_all()
 
     def start_at(self, bag_ns: int) -> None:
@@ -80,24 +70,24 @@ class PlaybackClock:
     def pause(self) -> None:
         """Hold the bag time where it is, until :meth:`resume` or a step."""
         with self._changed:
-            if not self._is_paused:
+            if not self.is_paused:
                 self._bag_ns = self._bag_time_ns()
-                self._is_paused = True
+                self.is_paused = True
                 self._changed.notify_all()
 
     def resume(self) -> None:
         """Continue from the start of the pause, or from the last step."""
         with self._changed:
-            if self._is_paused:
+            if self.is_paused:
                 self._steady_ns = time.monotonic_ns()
                 self._steps = 0
-                self._is_paused = False
+                self.is_paused = False
                 self._changed.notify_all()
 
     def toggle(self) -> None:
         """Pause or resume."""
         with self._changed:
-            if self._is_paused:
+            if self.is_paused:
                 self.resume()
             else:
                 self.pause()
@@ -105,15 +95,15 @@ class PlaybackClock:
     def step(self) -> bool:
         """Play one more message while paused; return False, without effect, if not paused."""
         with self._changed:
-            if self._is_paused:
+            if self.is_paused:
                 self._steps += 1
                 self._changed.notify_all()
-            return self._is_paused
+            return self.is_paused
 
     def stop(self) -> None:
         """End the current wait and all later waits."""
         with self._changed:
-            self._is_stopped = True
+            self.is_stopped = True
             self._changed.notify_all()
 
     def wait_until(self, bag_ns: int, is_message: bool) -> bool:
@@ -123,15 +113,15 @@ class PlaybackClock:
             False if the playback was stopped.
         """
         with self._changed:
-            while not self._is_stopped:
-                if self._is_paused and self._steps > 0:
+            while not self.is_stopped:
+                if self.is_paused and self._steps > 0:
                     self._steps -= is_message
                     self._bag_ns = max(self._bag_ns, bag_ns)
                     return True
-                if self._is_paused:
+                if self.is_paused:
                     self._changed.wait()
                     continue
-                remaining_s = (bag_ns - self._bag_time_ns()) / self._rate / NS_PER_S
+                remaining_s = (bag_ns - self._bag_time_ns()) / self.rate / NS_PER_S
                 if remaining_s <= 0.0:
                     return True
                 self._changed.wait(min(remaining_s, _MAX_WAIT_S))
@@ -140,11 +130,11 @@ class PlaybackClock:
     def behind_s(self, bag_ns: int) -> float:
         """Return the steady time since bag time `bag_ns` was reached, s; 0 while paused, and before that time."""
         with self._changed:
-            return 0.0 if self._is_paused else max(0.0, (self._bag_time_ns() - bag_ns) / self._rate / NS_PER_S)
+            return 0.0 if self.is_paused else max(0.0, (self._bag_time_ns() - bag_ns) / self.rate / NS_PER_S)
 
     def _bag_time_ns(self) -> int:
         """Return the current bag time, while not paused."""
-        return self._bag_ns + int((time.monotonic_ns() - self._steady_ns) * self._rate)
+        return self._bag_ns + int((time.monotonic_ns() - self._steady_ns) * self.rate)
 
 
 def add_services(node: Node, clock: PlaybackClock) -> None:

@@ -47,6 +47,15 @@ PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", 
 """
 
 
+HEARTBEAT_SOCKET = "SHIP_SUITE_HEARTBEAT"
+"""Environment variable with the file descriptor of the socket."""
+
+HEARTBEAT_PERIOD_NS = 1_000_000_000
+"""Heartbeat period, ns."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+
+
 def prepare_dds() -> None:
     """Prepare DDS before ROS starts: check requested security, set the profile; every program of the suite calls this.
 
@@ -124,13 +133,6 @@ def loaded_libraries() -> list[Path]:
     return sorted({Path(line[line.index("/") :]) for line in lines if f"/{_LIBRARY}" in line})
 
 
-HEARTBEAT_SOCKET = "SHIP_SUITE_HEARTBEAT"
-"""Environment variable with the file descriptor of the socket."""
-
-HEARTBEAT_PERIOD_NS = 1_000_000_000
-"""Heartbeat period, ns."""
-
-
 class Heartbeat:
     """Heartbeat of this process; outside a suite nothing is sent.
 
@@ -164,9 +166,6 @@ class Heartbeat:
 def heartbeat() -> Heartbeat:
     """Return the heartbeat of this process; child processes do not inherit it."""
     return Heartbeat(os.environ.pop(HEARTBEAT_SOCKET, ""))
-
-
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
 def run_ros_command(

@@ -50,6 +50,23 @@ from ship_bags.mcap.records import (
 from ship_bags.stamps import utc_text
 from ship_bags.topic_names import BLACK_BOX_METADATA
 
+_ROS1_BEGIN = b"#ROSBAG"
+_FOOTER = struct.Struct("<BQQQI8s")
+_CHUNK_TIMES = struct.Struct("<QQ")
+"""Earliest and latest log time, at the beginning of a chunk's body."""
+
+_LOG_TIME = struct.Struct("<Q")
+_LOG_TIME_OFFSET = 2 + 4
+"""Offset of the log time in the body of a message, after channel id and sequence number."""
+
+_CHECKSUM = struct.Struct("<I")
+"""Checksum at the end of the summary and of an attachment's body."""
+
+_MESSAGES_PER_PLACE = 5000
+_BLOCK_BYTES = 1 << 20
+
+_FIRST = "1"
+
 
 @dataclass
 class BagFile(ABC):
@@ -90,22 +107,6 @@ class BagFile(ABC):
         """Add a line to ``problems`` only once, because a place may be read repeatedly."""
         if problem not in self.problems:
             self.problems.append(problem)
-
-
-_ROS1_BEGIN = b"#ROSBAG"
-_FOOTER = struct.Struct("<BQQQI8s")
-_CHUNK_TIMES = struct.Struct("<QQ")
-"""Earliest and latest log time, at the beginning of a chunk's body."""
-
-_LOG_TIME = struct.Struct("<Q")
-_LOG_TIME_OFFSET = 2 + 4
-"""Offset of the log time in the body of a message, after channel id and sequence number."""
-
-_CHECKSUM = struct.Struct("<I")
-"""Checksum at the end of the summary and of an attachment's body."""
-
-_MESSAGES_PER_PLACE = 5000
-_BLOCK_BYTES = 1 << 20
 
 
 @dataclass
@@ -164,7 +165,6 @@ def open_mcap(path: Path) -> McapFile:
 
 
 def _not_mcap_error(path: Path, size: int, begin: bytes) -> BadInput:
-    """Return the error about a file of another format, with the remedy."""
     if size == 0:
         return BadInput("the file is empty", file=path)
     if begin.startswith(_ROS1_BEGIN):
@@ -325,7 +325,6 @@ def _scan(file: McapFile) -> None:
 
 
 def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
-    """Return the text about the possible loss in a gap before a place."""
     before, after = file.chunks[:place_number], file.chunks[place_number:]
     start = utc_text(before[-1].end_ns) if before else "the start"
     end = utc_text(after[0].start_ns) if after else "the end"
@@ -387,9 +386,6 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
         # The parser may raise anything for damaged bytes, with useless texts.
         why = f" ({problem})" if isinstance(problem, DamagedChunk) else ""
         file.problems.append(f"{file.path.name}: one {Opcode(opcode).name.lower()} record is damaged{why}: it is lost")
-
-
-_FIRST = "1"
 
 
 def further_black_box_files(first: BagFile) -> list[BagFile]:

@@ -284,7 +284,6 @@ class Bag:
         return usable
 
     def _skip_unreadable(self, unreadable: Mapping[str, str]) -> None:
-        """Skip the topics of types with unusable definitions."""
         for topic, type_name in list(self.topics.items()):
             if type_name in unreadable:
                 del self.topics[topic]
@@ -391,7 +390,6 @@ def with_bag_progress(records: Iterator[BagRecord], bag: Bag, doing: str = "") -
 
 
 def _mcap_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a bag, in order."""
     if not path.exists():
         raise BadInput("no such file or folder", file=path)
     if not path.is_dir():

@@ -279,7 +279,6 @@ class BagWriter:
             os.truncate(self._written_path, self.flushed_bytes)
 
     def _release(self) -> None:
-        """Close all open files."""
         # Closing flushes the buffers, which fails again on a full disk.
         with contextlib.suppress(OSError):
             self._writer.discard()

@@ -82,8 +82,6 @@ def repeated_message_times(metadata: Mapping[str, Mapping[str, str]]) -> set[tup
     return {(topic, int(time)) for topic, time in entries.items() if time.isascii() and time.isdecimal()}
 
 
-
-
 @dataclass(kw_only=True)
 class MessageCount:
     """Number of messages, and their first and last log time; the times are None without a message."""
@@ -318,7 +316,6 @@ def write_information(folder: Path, files: Sequence[FileInformation], topics: Se
 
 
 def _sync_folder(folder: Path) -> None:
-    """Sync the names in a folder to the disk."""
     number = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(number)

@@ -187,7 +187,6 @@ class McapWriter:
         some: slice,
         records: Sequence[bytes],
     ) -> None:
-        """Add the messages that belong to the current chunk."""
         times_ns, channels = log_times_ns[some], channel_ids[some]
         before = int(ends[some.start - 1]) if some.start else 0
         entries = np.empty((len(times_ns), 2), dtype="<u8")

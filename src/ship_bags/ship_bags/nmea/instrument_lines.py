@@ -51,12 +51,6 @@ _FORMS: dict[str, tuple[str, ...]] = {
 _PATTERNS = {kind: re.compile(",".join(forms), re.ASCII) for kind, forms in _FORMS.items()}
 
 
-def is_complete(kind: str, text: str) -> bool:
-    """Return True if a sentence without a checksum has all fields of its kind in their forms; False for other kinds."""
-    pattern = _PATTERNS.get(kind)
-    return pattern is not None and bool(pattern.fullmatch(text.partition(",")[2]))
-
-
 LONGEST_LINE = 512
 """Maximum length of a line, bytes; a standard sentence has 82, a proprietary sentence up to three times as many."""
 
@@ -70,6 +64,33 @@ REQUIRED, OPTIONAL = "required", "optional"
 _FRONT = re.compile(rb"(UdPbC\x00)?(\\[^\\]*\\)*")
 _PRINTABLE = re.compile(rb"[\x20-\x7e\t]*")
 _CHECKSUM = re.compile(r".*\*[0-9A-Fa-f]{2}", re.DOTALL)
+
+WRONG_TIME = "instrument time"
+"""Reason for rejecting a line whose time is too far from the receive time for a network delay."""
+
+_MAX_EXAMPLES = 3
+_LONGEST_DELAY_NS = 60 * NS_PER_S
+"""Maximum difference of an instrument's time from the receive time, ns; no network delays a sentence by more."""
+_ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
+"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses rollovers is behind by a multiple."""
+_AHEAD_NS = NS_PER_S // 20
+"""Time ahead of the receive time above which an instrument's clock is reported, ns; estimators reject such stamps."""
+_BEHIND_NS = 5 * NS_PER_S
+"""Time behind the receive time above which an instrument's clock is reported, ns.
+
+A slow serial line or computer delays a sentence by less.
+"""
+_GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
+"""GPS time minus UTC since 2017, and the tolerance within which an offset counts as equal to it, ns."""
+_DAY = timedelta(days=1)
+_DAY_NS = 86_400 * NS_PER_S
+
+_MAX_TALKERS = 20
+"""Maximum number of compared talkers per kind of sentence; further talkers count as one."""
+_OTHERS = "others"
+_EARTH_M_PER_DEG = 111_000.0
+_SIMULTANEOUS_NS = 5_000_000_000
+"""Maximum interval between two values that are compared, ns."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +143,12 @@ def _parse_text(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | U
     return Unusable(INCOMPLETE) if isinstance(result, Sentence) and not is_complete(result.kind, text) else result
 
 
+def is_complete(kind: str, text: str) -> bool:
+    """Return True if a sentence without a checksum has all fields of its kind in their forms; False for other kinds."""
+    pattern = _PATTERNS.get(kind)
+    return pattern is not None and bool(pattern.fullmatch(text.partition(",")[2]))
+
+
 def is_talker(text: str) -> bool:
     """Return True for two capital letters or digits, the form of a talker."""
     return len(text) == 2 and text.isascii() and text.isalnum() and text.isupper()
@@ -141,27 +168,6 @@ def _parse_without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | 
 
 def _printable(line: bytes) -> str:
     return line.decode("ascii", errors="backslashreplace")
-
-
-WRONG_TIME = "instrument time"
-"""Reason for rejecting a line whose time is too far from the receive time for a network delay."""
-
-_MAX_EXAMPLES = 3
-_LONGEST_DELAY_NS = 60 * NS_PER_S
-"""Maximum difference of an instrument's time from the receive time, ns; no network delays a sentence by more."""
-_ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
-"""Period of the GPS week number, 1024 weeks, ns. A receiver that misses rollovers is behind by a multiple."""
-_AHEAD_NS = NS_PER_S // 20
-"""Time ahead of the receive time above which an instrument's clock is reported, ns; estimators reject such stamps."""
-_BEHIND_NS = 5 * NS_PER_S
-"""Time behind the receive time above which an instrument's clock is reported, ns.
-
-A slow serial line or computer delays a sentence by less.
-"""
-_GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
-"""GPS time minus UTC since 2017, and the tolerance within which an offset counts as equal to it, ns."""
-_DAY = timedelta(days=1)
-_DAY_NS = 86_400 * NS_PER_S
 
 
 @dataclass(frozen=True)
@@ -273,14 +279,6 @@ def datetime_ns(moment: datetime) -> int:
     return ((since_epoch.days * 86_400 + since_epoch.seconds) * 1_000_000 + since_epoch.microseconds) * 1000
 
 
-_MAX_TALKERS = 20
-"""Maximum number of compared talkers per kind of sentence; further talkers count as one."""
-_OTHERS = "others"
-_EARTH_M_PER_DEG = 111_000.0
-_SIMULTANEOUS_NS = 5_000_000_000
-"""Maximum interval between two values that are compared, ns."""
-
-
 class TalkerComparison:
     """Comparison of the headings or positions of the talkers in one stream."""
 
@@ -312,8 +310,9 @@ class TalkerComparison:
             recent = [talker for talker in sorted(counts) if self._last[kind, talker][0] >= since_ns]
             if len(recent) > 1:
                 names = ", ".join(f"{talker} {counts[talker]}" for talker in recent)
-                largest = self._largest.get(kind)
-                difference = "" if largest is None else f", up to {_quantity(kind, largest)} apart"
+                difference = ""
+                if (largest := self._largest.get(kind)) is not None:
+                    difference = f", up to {f'{largest:.0f} m' if kind == 'GGA' else f'{largest:.1f}°'} apart"
                 found.append(f"{kind} of several talkers ({names}){difference}")
         return found
 
@@ -340,7 +339,3 @@ def _difference(kind: str, one: FloatArray, other: FloatArray) -> float:
         return float(abs(difference_deg[0]))
     north_east = difference_deg * [1.0, np.cos(np.deg2rad(one[0]))]
     return float(np.linalg.norm(north_east)) * _EARTH_M_PER_DEG
-
-
-def _quantity(kind: str, value: float) -> str:
-    return f"{value:.0f} m" if kind == "GGA" else f"{value:.1f}°"

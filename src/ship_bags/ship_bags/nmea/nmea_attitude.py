@@ -44,6 +44,28 @@ _EARLIEST_NS = NS_PER_S // 100
 _MIN_PERIOD_RATIO = 0.75
 """Ratio of the attitude period to the ZDA period below which a burst has several attitudes."""
 
+MAX_GAP_S = 3.0
+"""Maximum interval between attitudes that a spline bridges, s."""
+
+ATTITUDE_KINDS = ("PSXN23", "PASHR", *sentences.ATTITUDES)
+"""Kinds of sentences with an attitude."""
+
+_INVALID_QUALITY = 2
+
+_PASHR_SIGMAS, _LARGEST_SIGMA_DEG = slice(7, 10), 180.0
+"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the limit of these values, degrees."""
+
+_PASHR_STATUS = slice(10, 12)
+"""Fields of PASHR after the accuracies: aiding, and status of the IMU."""
+
+NOT_LATER = "not later than the attitude before"
+WITHOUT_TIME = "attitude without ZDA"
+"""Reason: no ZDA is near enough to the attitude to be of the same burst."""
+
+UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
+"""Reason: both last fields are 0, which NovAtel and Trimble define as not aligned. The meaning of a single 0 depends on
+the maker."""
+
 
 @dataclass(frozen=True)
 class ZdaTime:
@@ -136,29 +158,6 @@ def _zda_time(line: InstrumentLine) -> ZdaTime | None:
         return None
     stamp_ns = datetime_ns(moment)
     return ZdaTime(line, stamp_ns, line.receive_ns - (corrected_ns(stamp_ns, line.receive_ns) or stamp_ns))
-
-
-MAX_GAP_S = 3.0
-"""Maximum interval between attitudes that a spline bridges, s."""
-
-ATTITUDE_KINDS = ("PSXN23", "PASHR", *sentences.ATTITUDES)
-"""Kinds of sentences with an attitude."""
-
-_INVALID_QUALITY = 2
-
-_PASHR_SIGMAS, _LARGEST_SIGMA_DEG = slice(7, 10), 180.0
-"""Fields of PASHR with the standard deviations of roll, pitch and heading, and the limit of these values, degrees."""
-
-_PASHR_STATUS = slice(10, 12)
-"""Fields of PASHR after the accuracies: aiding, and status of the IMU."""
-
-NOT_LATER = "not later than the attitude before"
-WITHOUT_TIME = "attitude without ZDA"
-"""Reason: no ZDA is near enough to the attitude to be of the same burst."""
-
-UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
-"""Reason: both last fields are 0, which NovAtel and Trimble define as not aligned. The meaning of a single 0 depends on
-the maker."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +291,6 @@ def resample(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAtt
 
 
 def _segments(logged: Sequence[LoggedAttitude]) -> list[list[LoggedAttitude]]:
-    """Split the attitudes at gaps."""
     segments: list[list[LoggedAttitude]] = []
     for attitude in logged:
         gap_ns = attitude.stamp_ns - segments[-1][-1].stamp_ns if segments else None

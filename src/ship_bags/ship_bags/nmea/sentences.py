@@ -47,27 +47,6 @@ DIALECTS: dict[str, tuple[tuple[str, str], ...]] = {
 ATTITUDES = ("PRDID", "PTNTHPR", "PSAT,HPR")
 
 
-def dialect_of(text: str) -> str | None:
-    """Return the key of a sentence in :data:`DIALECTS`; None for other sentences."""
-    name, _, rest = text.lstrip("$").partition(",")
-    kind = name if name.startswith("P") else name[2:]
-    subtype = f"{name},{rest.partition(',')[0]}"
-    return next((known for known in (kind, subtype) if known in DIALECTS), None)
-
-
-def dialect_fields(kind: str, text: str) -> dict[str, str] | None:
-    """Return the fields of a sentence by name, empty text for an empty field; None if a field is missing or invalid."""
-    row = DIALECTS[kind]
-    fields = text.partition("*")[0].split(",")[1 + kind.count(",") :]
-    if len(fields) < len(row):
-        return None
-    found = dict(zip((name for name, _ in row), fields, strict=False))
-    is_of_form = all(
-        not field or re.fullmatch(form, field, re.ASCII) for (_, form), field in zip(row, fields, strict=False)
-    )
-    return found if is_of_form else None
-
-
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
 INCOMPLETE_POSITION = "GGA with an incomplete position (N, S, E or W, or a coordinate missing)"
@@ -109,7 +88,6 @@ _NO_NUMBERS = ("timestamp", "status")
 """Fields of dialects that are not numbers."""
 
 _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
-
 
 _TIME_OF_DAY = re.compile(r"\d{6}(\.\d+)?", re.ASCII)
 _LATITUDE, _LONGITUDE = (re.compile(rf"\d{{3,{most}}}(\.\d*)?", re.ASCII) for most in (4, 5))
@@ -216,6 +194,27 @@ def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
     if any(not _is_in_range(name, value) for name, value in values.items()):
         return Unusable(UNPARSED, OUT_OF_RANGE)
     return Sentence(kind, DialectContent(text, **values))
+
+
+def dialect_of(text: str) -> str | None:
+    """Return the key of a sentence in :data:`DIALECTS`; None for other sentences."""
+    name, _, rest = text.lstrip("$").partition(",")
+    kind = name if name.startswith("P") else name[2:]
+    subtype = f"{name},{rest.partition(',')[0]}"
+    return next((known for known in (kind, subtype) if known in DIALECTS), None)
+
+
+def dialect_fields(kind: str, text: str) -> dict[str, str] | None:
+    """Return the fields of a sentence by name, empty text for an empty field; None if a field is missing or invalid."""
+    row = DIALECTS[kind]
+    fields = text.partition("*")[0].split(",")[1 + kind.count(",") :]
+    if len(fields) < len(row):
+        return None
+    found = dict(zip((name for name, _ in row), fields, strict=False))
+    is_of_form = all(
+        not field or re.fullmatch(form, field, re.ASCII) for (_, form), field in zip(row, fields, strict=False)
+    )
+    return found if is_of_form else None
 
 
 def _pashr(content: Any) -> Any:

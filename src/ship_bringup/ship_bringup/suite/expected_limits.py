@@ -9,7 +9,8 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_replay.offline.replay import ADAPTERS, replay
-from ship_watch.safety.availability import QUANTITIES, REQUIRED_SHARE, START_UP_S, Availability, AvailabilityRecord
+from ship_watch.safety.availability import REQUIRED_SHARE, START_UP_S, Availability, AvailabilityRecord
+from ship_watch.safety.functions import QUANTITIES
 from ship_watch.safety.limits import Limits
 from ship_watch.topics import monitored_topic
 

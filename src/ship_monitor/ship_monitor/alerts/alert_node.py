@@ -34,7 +34,7 @@ from ship_watch.alerts.alert_conditions import NodeStatus
 from ship_watch.alerts.alerts import AlertChange
 from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_key, suite_state_fields
 from ship_watch.safety.limits import Limits, read_limits
-from ship_watch.suite_state import AlertEntry, Priority
+from ship_watch.suite_state import Priority
 from ship_watch.topics import monitored_topic
 
 UPDATE_PERIOD_NS = NS_PER_S // 5
@@ -226,7 +226,10 @@ class AlertNode:
 
     def _publish(self) -> None:
         header = {"stamp": self._utc_ns(), "frame_id": ""}
-        alerts = [_alert_fields(alert) for alert in self._manager.alerts]
+        # The fields of an alert have the names of those of the message, apart from the unit of the times.
+        alerts = [
+            {name.removesuffix("_ns"): value for name, value in vars(alert).items()} for alert in self._manager.alerts
+        ]
         self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
 
     def _publish_state(self, now_ns: int) -> None:
@@ -261,20 +264,3 @@ def _queue_depth(topic: str, type_name: str) -> int:
         return MAX_QUEUE_DEPTH if type_name == DIAGNOSTICS_TYPE else 0
     row = monitored_topic(topic, type_name) if topic != ALERTS_TOPIC else None
     return 0 if row is None else MAX_QUEUE_DEPTH if row.keeps_every_message else 1
-
-
-def _alert_fields(alert: AlertEntry) -> dict[str, Any]:
-    """Return the fields of a ship_msgs/Alert."""
-    return {
-        "id": alert.id,
-        "instance": alert.instance,
-        "priority": int(alert.priority),
-        "state": int(alert.state),
-        "source": alert.source,
-        "text": alert.text,
-        "value": alert.value,
-        "limit": alert.limit,
-        "unit": alert.unit,
-        "raised": alert.raised_ns,
-        "changed": alert.changed_ns,
-    }

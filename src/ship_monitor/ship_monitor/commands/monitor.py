@@ -13,8 +13,7 @@ from ship_bags.topic_names import add_remap_option
 from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.page.app import PageSource, page_maker
-from ship_monitor.page.bag_playback import BagPlayback
-from ship_monitor.page.bag_playback import RecordedSuite
+from ship_monitor.page.bag_playback import BagPlayback, RecordedSuite
 from ship_monitor.page.server import PageServer
 from ship_monitor.themes import THEMES
 from ship_monitor.web.foxglove_server import FoxgloveServer

@@ -11,28 +11,28 @@ The controls are under the top bar: play and pause, speed, time slider, and a no
 colours of the page, which are custom properties of the CSS of the document.
 """
 
+import math
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from bokeh.models import Button, CustomJS, Div, InlineStyleSheet, Row, Slider, Toggle
+from bokeh.models.ui import UIElement
+
 from ship_bags.command_line import launcher
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
-from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
-from ship_watch.topics import monitored_topic
-import math
-import time
-from collections.abc import Callable, Iterator
-from bokeh.models import Button, CustomJS, Div, InlineStyleSheet, Row, Slider, Toggle
-from bokeh.models.ui import UIElement
 from ship_bags.stamps import NS_PER_S
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
 from ship_watch.history.history import HISTORY_S, History
 from ship_watch.safety.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import SuiteState
-
+from ship_watch.topics import monitored_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
 LATCHED_TOPICS = ("ship/alerts", "ship/alignment", "theodolite/calibration")

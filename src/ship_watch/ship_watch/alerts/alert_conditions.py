@@ -139,7 +139,9 @@ def _output_conditions(
                 explained_by=above[:1] if never else (), lost_functions=_lost_functions(missing),
             )
             continue
-        members = [one for one in members if not _is_over_briefly(one, limits)]
+        # A function that is over its limit but not lost counts after a while.
+        least_s = limits.alerts.over_after_s
+        members = [one for one in members if one.priority is not Priority.WARNING or not one.over_limit_s < least_s]
         if members:
             worst = max(members, key=lambda one: (one.priority or 0, one.accuracy_arcsec))
             priority = worst.priority or Priority.CAUTION
@@ -148,11 +150,6 @@ def _output_conditions(
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
                 may_be_startup=True, explained_by=(*above, *outs), lost_functions=_lost_functions(members),
             )
-
-
-def _is_over_briefly(function: FunctionState, limits: Limits) -> bool:
-    """True if a function has been over its limit, but not lost, for less than ``alerts.over_after_s``."""
-    return function.priority is Priority.WARNING and function.over_limit_s < limits.alerts.over_after_s
 
 
 def _source_conditions(suite_state: SuiteState, function_states: tuple[FunctionState, ...]) -> Iterable[Condition]:

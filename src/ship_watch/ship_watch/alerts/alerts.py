@@ -229,7 +229,8 @@ class AlertList:
         if alert.instance != instance:
             return None, f"'{id_}' is now instance {alert.instance}, not {instance}: read the alert again"
         if alert.is_acknowledged:
-            return None, f"'{id_}' needs no acknowledgement: it is {_state_text(alert)}"
+            state = AlertState(alert.state).name.lower().replace("_", " ")
+            return None, f"'{id_}' needs no acknowledgement: it is a{_after_article(alert.priority)}, {state}"
         change = self._apply_event(tracked, AlertEvent.ACKNOWLEDGED, utc_ns, "acknowledged")
         return change, f"'{id_}' {'acknowledged' if change.alert.state else 'acknowledged, and over'}"
 
@@ -412,10 +413,6 @@ def _alert_from_saved(entry: Mapping[str, Any]) -> tuple[AlertEntry, frozenset[s
         if not isinstance(value, type(default)):
             raise ValueError(f"not a saved alert: {field.name} is {value!r}")
     return alert, lost
-
-
-def _state_text(alert: AlertEntry) -> str:
-    return f"a{_after_article(alert.priority)}, {AlertState(alert.state).name.lower().replace('_', ' ')}"
 
 
 def _after_article(priority: Priority) -> str:

@@ -28,6 +28,14 @@ _HISTORY_NS = round(HISTORY_S * 1e9)
 MAX_POINTS = 30_000
 """Maximum number of points of a buffer: 50 a second."""
 
+_PENDING_MESSAGES = 8
+"""Maximum number of exposures of a sensor, and of innovations, that wait for their counterpart."""
+
+_INNOVATION_TIMEOUT_NS = 3_000_000_000
+"""Time without an innovation after which lights are shown without residuals, ns."""
+
+_NO_VALUES = np.empty(0)
+
 
 @dataclass(frozen=True)
 class InnovationPoint:
@@ -39,25 +47,14 @@ class InnovationPoint:
         mean: mean of the residuals along each axis, rad or m, shape (axes,).
         sigma: root mean square of the stated sigmas of the residuals, shape (axes,). This value is not divided by the
             root of the number of residuals, because the residuals share much of their error.
-        object_residuals: residuals of single stars or lights along the same axes, shape (n, axes); one row for an
-            attitude or an encoder.
-        nis: normalised innovation squared.
-        gate: limit of ``nis``.
         is_accepted: True if the measurement was accepted.
-        reason: reason of the decision; empty if no reason was given.
-        object_names: names of the stars or lights ("HIP 85355", "a"); empty for an attitude or an encoder.
     """
 
     utc_ns: int
     axes: tuple[str, ...]
     mean: FloatArray
     sigma: FloatArray
-    object_residuals: FloatArray
-    nis: float
-    gate: float
     is_accepted: bool
-    reason: str
-    object_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,16 +72,12 @@ class BudgetPoint:
 
     Attributes:
         utc_ns: time of the budget, UTC as POSIX time.
-        variances: source of error → variance about East, North and Up, rad², shape (3,).
-        total: variance of all sources, rad², shape (3,).
         by_angle: angle → source of error → variance, rad²
             (:func:`ship_watch.history.history_recorder.angle_variances`): heading, pitch and roll, or azimuth times the
             cosine of the elevation, and elevation.
     """
 
     utc_ns: int
-    variances: Mapping[str, FloatArray]
-    total: FloatArray
     by_angle: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
@@ -258,15 +251,6 @@ def extreme_rows(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
                 found |= {start + int(known[np.argmin(column[known])]), start + int(known[np.argmax(column[known])])}
         kept += sorted(found) or [start]
     return np.array(kept, np.intp)
-
-
-_PENDING_MESSAGES = 8
-"""Maximum number of exposures of a sensor, and of innovations, that wait for their counterpart."""
-
-_INNOVATION_TIMEOUT_NS = 3_000_000_000
-"""Time without an innovation after which lights are shown without residuals, ns."""
-
-_NO_VALUES = np.empty(0)
 
 
 class StarExposures:

@@ -34,43 +34,6 @@ from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from ship_watch.suite_state import ANGLES, Safety
 from ship_watch.topics import MAX_NAME_LENGTH, MAX_NAMES, has_room, source_of_name, source_of_topic
 
-
-def angle_variances(
-    covariances: Mapping[str, FloatArray], azimuth: float, elevation: float, is_deck: bool
-) -> dict[str, dict[str, float]]:
-    """Return the variance of each displayed angle by source of error.
-
-    Args:
-        covariances: source of error → covariance of a small rotation vector about (East, North, Up), rad²,
-            shape (3, 3).
-        azimuth: azimuth of the line of sight, or heading of the deck, rad.
-        elevation: elevation of the line of sight, or pitch of the deck, rad.
-        is_deck: True for heading, pitch and roll, False for azimuth and elevation.
-
-    Returns:
-        Angle → source → variance, rad². The variance of the azimuth is multiplied by the squared cosine of the
-        elevation. The variance is NaN if the budget is unknown, or if the line of sight points to the zenith.
-
-    Example:
-        A tilt about North by 1 mrad is pitch if the heading is East, and roll if the heading is North:
-
-        >>> about_north = {"ins": np.diag([0.0, 1e-6, 0.0])}
-        >>> east = angle_variances(about_north, np.pi / 2, 0.0, is_deck=True)
-        >>> {angle: round(by_source["ins"] * 1e6, 6) for angle, by_source in east.items()}
-        {'heading': 0.0, 'pitch': 1.0, 'roll': 0.0}
-    """
-    names = ("heading", "pitch", "roll") if is_deck else ("azimuth", "elevation")
-    transport = angle_errors_from_rotation_vector(np.asarray(azimuth), np.asarray(elevation))
-    if not is_deck:
-        transport = transport * [[np.cos(elevation)], [1.0], [1.0]]
-    found: dict[str, dict[str, float]] = {name: {} for name in names}
-    for source, covariance in covariances.items():
-        of_angles = transport @ horizon_covariance(covariance) @ transport.T
-        for index, name in enumerate(names):
-            found[name][source] = float(of_angles[index, index])
-    return found
-
-
 _TRUTH_GAP_NS = NS_PER_S
 _ERROR_PERIOD_NS = NS_PER_S // 2
 """Minimum interval between errors against truth, ns."""
@@ -222,10 +185,7 @@ class HistoryRecorder:
         is_ship, by_angle = output == SHIP_ATTITUDE.topic, {}
         if direction := self._directions.get(output):
             by_angle = angle_variances(covariances, *direction, is_deck=is_ship)
-        variances = {name: np.diagonal(part).copy() for name, part in covariances.items()}
-        total = np.diagonal(np.asarray(message.total, dtype=float).reshape(3, 3)).copy()
-        point = BudgetPoint(ns_from_stamp(message.header.stamp), variances, total, by_angle)
-        append(self.history.budgets, topic, point)
+        append(self.history.budgets, topic, BudgetPoint(ns_from_stamp(message.header.stamp), by_angle))
 
     def record_parameters(self, topic: str, message: Any) -> None:
         """Record an AlignmentState or a TheodoliteCalibration."""
@@ -269,6 +229,42 @@ class HistoryRecorder:
         return self._nominal.setdefault(name, value) if has_room(self._nominal, name, "state") else value
 
 
+def angle_variances(
+    covariances: Mapping[str, FloatArray], azimuth: float, elevation: float, is_deck: bool
+) -> dict[str, dict[str, float]]:
+    """Return the variance of each displayed angle by source of error.
+
+    Args:
+        covariances: source of error → covariance of a small rotation vector about (East, North, Up), rad²,
+            shape (3, 3).
+        azimuth: azimuth of the line of sight, or heading of the deck, rad.
+        elevation: elevation of the line of sight, or pitch of the deck, rad.
+        is_deck: True for heading, pitch and roll, False for azimuth and elevation.
+
+    Returns:
+        Angle → source → variance, rad². The variance of the azimuth is multiplied by the squared cosine of the
+        elevation. The variance is NaN if the budget is unknown, or if the line of sight points to the zenith.
+
+    Example:
+        A tilt about North by 1 mrad is pitch if the heading is East, and roll if the heading is North:
+
+        >>> about_north = {"ins": np.diag([0.0, 1e-6, 0.0])}
+        >>> east = angle_variances(about_north, np.pi / 2, 0.0, is_deck=True)
+        >>> {angle: round(by_source["ins"] * 1e6, 6) for angle, by_source in east.items()}
+        {'heading': 0.0, 'pitch': 1.0, 'roll': 0.0}
+    """
+    names = ("heading", "pitch", "roll") if is_deck else ("azimuth", "elevation")
+    transport = angle_errors_from_rotation_vector(np.asarray(azimuth), np.asarray(elevation))
+    if not is_deck:
+        transport = transport * [[np.cos(elevation)], [1.0], [1.0]]
+    found: dict[str, dict[str, float]] = {name: {} for name in names}
+    for source, covariance in covariances.items():
+        of_angles = transport @ horizon_covariance(covariance) @ transport.T
+        for index, name in enumerate(names):
+            found[name][source] = float(of_angles[index, index])
+    return found
+
+
 def innovation_point(message: Any) -> InnovationPoint:
     """Return the plot point of an Innovation.
 
@@ -286,12 +282,7 @@ def innovation_point(message: Any) -> InnovationPoint:
         axes=axes,
         mean=_mean(parts),
         sigma=np.sqrt(_mean(sigmas**2)),
-        object_residuals=parts,
-        nis=float(message.nis),
-        gate=float(message.gate),
         is_accepted=bool(message.accepted),
-        reason=_REASON_WORDS.get(int(message.reason), ""),
-        object_names=names if names != ("",) else (),
     )
 
 
@@ -302,6 +293,3 @@ def _mean(values: FloatArray) -> FloatArray:
         return np.where(finite[0], values[0], math.nan)
     sums, counts = np.where(finite, values, 0.0).sum(axis=0), finite.sum(axis=0)
     return np.where(counts > 0, sums / np.maximum(counts, 1), math.nan)
-
-
-_REASON_WORDS = {int(reason): "" if reason is Reason.NONE else reason.word for reason in Reason}

@@ -13,6 +13,7 @@ import numpy as np
 
 from ship_estimation.integrity.protection_levels import NORMAL_95, IntegrityState
 from ship_estimation.time_order.outcome import Status
+from ship_watch.safety.functions import SHIP_SOURCES, THEODOLITE_SOURCES
 from ship_watch.safety.limits import Limits
 from ship_watch.safety.safety import AngleInputs, AngleProtection, SafetyHysteresis, TimeOverLimit, angle_safety
 from ship_watch.sources.sources import OverloadedNodes, SourceRecords, first_faulty_source
@@ -29,6 +30,11 @@ _INTEGRITY_STATES = {int(state): state for state in IntegrityState}
 _HORIZONS = {0: "geodetic", 1: "gravity"}
 _ONE_LIGHT, _ENCODER = 1, 2
 _STARS, _STARS_AND_LIGHTS = 3, 4
+_COUNTS = {2: "two", 3: "three", 4: "four"}
+
+_SHIP_REQUIRED = ("ins", "star", "reference")
+_POINTING_REQUIRED = ("encoder", "ship_attitude")
+"""Kinds of sources that each output requires; without a source of another kind only the quality is reduced."""
 
 
 class OutputRecord:
@@ -220,9 +226,6 @@ class PointingRecord(OutputRecord):
         return self._mode == _ONE_LIGHT and beacon_count > 1
 
 
-_COUNTS = {2: "two", 3: "three", 4: "four"}
-
-
 def _accuracy_95(variance: float) -> float:
     """Return 1.96 sigma; NaN for an invalid variance, and for zero, which means "not given" in ROS messages."""
     return NORMAL_95 * math.sqrt(variance) if variance > 0.0 else math.nan
@@ -230,14 +233,6 @@ def _accuracy_95(variance: float) -> float:
 
 def _status_name(status: Status | None) -> str:
     return "unknown" if status is None else status.name
-
-
-_SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
-_POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
-_SHIP_REQUIRED = ("ins", "star", "reference")
-_POINTING_REQUIRED = ("encoder", "ship_attitude")
-"""``_SHIP_REQUIRED`` and ``_POINTING_REQUIRED`` are the kinds of sources that an output requires. Without a source of
-another kind only the quality is reduced."""
 
 
 class Angles:
@@ -282,10 +277,10 @@ class Angles:
         If an output is old and a node has stopped reporting, the node is the cause and no faulty source is given.
         """
         has_node_stopped = any(source.because_of == CAUSE_NODE for source in sources)
-        ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_available(now_ns) else _SHIP_REQUIRED)
+        ship = first_faulty_source(sources, SHIP_SOURCES if self._attitude.is_available(now_ns) else _SHIP_REQUIRED)
         inputs_by_angle = {name: self._inputs_of_angle(name, ship, now_ns) for name in ANGLES[:3]}
         if self._pointing.is_received or self._sources.has_theodolite:
-            needed = _POINTING_SOURCES if self._pointing.is_available(now_ns) else _POINTING_REQUIRED
+            needed = THEODOLITE_SOURCES if self._pointing.is_available(now_ns) else _POINTING_REQUIRED
             faulty_source = first_faulty_source(sources, needed) or ship
             inputs_by_angle |= {name: self._inputs_of_angle(name, faulty_source, now_ns) for name in ANGLES[3:]}
         if has_node_stopped:

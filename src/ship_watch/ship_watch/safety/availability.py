@@ -15,14 +15,12 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC
+from ship_watch.safety.functions import QUANTITIES
 from ship_watch.safety.limits import Limits
 from ship_watch.safety.safety import HYSTERESIS_MARGIN, AngleSafety, SafetyHysteresis, safety_by_accuracy
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import AngleState, Safety
 from ship_watch.value_texts import without_changing_figures
-
-QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
-"""Quantity with its own limit → its angles."""
 
 REQUIRED_SHARE = 0.95
 """Required fraction of the decisive time within a proposed limit."""

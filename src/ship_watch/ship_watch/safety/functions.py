@@ -18,9 +18,12 @@ from ship_watch.value_texts import without_changing_figures
 ATTITUDE, POINTING = "attitude", "pointing"
 """Outputs that provide the functions."""
 
-_ANGLES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
-_SHIP = ("ins", "star", "reference", "gnss", "weather")
-_THEODOLITE = ("encoder", "lights", "baselines", "ship_attitude")
+QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
+"""Function, which is a quantity with its own limit → its angles."""
+
+SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
+THEODOLITE_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
+"""Kinds of sources of the attitude, and those of the pointing in addition."""
 
 _PRIORITY_TEXTS = {
     None: "safe",
@@ -108,7 +111,7 @@ def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:
         POINTING: True,
     }
     found: list[FunctionState] = []
-    for name, members in _ANGLES.items():
+    for name, members in QUANTITIES.items():
         if not all(member in angles for member in members):
             continue
         output = POINTING if name == "pointing" else ATTITUDE
@@ -119,7 +122,7 @@ def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:
         if output == POINTING and safety is Safety.UNSAFE and lost_before:
             # The pointing needs the attitude, so the cause of the lost attitude is also the cause of the lost pointing.
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
-        kinds = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
+        kinds = (*THEODOLITE_SOURCES, *SHIP_SOURCES) if output == POINTING else SHIP_SOURCES
         sources = tuple(one for one in suite_state.sources if one.name.partition(".")[0] in kinds)
         over_s = max(angles[member].over_limit_s for member in members)
         found.append(

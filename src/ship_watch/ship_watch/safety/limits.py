@@ -20,9 +20,7 @@ import numpy as np
 from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters.fields import mapping_of, parameter, section
 from ship_estimation.parameters.schema import ParameterError, build
-
-INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
-"""Kinds of sources. A kind is the name of a source, or the part of the name before the id: "star" of ``star.bow``."""
+from ship_watch.topics import SOURCE_KINDS
 
 _DEVICE_NAME = re.compile(r"(star|reference)_.+")
 
@@ -152,11 +150,11 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name in self.inputs:
-            if name not in INPUT_KINDS and not _DEVICE_NAME.fullmatch(name):
-                near = difflib.get_close_matches(name.partition("_")[0], INPUT_KINDS, n=1)
+            if name not in SOURCE_KINDS and not _DEVICE_NAME.fullmatch(name):
+                near = difflib.get_close_matches(name.partition("_")[0], SOURCE_KINDS, n=1)
                 meant = f"; did you mean '{near[0]}'?" if near else ""
                 raise ParameterError(
-                    f"parameter 'inputs.{name}' is not a source: expected one of {', '.join(INPUT_KINDS)}, star_ID or "
+                    f"parameter 'inputs.{name}' is not a source: expected one of {', '.join(SOURCE_KINDS)}, star_ID or "
                     f"reference_ID{meant}",
                     f"inputs.{name}", value=name,
                 )

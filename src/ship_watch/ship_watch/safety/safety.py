@@ -104,7 +104,8 @@ def _safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
         over = f"over {inputs.unsafe_factor:g} × the limit"
         return Safety.UNSAFE, fault_text or over if math.isfinite(inputs.accuracy_95) else "accuracy unknown"
     state, protection = inputs.protection.state, inputs.protection
-    if state is IntegrityState.EXCEEDED and not _is_within(protection):
+    is_within_alert_limit = protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
+    if state is IntegrityState.EXCEEDED and not is_within_alert_limit:
         return Safety.UNSAFE, fault_text or "protection level over its alert limit"
     if inputs.status is not Status.VALID:
         return Safety.CAUTION, fault_text or inputs.diagnosis_hint or inputs.status.name.lower()
@@ -115,11 +116,6 @@ def _safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
         return Safety.CAUTION, fault_text or inputs.diagnosis_hint or "no independent check"
     return (Safety.CAUTION, fault_text or inputs.diagnosis_hint) if inputs.has_reduced_input else (Safety.SAFE, "")
-
-
-def _is_within(protection: AngleProtection) -> bool:
-    """True if the protection level of this angle is within its alert limit, or no alert limit is configured."""
-    return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
 
 
 class AngleSafety(NamedTuple):

@@ -24,6 +24,7 @@ _IN_A_ROW_PERIODS = 1.5
 """Interval between two rejections, in periods, above which unreported acceptances between the two are assumed."""
 
 _DEGREE_FROM_ARCSEC = 3600.0
+_REASONS = {int(reason) for reason in Reason}
 
 _ROTATION_SENSES = {
     "forward": ("clockwise", "counterclockwise"), "up": ("to the left", "to the right"), "right": ("high", "low")
@@ -177,9 +178,6 @@ class DecisionHistory:
                 break
             run += 1
         return run
-
-
-_REASONS = {int(reason) for reason in Reason}
 
 
 def disagreement(messages: "deque[Any]") -> Disagreement:

@@ -76,7 +76,9 @@ class MountingShifts:
             name, kept = source.name, self._estimates.get(source.name)
             if source.presence is Presence.OUT and not source.because_of and kept:
                 self._reinstated_ns.pop(name, None)
-                self._before.setdefault(name, _estimate_before(kept, source.out_since_ns))
+                latest_ns = source.out_since_ns - _BEFORE_NS
+                estimate = next((each for each in reversed(kept) if each.utc_ns <= latest_ns), kept[0])
+                self._before.setdefault(name, estimate)
             elif source.presence is Presence.IN and name in self._before:
                 self._reinstated_ns.setdefault(name, utc_ns)
         found = []
@@ -105,8 +107,3 @@ def significant_shift(before: MountingEstimate, after: MountingEstimate) -> floa
     except np.linalg.LinAlgError:
         return 0.0
     return float(np.linalg.norm(shift_v)) if squared > _THRESHOLD else 0.0
-
-
-def _estimate_before(kept: deque[MountingEstimate], out_since_ns: int) -> MountingEstimate:
-    """Return the newest mounting estimated before a fault; the oldest mounting if all were estimated later."""
-    return next((each for each in reversed(kept) if each.utc_ns <= out_since_ns - _BEFORE_NS), kept[0])

@@ -24,6 +24,30 @@ MAX_BAND = 0.5
 """Largest half width of the band for which a text is given, reached with 22 degrees of freedom."""
 
 
+_NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
+    Reason.GAP: {
+        "star": ("ins",),
+        "reference": ("ins",),
+        "lights": ("encoder", "ship_attitude", "baselines"),
+    },
+    Reason.NO_FIX: {"star": ("gnss",)},
+    Reason.NOT_FIXED: {"lights": ("baselines",)},
+}
+"""Reason of a rejection → kind of the rejected source → the sources that may cause the rejection."""
+
+_SELF_REPORTED = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
+"""Pairs of reason and source for which the rejected message itself states that it has no value."""
+
+_CORRECTIONS = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
+"""Reason of an accepted measurement → text of the correction that was made in it."""
+
+_NO_USABLE_DATA = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
+"""Kind of source → reason while all data of the source are unusable."""
+
+_UNUSABLE_PERIODS = 5.0
+"""Number of periods without usable data, but at least 2 s, after which a source is OUT."""
+
+
 class NisWindow:
     """Accepted innovations of one source in the last minute: sum of their NIS and of their degrees of freedom."""
 
@@ -92,30 +116,6 @@ def inconsistent_text(ratio: float) -> str:
     return f"{'optimistic' if ratio > 1.0 else 'pessimistic'} by {factor:.{2 if factor < 1.05 else 1}f}"
 
 
-_NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
-    Reason.GAP: {
-        "star": ("ins",),
-        "reference": ("ins",),
-        "lights": ("encoder", "ship_attitude", "baselines"),
-    },
-    Reason.NO_FIX: {"star": ("gnss",)},
-    Reason.NOT_FIXED: {"lights": ("baselines",)},
-}
-"""Reason of a rejection → kind of the rejected source → the sources that may cause the rejection."""
-
-_SELF_REPORTED = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
-"""Pairs of reason and source for which the rejected message itself states that it has no value."""
-
-_CORRECTIONS = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
-"""Reason of an accepted measurement → text of the correction that was made in it."""
-
-_NO_USABLE_DATA = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
-"""Kind of source → reason while all data of the source are unusable."""
-
-_UNUSABLE_PERIODS = 5.0
-"""Number of periods without usable data, but at least 2 s, after which a source is OUT."""
-
-
 @dataclass(frozen=True)
 class SourceFault:
     """Reason why a source is OUT, begin of the fault (UTC, ns), and the other source that causes the fault.
@@ -162,7 +162,7 @@ class SourceRecord:
         self.correction = ""
         self.last_cause = ""
         self.first_word = name.partition(".")[0]
-        self._in_state = SourceState(name, Presence.IN, "", "", math.nan, 0, "")
+        self._in_state = SourceState(name, Presence.IN)
 
     def add_topic(self, reports: TopicReports) -> None:
         """Add a topic on which the source publishes."""
@@ -256,7 +256,7 @@ class SourceRecord:
         """Return the state of the source: OUT with a fault, OFF before any message or decision, else IN."""
         if fault is None:
             if not self.decisions and all(topic.arrived_ns is None for topic in self.topics.values()):
-                return unconfigured_source(self.name)
+                return SourceState(self.name, Presence.OFF)
             is_put_right = self.corrected_ns is not None and now_ns - self.corrected_ns <= MIN_DISPLAY_NS
             return replace(self._in_state, disagreement=self.correction) if is_put_right else self._in_state
         disagreements = [] if fault.because_of else [history.disagreement for history in self.decisions.values()]
@@ -278,11 +278,6 @@ class SourceRecord:
             rejected_in_a_row=max((streak.rejected_in_a_row for streak in histories), default=0),
             topics=tuple(self.topics),
         )
-
-
-def unconfigured_source(name: str) -> SourceState:
-    """Return the state of a source that is not configured."""
-    return SourceState(name, Presence.OFF, "", "", math.nan, 0, "")
 
 
 def _rejection_text(source: str, name: str, history: DecisionHistory) -> str:

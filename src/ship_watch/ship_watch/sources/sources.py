@@ -18,7 +18,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_watch.safety.limits import Limits
 from ship_watch.sources.decision_history import DecisionHistory
 from ship_watch.sources.reports import TopicReports
-from ship_watch.sources.source_record import SourceFault, SourceRecord, unconfigured_source
+from ship_watch.sources.source_record import SourceFault, SourceRecord
 from ship_watch.suite_state import Presence, SourceDetails, SourceState
 from ship_watch.topics import MAX_NAMES, display_order, has_room, source_of_name, source_of_topic
 
@@ -36,6 +36,18 @@ _NODES = ("ship_attitude", "star_attitude", "optical_axis")
 """Nodes that report an overload, in the order in which their texts are preferred."""
 
 _ATTITUDE_NODES = _NODES[:2]
+
+
+STAR_INNOVATION = "star/innovation"
+"""Topic of the innovations of single stars against the solution of their sensor, along the axes of the sensor."""
+
+_STAR_INVALID = 3
+"""Status of a StarHorizonAttitude without an attitude."""
+
+_NS = 1e-9
+
+_UNUSED_S = 5.0
+"""A source counts as unused if its last use is older than its last message by more than this time, s."""
 
 
 @dataclass
@@ -103,18 +115,6 @@ class OverloadedNodes:
     def _is_overloaded(self, node: str, now_ns: int) -> bool:
         known = self._nodes.get(node)
         return known is not None and now_ns - known.reported_ns <= REPORT_TIMEOUT_NS
-
-
-STAR_INNOVATION = "star/innovation"
-"""Topic of the innovations of single stars against the solution of their sensor, along the axes of the sensor."""
-
-_STAR_INVALID = 3
-"""Status of a StarHorizonAttitude without an attitude."""
-
-_NS = 1e-9
-
-_UNUSED_S = 5.0
-"""A source counts as unused if its last use is older than its last message by more than this time, s."""
 
 
 class SourceRecords:
@@ -226,7 +226,7 @@ class SourceRecords:
         faulty_names = {name for name, fault in faults.items() if not fault.because_of}
         because = {name: self._sources[name].attribute_fault(fault, faulty_names) for name, fault in faults.items()}
         states = [source.source_state(because.get(name), now_ns) for name, source in self._sources.items()]
-        states += [unconfigured_source(name) for name in self._unconfigured_names()]
+        states += [SourceState(name, Presence.OFF) for name in self._unconfigured_names()]
         return _causes_first(sorted(states, key=_order))
 
     def source_details(self, states: Iterable[SourceState], now_ns: int) -> list[SourceDetails]:
