@@ -24,7 +24,6 @@ from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.live.topic_reader import MAX_QUEUE_DEPTH, TopicReader
 from ship_monitor.page.first_screen import first_screen
 from ship_monitor.terminal.screen import View, alert_to_show, screen
-from ship_monitor.terminal.styled_text import plain_text
 from ship_simulation.inject_command import main as inject
 from ship_testing.monitored_voyages import (
     BAGS,
@@ -36,6 +35,7 @@ from ship_testing.monitored_voyages import (
     records,
     replay_with_faults,
 )
+from ship_testing.suite_states import plain_text
 from ship_testing.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_watch.history.history import History
 from ship_watch.safety.limits import Limits

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC
+from ship_monitor.terminal.styled_text import Line
 from ship_watch.history.history import History, SafetyPoint
 from ship_watch.safety.limits import Limits
 from ship_watch.suite_state import (
@@ -212,3 +213,8 @@ def history(*, is_faulty: bool = False) -> History:
             words |= dict.fromkeys(("azimuth", "elevation"), Safety.UNSAFE)
         points.append(SafetyPoint(NOW_NS - (599 - second) * NS, words))
     return History(safety=points)
+
+
+def plain_text(line: Line) -> str:
+    """Return the text of a line of the terminal view without its styles."""
+    return "".join(piece.text for piece in line)

@@ -279,9 +279,9 @@ def _value(name: str, node: yaml.Node, parameter: str) -> Any:
         raise value_error("is a list of groups: expected a plain list")
     if node.style in ("'", '"', "|", ">"):
         return node.value
-    if _is_null(node):
-        raise value_error("has no value")
     text = node.value
+    if _NULL.fullmatch(text):
+        raise value_error("has no value")
     if _BOOLEAN.fullmatch(text):
         return text.lower() in ("yes", "true", "on")
     if _INTEGER.fullmatch(text):
@@ -305,10 +305,6 @@ def _kind(node: yaml.Node) -> str:
     if isinstance(node, yaml.ScalarNode):
         return f"a single value ({node.value:.40})" if node.value else "nothing"
     return "a list" if isinstance(node, yaml.SequenceNode) else "a group"
-
-
-def _is_null(node: yaml.ScalarNode) -> bool:
-    return node.style is None and _NULL.fullmatch(node.value) is not None
 
 
 def _put_line(lines: dict[str, int], parameter: str, line: int) -> None:

@@ -8,6 +8,7 @@ difference.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -55,70 +56,35 @@ class Theme:
     series: tuple[str, str, str]
 
 
-_DAY = Theme(
-    name="day",
-    background="#0E141B",
-    panel="#18212B",
-    border="#3B4957",
-    grid="#2A3541",
-    text="#F2F6FA",
-    second_text="#A9B7C4",
-    safe="#5FD3A6",
-    caution_fill="#FFC53D",
-    caution_word="#14100A",
-    caution_border="#FFC53D",
-    unsafe_fill="#FF4D42",
-    unsafe_word="#120303",
-    old="#7F8C99",
-    alarm="#FF4D42",
-    warning="#FF9A3D",
-    caution="#FFE14D",
-    series=("#6CB6FF", "#C3A6F2", "#5FD0C5"),
-)
+_NAMES = ("day", "dusk", "night")
+_COLOURS: dict[str, tuple[Any, Any, Any]] = {
+    "background": ("#0E141B", "#05080B", "#000000"),
+    "panel": ("#18212B", "#0C1218", "#0A0000"),
+    "border": ("#3B4957", "#26313B", "#4A0E08"),
+    "grid": ("#2A3541", "#19222B", "#2A0603"),
+    "text": ("#F2F6FA", "#C4CED7", "#FF4026"),
+    "second_text": ("#A9B7C4", "#8593A0", "#DE3420"),
+    "safe": ("#5FD3A6", "#46A582", "#DE3420"),
+    "caution_fill": ("#FFC53D", "#D9A32B", "#4A0E08"),
+    "caution_word": ("#14100A", "#0B0803", "#FF4026"),
+    "caution_border": ("#FFC53D", "#D9A32B", "#FF4026"),
+    "unsafe_fill": ("#FF4D42", "#E0433A", "#FF4026"),
+    "unsafe_word": ("#120303", "#0C0202", "#000000"),
+    "old": ("#7F8C99", "#66727D", "#B02A18"),
+    "alarm": ("#FF4D42", "#E0433A", "#FF4026"),
+    "warning": ("#FF9A3D", "#D97F2B", "#FF4026"),
+    "caution": ("#FFE14D", "#D9C23A", "#FF4026"),
+    "series": (
+        ("#6CB6FF", "#C3A6F2", "#5FD0C5"),
+        ("#5296D6", "#9D86C9", "#4AA79E"),
+        ("#FF4026", "#B02A18", "#DE3420"),
+    ),
+}
+"""Attribute of a theme → its value in each of the three themes."""
 
-_DUSK = Theme(
-    name="dusk",
-    background="#05080B",
-    panel="#0C1218",
-    border="#26313B",
-    grid="#19222B",
-    text="#C4CED7",
-    second_text="#8593A0",
-    safe="#46A582",
-    caution_fill="#D9A32B",
-    caution_word="#0B0803",
-    caution_border="#D9A32B",
-    unsafe_fill="#E0433A",
-    unsafe_word="#0C0202",
-    old="#66727D",
-    alarm="#E0433A",
-    warning="#D97F2B",
-    caution="#D9C23A",
-    series=("#5296D6", "#9D86C9", "#4AA79E"),
+THEMES: Mapping[str, Theme] = MappingProxyType(
+    {name: Theme(name, **{each: row[n] for each, row in _COLOURS.items()}) for n, name in enumerate(_NAMES)}
 )
-
-_NIGHT = Theme(
-    name="night",
-    background="#000000",
-    panel="#0A0000",
-    border="#4A0E08",
-    grid="#2A0603",
-    text="#FF4026",
-    second_text="#DE3420",
-    safe="#DE3420",
-    caution_fill="#4A0E08",
-    caution_word="#FF4026",
-    caution_border="#FF4026",
-    unsafe_fill="#FF4026",
-    unsafe_word="#000000",
-    old="#B02A18",
-    alarm="#FF4026",
-    warning="#FF4026",
-    caution="#FF4026",
-    series=("#FF4026", "#B02A18", "#DE3420"),
-)
-
-THEMES: Mapping[str, Theme] = MappingProxyType({theme.name: theme for theme in (_DAY, _DUSK, _NIGHT)})
 """Name → theme, in the order of the keys 1 to 3."""
 
 FONT = "B612, 'Wide Watch', sans-serif"

@@ -40,7 +40,7 @@ def pictures(suite):
 def complete_state(pictures):
     """Return the state after the ten minutes of history have been read."""
     picture = pictures.current_state()
-    while not pictures.is_history_complete:
+    while pictures._full_replay is not None:
         picture = pictures.current_state()
     return picture
 

@@ -7,9 +7,9 @@ import pytest
 
 from ship_monitor.commands.monitor_terminal import is_utf8_locale
 from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
-from ship_monitor.terminal.styled_text import TextStyle, plain_text
+from ship_monitor.terminal.styled_text import TextStyle
 from ship_monitor.themes import THEMES
-from ship_testing.suite_states import SHIFTED_SENSOR_ALERT, state_with_mounting_shift
+from ship_testing.suite_states import SHIFTED_SENSOR_ALERT, plain_text, state_with_mounting_shift
 
 
 class Suite:

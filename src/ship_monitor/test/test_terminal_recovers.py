@@ -10,8 +10,8 @@ import pytest
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.terminal.app import TerminalApp, _Lines
-from ship_monitor.terminal.styled_text import plain_text
 from ship_testing.publishing_ship import SuitePublisher, attitude
+from ship_testing.suite_states import plain_text
 from ship_watch.safety.limits import Limits
 
 pytestmark = pytest.mark.live

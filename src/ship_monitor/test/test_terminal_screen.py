@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ship_monitor.terminal.app import details, help_page
 from ship_monitor.terminal.screen import View, alert_to_show, screen, selectable_names
-from ship_monitor.terminal.styled_text import LineFormatter, TextStyle, plain_text
+from ship_monitor.terminal.styled_text import LineFormatter, TextStyle
 from ship_testing.suite_states import (
     NOW_NS,
     SHIFTED_SENSOR,
@@ -19,6 +19,7 @@ from ship_testing.suite_states import (
     SHIFTED_SENSOR_INPUT,
     angle,
     angles_timed_out,
+    plain_text,
     source,
     source_out,
     state_with_mounting_shift,

@@ -1,7 +1,7 @@
-"""State of a suite as a message, which the node ``alerts`` publishes and which page and terminal display.
+"""State and alerts of a suite as messages, which the node ``alerts`` publishes and which page and terminal display.
 
-:func:`suite_state_fields` converts a state to the fields of a SuiteState message, and :func:`published_state` reads a
-received message.
+:func:`suite_state_fields` converts a state to the fields of a SuiteState message. :func:`published_state` and
+:func:`alerts_from_message` read received messages.
 """
 
 import math
@@ -11,7 +11,16 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from ship_bags.stamps import ns_from_stamp
-from ship_watch.suite_state import AngleState, NisConsistency, Presence, Safety, SourceDetails, SuiteState
+from ship_watch.suite_state import (
+    AlertEntry,
+    AngleState,
+    NisConsistency,
+    Presence,
+    Priority,
+    Safety,
+    SourceDetails,
+    SuiteState,
+)
 from ship_watch.topics import MAX_NAME_LENGTH, MAX_NAMES
 
 STATE_TOPIC = "ship/suite_state"
@@ -24,6 +33,7 @@ MAX_AGE_NS = 4 * PERIOD_NS
 """Maximum age of a displayed state, ns. If the last state is older, the node or the network has failed."""
 
 _PRESENCES = tuple(Presence)
+_PRIORITIES = {int(priority) for priority in Priority}
 _MAX_TEXT_LENGTH = 4 * MAX_NAME_LENGTH
 
 
@@ -60,6 +70,15 @@ _SOURCE_FIELDS = {
     "topics": _Conversion(lambda topics: tuple(map(_text, islice(topics, MAX_NAMES))), list),
 }
 """Field of a message of one source → conversion, without the fields of the NIS consistency."""
+
+_ALERT_FIELDS = {
+    **dict.fromkeys(("id", "source", "text", "unit"), _Conversion(str)),
+    **dict.fromkeys(("instance", "state"), _Conversion(int)),
+    **dict.fromkeys(("value", "limit"), _NUMBER),
+    **dict.fromkeys(("raised", "changed"), _TIME),
+    "priority": _Conversion(Priority),
+}
+"""Field of a message of one alert → conversion."""
 
 
 def suite_state_fields(state: SuiteState) -> dict[str, Any]:
@@ -126,6 +145,12 @@ def published_state(message: Any, arrived_ns: int) -> PublishedState:
         texts={name: _text(getattr(message, name)) for name in ("pointing_by", "horizon", "waiting_for")},
         arrived_ns=arrived_ns,
     )
+
+
+def alerts_from_message(message: Any) -> list[AlertEntry]:
+    """Return the first MAX_NAMES alerts of an AlertArray in its order, without alerts of an unknown priority."""
+    alerts = (alert for alert in message.alerts[:MAX_NAMES] if alert.priority in _PRIORITIES)
+    return [AlertEntry(**_values(_ALERT_FIELDS, alert)) for alert in alerts]
 
 
 def _message_fields(fields: Mapping[str, _Conversion], state: AngleState | SourceDetails) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_watch.history.history import History
 from ship_watch.history.history_recorder import HistoryRecorder
-from ship_watch.published_state import PublishedState, published_state
+from ship_watch.published_state import PublishedState, alerts_from_message, published_state
 from ship_watch.safety.angles import Angles, AttitudeRecord, OutputRecord, PointingRecord
 from ship_watch.safety.limits import Limits
 from ship_watch.safety.safety import COUNTDOWN
@@ -32,13 +32,12 @@ from ship_watch.suite_state import (
     AlertEntry,
     Event,
     Presence,
-    Priority,
     Safety,
     SourceDetails,
     SourceState,
     SuiteState,
 )
-from ship_watch.topics import MAX_NAMES, has_room, monitored_topic, reading_node, source_of_topic
+from ship_watch.topics import has_room, monitored_topic, reading_node, source_of_topic
 
 CLOCK_TOLERANCE_NS = NS_PER_S // 10
 """Maximum delay, behind the suite's time, of a stamp that confirms this time, ns.
@@ -57,7 +56,6 @@ START_UP_NS = 3 * NS_PER_S
 """Time after the start of monitoring, and after a reported start of a node, without reports of further starts, ns."""
 
 _NUMBER = re.compile(r"\d+ ")
-_PRIORITIES = {int(priority) for priority in Priority}
 _ALERT_STATE_TEXTS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
 """State of an alert, as in ship_msgs/Alert → its text."""
 
@@ -149,27 +147,6 @@ class EventLog:
                 self.add("alert", alert.id, text, alert.changed_ns)
         for name, _ in states:
             self.add("alert", name, f"{name} is over", utc_ns)
-
-
-def alerts_from_message(message: Any) -> list[AlertEntry]:
-    """Return the first MAX_NAMES alerts of an AlertArray in its order, without alerts of an unknown priority."""
-    return [_alert_from_message(alert) for alert in message.alerts[:MAX_NAMES] if alert.priority in _PRIORITIES]
-
-
-def _alert_from_message(alert: Any) -> AlertEntry:
-    return AlertEntry(
-        id=str(alert.id),
-        instance=int(alert.instance),
-        priority=Priority(alert.priority),
-        state=int(alert.state),
-        source=str(alert.source),
-        text=str(alert.text),
-        value=float(alert.value),
-        limit=float(alert.limit),
-        unit=str(alert.unit),
-        raised_ns=ns_from_stamp(alert.raised),
-        changed_ns=ns_from_stamp(alert.changed),
-    )
 
 
 class SuiteMonitor:

@@ -347,21 +347,17 @@ class SuiteStateSource(Protocol):
     @property
     def label(self) -> str:
         """Origin of the data: "LIVE", "BAG" or "SIMULATED", with an addition."""
-        ...
 
     @property
     def name(self) -> str:
         """Name of the ship: its namespace without slashes, or the name of the bag."""
-        ...
 
     @property
     def location(self) -> str:
         """Namespace and domain, or bag, for the display while it waits for data."""
-        ...
 
     def current_state(self) -> SuiteState:
         """Return the current state. Displays read it twice a second; a source for several displays caches the state."""
-        ...
 
 
 def kind_of(alert_id: str) -> str:

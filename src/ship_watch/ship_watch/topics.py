@@ -23,6 +23,19 @@ MESSAGES = "ship_msgs/msg/"
 SOURCE_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 """Kinds of sources in the order of display. A kind is the name of a source, or the part of the name before the id."""
 
+_SOURCES_OF_TOPICS = {
+    "ins": "ins", "beacon": "baselines", "gnss": "gnss", "met": "weather", "theodolite/encoder": "encoder",
+    "ship/attitude": "ship_attitude",
+}  # fmt: skip
+"""First word of a topic, or whole topic → its source."""
+
+_SOURCES_OF_NAMES = {
+    "ins": "ins", "lights": "lights", "light": "lights", "telescope": "lights", "encoder": "encoder",
+    "ship": "ship_attitude", "ship_attitude": "ship_attitude", "baseline": "baselines", "drone": "baselines",
+    "beacon": "baselines",
+}  # fmt: skip
+"""First word of a name in an innovation or a list of excluded sources → its source."""
+
 _LINE_PERIOD_S = 600.0
 _logged_s: dict[str, float] = {}
 
@@ -118,8 +131,7 @@ def source_of_topic(topic: str) -> str:
         return "" if name == "joint" else f"{first}.{name}"
     if topic.startswith("theodolite/beacons"):
         return "lights"
-    whole = {"ins": "ins", "beacon": "baselines", "gnss": "gnss", "met": "weather"}
-    return whole.get(first, {"theodolite/encoder": "encoder", "ship/attitude": "ship_attitude"}.get(topic, ""))
+    return _SOURCES_OF_TOPICS.get(topic, _SOURCES_OF_TOPICS.get(first, ""))
 
 
 def source_of_name(name: str) -> str:
@@ -129,19 +141,7 @@ def source_of_name(name: str) -> str:
         return "" if rest == "joint" else name  # the joint solution of all sensors is not a source
     if "/" in name:
         return source_of_topic(name) if name != "ship/attitude" else ""  # a failed output is named by its topic
-    whole = {
-        "ins": "ins",
-        "lights": "lights",
-        "light": "lights",
-        "telescope": "lights",
-        "encoder": "encoder",
-        "ship": "ship_attitude",
-        "ship_attitude": "ship_attitude",
-        "baseline": "baselines",
-        "drone": "baselines",
-        "beacon": "baselines",
-    }
-    return whole.get(first, "")
+    return _SOURCES_OF_NAMES.get(first, "")
 
 
 def reading_node(topic: str) -> str:

@@ -179,7 +179,7 @@ def fields_of(
     constants, fields = store.fielddefs[type_name]
     for name, (node, content) in fields:
         unit = unit_of(type_name, name) or inherited
-        cf_name = standard_name(type_name, name)
+        cf_name = _STANDARD_NAMES.get((type_name, name))
         values = tuple(value_names(type_name, name, constants).items())
         field = MessageField((*path, name), node, content, unit, cf_name, owner=type_name, value_names=values)
         yield from _expanded_fields(field, store)
@@ -267,11 +267,6 @@ def unit_of(type_name: str, field: str) -> Unit | None:
     if text is None and type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
         text = _commented_units(type_name.rpartition("/")[2]).get(field)
     return None if text is None else _UNITS[text]
-
-
-def standard_name(type_name: str, field: str) -> str | None:
-    """Return the CF standard name of a field of a type; None if it has none."""
-    return _STANDARD_NAMES.get((type_name, field))
 
 
 def standard_name_on(topic: str, field: str) -> str | None:

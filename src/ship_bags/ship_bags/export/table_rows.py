@@ -149,10 +149,12 @@ class MessageTable:
         get = getter(field.path)
         if field.node == Nodetype.NAME:
             self._add_column(field.base, Column("", "int64", NANOSECONDS, field.origin))
-            self._puts.append((get, _put_time))
+            self._puts.append((get, lambda row, value: row.append(ns_from_stamp(value))))
         elif field.node == Nodetype.BASE:
             self._add_column(field.base, _value_column(field, field.content[0], field.origin))
-            self._puts.append((get, _put_byte if field.content[0] in BYTES else _put_value))
+            # rosbags reads a byte with a sign.
+            is_byte = field.content[0] in BYTES
+            self._puts.append((get, (lambda row, value: row.append(value & 0xFF)) if is_byte else list.append))
         elif is_numbered(field):
             for place in range(field.content[1]):
                 column = _value_column(field, field.content[0][1][0], f"{field.origin}[{place}]")
@@ -160,10 +162,10 @@ class MessageTable:
             self._puts.append((get, partial(_put_array, field.content[1])))
         elif is_bytes(field):
             self._add_column(f"{field.base}_hex", Column("", TEXT, None, f"{field.origin}, two digits a byte"))
-            self._puts.append((get, _put_hex))
+            self._puts.append((get, lambda row, value: row.append(bytes(value).hex())))
         else:
             self._add_column(f"{field.base}_count", Column("", "int32", None, f"length of {field.origin}"))
-            self._puts.append((get, _put_length))
+            self._puts.append((get, lambda row, value: row.append(len(value))))
             return False
         return True
 
@@ -249,29 +251,8 @@ def _value_column(field: MessageField, base_type: str, origin: str) -> Column:
     return Column("", kind, unit, origin, field.standard_name, field.value_names)
 
 
-def _put_value(row: list[Any], value: Any) -> None:
-    row.append(value)
-
-
-def _put_byte(row: list[Any], value: Any) -> None:
-    # rosbags reads a byte with a sign.
-    row.append(value & 0xFF)
-
-
-def _put_time(row: list[Any], value: Any) -> None:
-    row.append(ns_from_stamp(value))
-
-
 def _put_array(length: int, row: list[Any], value: Any) -> None:
     # The value is None beyond the end of an array that shares a table with a longer array.
     values = [] if value is None else as_list(value)
     row.extend(values)
     row.extend([None] * (length - len(values)))
-
-
-def _put_hex(row: list[Any], value: Any) -> None:
-    row.append(bytes(value).hex())
-
-
-def _put_length(row: list[Any], value: Any) -> None:
-    row.append(len(value))

@@ -1,4 +1,4 @@
-"""Bags and the live network: recording of topics into a bag, and playing of a bag with /clock.
+"""Parts of nodes that record and play bags: start of a ROS process, installed types, recorded graph, playback clock.
 
 Only this folder and the commands that use it import rclpy. The folder imports the common modules of the package and
 :mod:`ship_bags.mcap`.

@@ -10,7 +10,6 @@ import contextlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -121,8 +120,7 @@ class BagWriter:
             raise BadInput(f"cannot be written: {problem.strerror}", file=self.path) from problem
         self._sync = DiskSync(self._file.fileno())
         self._writer = McapWriter(self._file, self.path.parent, profile="ros2", library=library)
-        self._definitions: dict[str, TypeDefinition] = {}
-        self._schema_ids: dict[str, int] = {}
+        self._schemas: dict[str, tuple[int, str]] = {}
         self._channels: dict[str, tuple[int, str]] = {}
         self._sequences: dict[int, int] = {}
         self._unrepeated_records: list[Schema | Channel] = []
@@ -289,9 +287,7 @@ class BagWriter:
     def __enter__(self) -> "BagWriter":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or self._written_path == self.path:
             self.close()
         else:
@@ -305,30 +301,26 @@ class BagWriter:
             if known[1] != type_name:
                 raise BadInput(f"topic '{topic}' carries {known[1]}, not {type_name}", file=self.path)
             return known[0]
-        metadata = {
-            "offered_qos_profiles": own_qos_text(latched) if qos_profiles is None else qos_profiles,
-            "topic_type_hash": self._definition(type_name).hash,
-        }
-        schema_id = self._schema_id(type_name)
+        schema_id, type_hash = self._schema(type_name)
+        qos = own_qos_text(latched) if qos_profiles is None else qos_profiles
+        metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash}
         channel_id = self._writer.register_channel(topic, "cdr", schema_id, metadata)
         self._unrepeated_records.append(Channel(channel_id, topic, "cdr", metadata, schema_id))
         self._channels[topic] = (channel_id, type_name)
         return channel_id
 
-    def _definition(self, type_name: str) -> TypeDefinition:
-        if type_name not in self._definitions:
+    def _schema(self, type_name: str) -> tuple[int, str]:
+        """Return the id of a type in the file, and its hash; the type is registered at its first use."""
+        if type_name not in self._schemas:
             try:
-                self._definitions[type_name] = self._define(type_name)
+                text, type_hash = self._define(type_name)
             except Exception as problem:
                 raise BadInput(f"message type {type_name} is unknown", file=self.path) from problem
-        return self._definitions[type_name]
-
-    def _schema_id(self, type_name: str) -> int:
-        if type_name not in self._schema_ids:
-            data = self._definition(type_name).text.encode()
-            self._schema_ids[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
-            self._unrepeated_records.append(Schema(self._schema_ids[type_name], data, "ros2msg", type_name))
-        return self._schema_ids[type_name]
+            data = text.encode()
+            schema_id = self._writer.register_schema(type_name, "ros2msg", data)
+            self._unrepeated_records.append(Schema(schema_id, data, "ros2msg", type_name))
+            self._schemas[type_name] = schema_id, type_hash
+        return self._schemas[type_name]
 
     def _repeat_definitions(self) -> None:
         """Write new schemas and channels once more, between chunks, as MCAP allows."""

@@ -151,11 +151,6 @@ class FolderWriter:
         self._open_file()
 
     @property
-    def message_count(self) -> int:
-        """Number of messages written, in all files."""
-        return sum(file.message_count for file in self.files)
-
-    @property
     def flushed_bytes(self) -> int:
         """Length of the current file at its last flush."""
         return self._bag.flushed_bytes

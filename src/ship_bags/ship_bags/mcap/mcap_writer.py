@@ -248,12 +248,6 @@ class McapWriter:
         if len(self._chunk) > CHUNK_BYTES:
             self._end_chunk()
 
-    def _start_chunk(self) -> None:
-        self._chunk.clear()
-        self._indexes = {}
-        self._start_ns = None
-        self._end_ns = 0
-
     def _end_chunk(self) -> None:
         """Write the chunk and its message indexes; a chunk without messages is kept open."""
         if self._start_ns is None:
@@ -293,7 +287,9 @@ class McapWriter:
         self._first_ns = self._start_ns if self._chunk_count == 0 else min(self._first_ns, self._start_ns)
         self._last_ns = max(self._last_ns, self._end_ns)
         self._chunk_count += 1
-        self._start_chunk()
+        self._chunk.clear()
+        self._indexes = {}
+        self._start_ns, self._end_ns = None, 0
 
     def _summary(self) -> Iterator[tuple[Opcode, Iterable[bytes]]]:
         """Yield the opcode and the records, in blocks, of each group of the summary."""

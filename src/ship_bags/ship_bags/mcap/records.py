@@ -49,7 +49,15 @@ _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _MIN_ATTACHMENT_BYTES = 8 + 8 + 4 + 4 + 8 + 4
-_MIN_MESSAGE_BYTES = 2 + 4 + 8 + 8
+_STRUCTURES: dict[int, tuple[int, tuple[struct.Struct, ...]]] = {
+    Opcode.CHUNK: (_CHUNK_HEAD.size, (_U32, _U64)),
+    Opcode.SCHEMA: (_U16.size, (_U32, _U32, _U32)),
+    Opcode.CHANNEL: (2 * _U16.size, (_U32, _U32, _U32)),
+    Opcode.METADATA: (0, (_U32, _U32)),
+    Opcode.HEADER: (0, (_U32, _U32)),
+}
+"""Opcode → size of the fields at the beginning of a body, and the sizes that state the lengths of the other fields."""
+
 # Header of a record at which a scan may continue. Schemas, channels and messages are left out: inside a damaged
 # uncompressed chunk they look valid, but no checksum protects them. The upper bytes of a length are zero in any file
 # below a tebibyte.
@@ -253,21 +261,13 @@ def _compression(chunk: bytes) -> str:
 def _is_valid(opcode: int, body: bytes) -> bool:
     """True if a body may be a record of an opcode: by its length for a message or attachment, else by its structure."""
     try:
-        if opcode == Opcode.CHUNK:
-            return _end_of(body, _CHUNK_HEAD.size, (_U32, _U64)) == len(body)
+        if opcode in _STRUCTURES:
+            return _end_of(body, *_STRUCTURES[opcode]) == len(body)
         if opcode == Opcode.MESSAGE_INDEX:
             return _is_message_index(body)
         if opcode == Opcode.MESSAGE:
             # One wrong bit makes a message index look like a message.
-            return len(body) >= _MIN_MESSAGE_BYTES and not _is_message_index(body)
-        if opcode == Opcode.SCHEMA:
-            return _end_of(body, _U16.size, (_U32, _U32, _U32)) == len(body)
-        if opcode == Opcode.CHANNEL:
-            return _end_of(body, 2 * _U16.size, (_U32, _U32, _U32)) == len(body)
-        if opcode == Opcode.METADATA:
-            return _end_of(body, 0, (_U32, _U32)) == len(body)
-        if opcode == Opcode.HEADER:
-            return _end_of(body, 0, (_U32, _U32)) == len(body)
+            return len(body) >= _MESSAGE_HEAD.size and not _is_message_index(body)
     except struct.error:
         return False
     if opcode == Opcode.ATTACHMENT:

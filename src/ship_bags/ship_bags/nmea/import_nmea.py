@@ -4,7 +4,7 @@ A line of a log has an ISO 8601 receive time, a space and a sentence (OpenRVDAS 
 """
 
 import re
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -164,8 +164,11 @@ def import_logs(order: ImportRequest, out_path: Path) -> list[LogReport]:
         (WEATHER, WEATHER, order.weather, AIR_KINDS),
     ):
         if log is not None:
-            lines, report = _read_required(log, kinds, order.rules)
+            lines, report = read_log(log, order.rules)
             reports.append(report)
+            if not any(report.used[kind] for kind in kinds):
+                *others, last = kinds
+                raise BadInput(f"no {', '.join(others)} or {last} in {report.lines} lines", file=log)
             timed += _messages(factory, InstrumentRole(becomes), name, lines, report)
     _write(order, out_path, timed, reports)
     return reports
@@ -181,7 +184,7 @@ def _messages(
 def _attitudes(lines: list[InstrumentLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
     reader = AttitudeReader(by_instrument, report)
     found = [attitude for line in lines if (attitude := reader.take(line)) is not None]
-    reader.finish()
+    reader.reject_waiting()
     if not found and report.rejected[WRONG_TIME]:
         example = next(text for text in report.examples if WRONG_TIME in text)
         raise BadInput(f"no usable attitude: {example}; --time receive stamps by the receive time", file=report.path)
@@ -202,14 +205,6 @@ def _remark_on_clock(report: LogReport, times_ns: list[tuple[int, int]]) -> None
     delay_ns = int(np.median([receive_ns - stamp_ns for receive_ns, stamp_ns in times_ns]))
     if text := clock_problem(delay_ns, "the receive times"):
         report.remarks.append(f"{text}: use --time receive")
-
-
-def _read_required(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:
-    lines, report = read_log(path, rules)
-    if not any(report.used[kind] for kind in kinds):
-        *others, last = kinds
-        raise BadInput(f"no {', '.join(others)} or {last} in {report.lines} lines", file=path)
-    return lines, report
 
 
 def _write(order: ImportRequest, out_path: Path, timed: list[TimedMessage], reports: list[LogReport]) -> None:

@@ -210,10 +210,6 @@ class AttitudeReader:
             return self._attitude(line, self._stamp_ns(line), line.receive_ns)
         return None
 
-    def finish(self) -> None:
-        """Count the attitude whose ZDA did not arrive."""
-        self._reject_waiting()
-
     def _is_usable(self, line: InstrumentLine) -> bool:
         """Return False for an attitude that the instrument marks as invalid, and count it."""
         if self._is_invalid:
@@ -231,11 +227,12 @@ class AttitudeReader:
         time_of_day = getattr(line.content, "timestamp", None)
         if time_of_day is not None:
             return instrument_ns(time_of_day_ns(time_of_day, line.receive_ns), line, self._report)
-        self._reject_waiting()
+        self.reject_waiting()
         zda = self._bursts.pair_attitude(line)
         return None if zda is None else instrument_ns(zda.stamp_ns, zda.line, self._report)
 
-    def _reject_waiting(self) -> None:
+    def reject_waiting(self) -> None:
+        """Count the attitude whose ZDA did not arrive."""
         waiting, self._bursts.pending_attitude = self._bursts.pending_attitude, None
         if waiting is not None:
             self._report.reject(WITHOUT_TIME, waiting.number, str(waiting.content))

@@ -138,18 +138,17 @@ class AlertManager:
     def _read_alerts(self, now_ns: int) -> AlertList:
         """Return the alerts of the file; an empty list if there is no file or the file cannot be read."""
         try:
-            if self._state_file is None:
-                return AlertList(self._limits.alerts, (), now_ns)
-            document: dict[str, Any] = json.loads(self._files.read(self._state_file))
-            if (document["format"], document["version"]) != (_FORMAT, _VERSION):
-                raise ValueError(f"expected format {_FORMAT}, version {_VERSION}")
-            return AlertList(self._limits.alerts, document["alerts"], now_ns)
+            if self._state_file is not None:
+                document: dict[str, Any] = json.loads(self._files.read(self._state_file))
+                if (document["format"], document["version"]) != (_FORMAT, _VERSION):
+                    raise ValueError(f"expected format {_FORMAT}, version {_VERSION}")
+                return AlertList(self._limits.alerts, document["alerts"], now_ns)
         except FileNotFoundError:
-            return AlertList(self._limits.alerts, (), now_ns)
+            pass
         except (OSError, ValueError, TypeError, KeyError) as problem:
             text = f"saved alerts cannot be read, the list of alerts starts empty: {problem}"
             self._log_problem(str(BadInput(text, file=self._state_file)))
-            return AlertList(self._limits.alerts, (), now_ns)
+        return AlertList(self._limits.alerts, (), now_ns)
 
     def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
         """Write the file if there are changes or the last write failed; return the changes."""

@@ -10,12 +10,11 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.live.ros_process import call_on_end_signals, heartbeat
 from ship_bags.topic_names import add_remap_option
-from ship_monitor.commands.time_zone import add_time_zone
+from ship_monitor.commands.display_options import add_display_options
 from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.page.app import PageSource, page_maker
 from ship_monitor.page.bag_playback import BagPlayback, RecordedSuite
 from ship_monitor.page.server import PageServer
-from ship_monitor.themes import THEMES
 from ship_monitor.web.foxglove_server import FoxgloveServer
 from ship_watch.safety.limits import Limits, read_limits
 
@@ -75,11 +74,7 @@ def _parser() -> CommandParser:
         metavar="N",
         help=f"also serve the topics to Foxglove, on this TCP port; 0 takes a free one ({FOXGLOVE_PORT})",
     )
-    parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
-    parser.add_argument(
-        "--theme", choices=tuple(THEMES), default="day", help="theme of page addresses without one (day)"
-    )
-    add_time_zone(parser)
+    add_display_options(parser, "theme of page addresses without one (day)")
     return parser
 
 
@@ -95,21 +90,17 @@ def _run(parsed: argparse.Namespace) -> int:
     if parsed.bag is not None:
         return _serve_bag(parsed, limits)
     with contextlib.ExitStack() as left_open:
-        foxglove = None if parsed.foxglove is None else _foxglove_server(parsed)
-        if foxglove is not None:
+        foxglove = None
+        if parsed.foxglove is not None:
+            name = parsed.namespace.strip("/") or "ship"
+            foxglove = FoxgloveServer(name, parsed.address, parsed.foxglove, parsed.allow_host)
             left_open.callback(foxglove.close)
         suite = LiveSuite("monitor", parsed.namespace, limits, foxglove)
         left_open.callback(suite.close)
         return _serve(parsed, lambda: suite, suite.tick, suite.location, foxglove)
 
 
-def _foxglove_server(parsed: argparse.Namespace) -> FoxgloveServer:
-    name = parsed.namespace.strip("/") or "ship"
-    return FoxgloveServer(name, parsed.address, parsed.foxglove, parsed.allow_host)
-
-
 def _serve_bag(parsed: argparse.Namespace, limits: Limits) -> int:
-    """Serve a bag; each browser has its own time."""
     if parsed.foxglove is not None:
         raise BadInput(f"--foxglove serves a live suite: Foxglove opens {parsed.bag} by itself")
     suite = RecordedSuite(parsed.bag, parsed.namespace)

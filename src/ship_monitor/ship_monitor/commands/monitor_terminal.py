@@ -6,14 +6,12 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_monitor.commands.time_zone import add_time_zone
+from ship_monitor.commands.display_options import add_display_options
 from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.terminal.app import TerminalApp
-from ship_monitor.themes import THEMES
 from ship_watch.safety.limits import Limits, read_limits
 
 _DESCRIPTION = """\
@@ -43,9 +41,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
-    parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
-    parser.add_argument("--theme", choices=tuple(THEMES), default="day", help="colours at the start (day)")
-    add_time_zone(parser)
+    add_display_options(parser, "colours at the start (day)")
     parser.add_argument(
         "--characters",
         choices=("auto", "utf8", "ascii"),

@@ -43,40 +43,17 @@ from ship_watch.topics import monitored_topic
 SERVICE = "alerts/acknowledge"
 """Relative name of the service."""
 
+READ_PERIOD_S = 0.2
+"""Period at which topics are read, s."""
+
+_RELAYS_PER_READ = 4
+"""Number of forwarding steps for each reading of topics: twenty steps a second."""
+
+_STATE_PERIOD_NS = 200_000_000
+_CLOSE_TIMEOUT_S = 5.0
+
 _FOUND_WITHIN_S = 2.0
 _ANSWERED_WITHIN_S = 3.0
-
-
-def acknowledge(context: Context, namespace: str, alert_id: str, instance: int) -> str:
-    """Acknowledge one instance of an alert; wait for the answer and return the result in words.
-
-    The temporary node shares the context, and with it the DDS participant: two participants in one process can
-    deadlock.
-
-    Args:
-        context: rclpy context of the reader's node.
-        namespace: namespace of the suite.
-        alert_id: id of the alert.
-        instance: instance of the alert.
-    """
-    node = rclpy.create_node("acknowledge", namespace=namespace, context=context, use_global_arguments=False)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        client = node.create_client(AcknowledgeAlert, SERVICE)
-        if not client.wait_for_service(timeout_sec=_FOUND_WITHIN_S):
-            return f"not acknowledged: no service {client.service_name}; is the node alerts running?"
-        answer = client.call_async(AcknowledgeAlert.Request(id=alert_id, instance=instance))
-        executor.spin_until_future_complete(answer, timeout_sec=_ANSWERED_WITHIN_S)
-        response = answer.result() if answer.done() else None
-        if response is None:
-            return f"not acknowledged: no answer of {client.service_name} within {_ANSWERED_WITHIN_S:.0f} s"
-        if response.success:
-            return str(response.message) or f"{alert_id} acknowledged"
-        return f"not acknowledged: {response.message}"
-    finally:
-        executor.shutdown()
-        node.destroy_node()
 
 
 class TopicReceiver(Protocol):
@@ -184,16 +161,6 @@ class TopicRelay:
         self._subscriptions.pop(topic).close()
 
 
-READ_PERIOD_S = 0.2
-"""Period at which topics are read, s."""
-
-_RELAYS_PER_READ = 4
-"""Number of forwarding steps for each reading of topics: twenty steps a second."""
-
-_STATE_PERIOD_NS = 200_000_000
-_CLOSE_TIMEOUT_S = 5.0
-
-
 class LiveSuite:
     """A suite on the network: one reader and one monitor for all displays.
 
@@ -265,16 +232,13 @@ class LiveSuite:
             # An error is logged; data that are not read become old.
             try:
                 if number % rounds == 0:
-                    self._read_batch()
+                    batch = self._reader.fetch()
+                    if batch.time_went_back or batch.messages or batch.alerts_ended:
+                        self._pending.put(batch)
                 if self._relay is not None:
                     self._relay.forward_messages()
             except Exception:
                 logging.getLogger(__name__).exception("topics are not read")
-
-    def _read_batch(self) -> None:
-        batch = self._reader.fetch()
-        if batch.time_went_back or batch.messages or batch.alerts_ended:
-            self._pending.put(batch)
 
     @property
     def history(self) -> History:
@@ -300,7 +264,7 @@ class LiveSuite:
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
         """Acknowledge one instance of an alert; return the result in words. The call may take seconds."""
-        return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
+        return _acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
     def controls(self, _on_move: Callable[[], None]) -> None:
         """Return None: a live suite has no controls."""
@@ -310,6 +274,32 @@ class LiveSuite:
         self._is_closed.set()
         self._thread.join(_CLOSE_TIMEOUT_S)
         self._reader.close()
+
+
+def _acknowledge(context: Context, namespace: str, alert_id: str, instance: int) -> str:
+    """Acknowledge an alert; wait for the answer and return the result in words.
+
+    The temporary node shares the reader's context, and with it the DDS participant: two participants in one process
+    can deadlock.
+    """
+    node = rclpy.create_node("acknowledge", namespace=namespace, context=context, use_global_arguments=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        client = node.create_client(AcknowledgeAlert, SERVICE)
+        if not client.wait_for_service(timeout_sec=_FOUND_WITHIN_S):
+            return f"not acknowledged: no service {client.service_name}; is the node alerts running?"
+        answer = client.call_async(AcknowledgeAlert.Request(id=alert_id, instance=instance))
+        executor.spin_until_future_complete(answer, timeout_sec=_ANSWERED_WITHIN_S)
+        response = answer.result() if answer.done() else None
+        if response is None:
+            return f"not acknowledged: no answer of {client.service_name} within {_ANSWERED_WITHIN_S:.0f} s"
+        if response.success:
+            return str(response.message) or f"{alert_id} acknowledged"
+        return f"not acknowledged: {response.message}"
+    finally:
+        executor.shutdown()
+        node.destroy_node()
 
 
 def queue_depth(topic: str, type_name: str) -> int:

@@ -23,6 +23,29 @@ from ship_bags.live.ros_process import prepare_dds
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
 
+ALERTS_TOPIC = "ship/alerts"
+
+MAX_QUEUE_DEPTH = 256
+"""Queue depth of a topic whose messages are all needed: a quarter of a second at 1 kHz."""
+
+CLOCK_TOPIC = "/clock"
+_CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+_ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
+DISCOVERY_NS = 500_000_000
+"""Period of the discovery of new topics, ns."""
+
+_CLOCK_BACK_NS = 100_000_000
+"""Step back of /clock that resets the nodes, ns (:mod:`ship_node.live.live_node`)."""
+_STAMPS_BACK_NS = 5 * NS_PER_S
+"""Step back of an output's stamp that indicates another voyage, ns: within a voyage the stamps increase."""
+_OUTPUTS = ("ship/attitude", "theodolite/pointing")
+_MIN_SLEEP_NS = 5 * NS_PER_S
+
+_CLOCK_MEMORY_NS = 10 * NS_PER_S
+"""Time before an output, ns. The output counts as played or simulated if /clock or a truth topic existed in this time.
+
+/clock or the truth topic may have ended while the output is still displayed."""
+
 
 def are_latched(publishers: Sequence[TopicEndpointInfo]) -> bool:
     """True if all publishers of a topic are transient local, so that a late subscriber gets the last message."""
@@ -79,30 +102,6 @@ class RawSubscription:
         self._node.destroy_subscription(self._subscription)
 
 
-ALERTS_TOPIC = "ship/alerts"
-
-MAX_QUEUE_DEPTH = 256
-"""Queue depth of a topic whose messages are all needed: a quarter of a second at 1 kHz."""
-
-CLOCK_TOPIC = "/clock"
-_CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
-_ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
-DISCOVERY_NS = 500_000_000
-"""Period of the discovery of new topics, ns."""
-
-_CLOCK_BACK_NS = 100_000_000
-"""Step back of /clock that resets the nodes, ns (:mod:`ship_node.live.live_node`)."""
-_STAMPS_BACK_NS = 5 * NS_PER_S
-"""Step back of an output's stamp that indicates another voyage, ns: within a voyage the stamps increase."""
-_OUTPUTS = ("ship/attitude", "theodolite/pointing")
-_MIN_SLEEP_NS = 5 * NS_PER_S
-
-_CLOCK_MEMORY_NS = 10 * NS_PER_S
-"""Time before an output, ns. The output counts as played or simulated if /clock or a truth topic existed in this time.
-
-/clock or the truth topic may have ended while the output is still displayed."""
-
-
 def steady_ns() -> int:
     """Return a time that never steps and, unlike ``time.monotonic_ns``, runs while the computer sleeps, ns."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
@@ -150,6 +149,8 @@ class TopicReader:
     Attributes:
         domain_id: ROS domain of the reader.
         namespace: namespace with a leading slash; "/" for no namespace.
+        context: context of the node, for another node in this process; renewed after the computer has slept.
+        node: node for subscriptions in the thread that calls :meth:`fetch`; renewed after the computer has slept.
 
     Args:
         name: name of the node.
@@ -217,44 +218,33 @@ class TopicReader:
         others = [f"/{name}" for name in self._other_namespaces if f"/{name}" != self.namespace]
         return f"{where}; suite found in {', '.join(others)}" if others else where
 
-    @property
-    def context(self) -> Context:
-        """Context of the reader's node, for another node in this process; renewed after the computer has slept."""
-        return self._context
-
-    @property
-    def node(self) -> Node:
-        """Node for subscriptions in the thread that calls :meth:`fetch`; renewed after the computer has slept."""
-        return self._node
-
     def relative_name(self, topic: str) -> str | None:
         """Return the name relative to the namespace, unchanged if all suites share the topic; None for other topics."""
         return topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
 
     def close(self) -> None:
         """Leave the network."""
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
 
     def _open(self) -> None:
         prepare_dds()
-        self._context = Context()
-        self._context.init(args=[])
-        self.domain_id = int(self._context.get_domain_id())
+        self.context = Context()
+        self.context.init(args=[])
+        self.domain_id = int(self.context.get_domain_id())
         try:
-            self._node = Node(
+            self.node = Node(
                 self._name,
-                context=self._context,
+                context=self.context,
                 namespace=self.namespace,
                 use_global_arguments=False,
                 enable_rosout=False,
                 start_parameter_services=False,
             )
         except (InvalidNamespaceException, ValueError) as problem:
-            self._context.try_shutdown()
-            raise BadInput(
-                f"'{self.namespace}' is not a namespace of ROS; expected letters, digits, _ and /"
-            ) from problem
+            self.context.try_shutdown()
+            reason = f"'{self.namespace}' is not a namespace of ROS; expected letters, digits, _ and /"
+            raise BadInput(reason) from problem
         self._subscriptions: dict[str, _SubscribedTopic] = {}
         self._published_topics: set[str] = set()
         self._unusable: set[tuple[str, str]] = set()
@@ -265,11 +255,11 @@ class TopicReader:
 
     def _discover(self) -> None:
         """Subscribe to new topics, and again to topics whose type or durability has changed."""
-        names = self._node.get_topic_names_and_types()
+        names = self.node.get_topic_names_and_types()
         ending = "/" + _OUTPUTS[0]
         self._other_namespaces = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
         clock_topic = self._clock_topic(dict(names))
-        if self._node.count_publishers(clock_topic):
+        if self.node.count_publishers(clock_topic):
             self._clock_ns = steady_ns()
         present = set()
         for topic, types in names:
@@ -279,7 +269,7 @@ class TopicReader:
             depths = {each: 1 if relative == CLOCK_TOPIC else self._queue_depth(relative, each) for each in types}
             if not any(depths.values()) and not relative.startswith(TRUTH_PREFIX):
                 continue
-            publishers = self._node.get_publishers_info_by_topic(topic)
+            publishers = self.node.get_publishers_info_by_topic(topic)
             if not publishers:
                 continue
             present.add(relative)
@@ -296,7 +286,7 @@ class TopicReader:
         If the topic changes, the latest time of the former topic is dropped: the change does not count as a step back.
         """
         own = self.namespace.rstrip("/") + CLOCK_TOPIC
-        is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0
+        is_there = types.get(own) == [_CLOCK_TYPE] and self.node.count_publishers(own) > 0
         topic = own if is_there else CLOCK_TOPIC
         former = CLOCK_TOPIC if is_there else own
         if former != topic and former in self._subscriptions:
@@ -314,10 +304,10 @@ class TopicReader:
         if (topic, type_name) in self._unusable:
             return
         try:
-            subscription = RawSubscription(self._node, topic, type_name, is_latched, depth)
+            subscription = RawSubscription(self.node, topic, type_name, is_latched, depth)
         except BadInput as problem:
             self._unusable.add((topic, type_name))
-            self._node.get_logger().warning(f"topic '{topic}' is not shown: {problem}")
+            self.node.get_logger().warning(f"topic '{topic}' is not shown: {problem}")
             return
         self._subscriptions[topic] = _SubscribedTopic(subscription, relative)
 
@@ -331,7 +321,7 @@ class TopicReader:
                 try:
                     message = deserialize_message(data, subscribed.subscription.message_class)
                 except Exception as problem:
-                    self._node.get_logger().warning(
+                    self.node.get_logger().warning(
                         f"topic '{subscribed.relative_name}' is not read: {problem}", throttle_duration_sec=10.0
                     )
                     continue

@@ -19,29 +19,11 @@ from bokeh.models.ui import UIElement
 from jinja2 import Template
 
 from ship_monitor.page.first_screen import first_screen
-from ship_monitor.page.panels import Panels, build_panels
+from ship_monitor.page.panels import Panels
 from ship_monitor.themes import THEMES, Theme
 from ship_watch.history.history import History
 from ship_watch.suite_state import ANGLES, SuiteStateSource
 from ship_watch.value_texts import local_clock
-
-
-class PageSource(SuiteStateSource, Protocol):
-    """Interface of the page to a running suite or a bag."""
-
-    @property
-    def history(self) -> History:
-        """Data of the plots."""
-        ...
-
-    def controls(self, on_move: Callable[[], None]) -> UIElement | None:
-        """Return new controls to be placed under the top bar, such as the time slider of a bag; None for no controls.
-
-        Args:
-            on_move: called after the controls have changed the displayed time; the page then updates.
-        """
-        ...
-
 
 STATIC = Path(__file__).with_name("static")
 """Folder of template, style and script of the page."""
@@ -63,6 +45,21 @@ PANEL_PERIOD_MS = 20
 
 TEXTS_PER_PLOT_UPDATE = 2
 """Number of text updates for each update of the plots."""
+
+
+class PageSource(SuiteStateSource, Protocol):
+    """Interface of the page to a running suite or a bag."""
+
+    @property
+    def history(self) -> History:
+        """Data of the plots."""
+
+    def controls(self, on_move: Callable[[], None]) -> UIElement | None:
+        """Return new controls to be placed under the top bar, such as the time slider of a bag; None for no controls.
+
+        Args:
+            on_move: called after the controls have changed the displayed time; the page then updates.
+        """
 
 
 class Page:
@@ -128,7 +125,7 @@ class Page:
     def _make_panels(self) -> None:
         """Make the panels, and show their frames; each panel follows when it becomes visible in the browser."""
         self._update_texts()
-        self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
+        self._panels = Panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
         self._drawn_state = self._suite_state
         self._panels.update(self._source.history, self._drawn_state)
         self._panel_column.children = [self._panels.layout]
@@ -230,6 +227,5 @@ def _variables(theme: Theme, source: PageSource, first: str) -> dict[str, Any]:
 
 @cache
 def _template() -> Template:
-    """Return the template of the page, with Bokeh's macros."""
     template: Template = get_env().from_string((STATIC / "page.html").read_text(encoding="utf-8"))
     return template

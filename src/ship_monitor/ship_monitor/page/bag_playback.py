@@ -46,6 +46,35 @@ THINNING_PERIOD_NS = 100_000_000
 
 The monitor evaluates the suite with the same period."""
 
+SHORT_HISTORY_NS = 60 * NS_PER_S
+"""Length of the history that is read immediately for a new time, ns: the minute that NIS consistency uses."""
+
+MAX_READ_S = 0.2
+"""Maximum duration of reading a part of the ten minutes in one update, s."""
+
+SPEEDS = (1, 10, 60)
+STEP_S = 1.0
+
+_PLAY, _PAUSE = "▶ Play", "❚❚ Pause"
+
+_CLOCK_JS = """
+const two = (n) => String(Math.floor(n) % 60).padStart(2, "0");
+const clockText = (s) => Math.floor(s / 3600) + ":" + two(s / 60) + ":" + two(s);
+clock.text = clockText(cb_obj.value) + " / " + clockText(length);
+"""
+
+_CSS = """
+:host,.bk-btn,.bk-clearfix{font-family:B612,"Wide Watch",sans-serif}
+:host,.bk-btn,.bk-clearfix{color:var(--text);font-size:15px;font-variant-numeric:tabular-nums}
+.bk-btn,.bk-btn.bk-active,.bk-btn:hover{background:var(--panel)!important;color:var(--text)!important;
+  border:1px solid var(--second-text)!important;border-radius:2px;box-shadow:none!important;padding:6px 8px}
+.noUi-target{background:var(--grid)!important;border:1px solid var(--border)!important;box-shadow:none!important}
+.noUi-connect{background:var(--second-text)!important}
+.noUi-handle{background:var(--text)!important;border:1px solid var(--background)!important;box-shadow:none!important}
+.noUi-handle::before,.noUi-handle::after{display:none}
+:focus-visible{outline:2px solid var(--text)!important}
+"""
+
 
 @dataclass(frozen=True)
 class RecordedMessage:
@@ -85,7 +114,7 @@ class RecordedSuite:
             relative: name for relative, name in names.items() if monitored_topic(relative, self._bag.topics[name])
         }
         self._topics = {name: (relative, monitored_topic(relative)) for relative, name in usable.items()}
-        self.start_ns, self.end_ns = self._bag.start_ns or 0, self._bag.end_ns or 0
+        self.start_ns, self.end_ns = self._bag.start_ns, self._bag.end_ns
         has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
         self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
         self.notes = self._missing_data_notes(set(usable), has_truth)
@@ -140,7 +169,6 @@ class RecordedSuite:
         return found.pop() if found else ""
 
     def _missing_data_notes(self, usable: set[str], has_truth: bool) -> tuple[str, ...]:
-        """Return lines about missing data and their consequence."""
         name = self.path.name
         if usable.isdisjoint(OUTPUTS):
             outputs = f"no {OUTPUTS[0]} and no {OUTPUTS[1]}"
@@ -161,12 +189,6 @@ def _namespace_of(name: str, type_name: str) -> str | None:
     return None
 
 
-SPEEDS = (1, 10, 60)
-STEP_S = 1.0
-
-_PLAY, _PAUSE = "▶ Play", "❚❚ Pause"
-
-
 class TimeControls:
     """Controls for the displayed time of a bag.
 
@@ -184,6 +206,7 @@ class TimeControls:
     def __init__(self, length_s: float, note: str, go_to: Callable[[float], None]) -> None:
         self._length_s, self._go_to = length_s, go_to
         self._set_s = length_s
+        self._speed_index = 0
         style = InlineStyleSheet(css=_CSS)
         self._play = Toggle(label=_PLAY, name="play", width=110, margin=0, stylesheets=[style])
         self._speed = Button(label=f"× {SPEEDS[0]}", width=64, margin=0, stylesheets=[style])
@@ -224,8 +247,6 @@ class TimeControls:
         """Seconds of the bag that are played in one second."""
         return SPEEDS[self._speed_index]
 
-    _speed_index = 0
-
     def show(self, at_s: float) -> None:
         """Move the slider to a time, s, without pausing the playback."""
         self._set_s = at_s
@@ -258,32 +279,6 @@ class TimeControls:
 def _clock(at_s: float, length_s: float) -> str:
     """Return a time and the length of the bag as hours, minutes and seconds."""
     return " / ".join(f"{int(s) // 3600}:{int(s) // 60 % 60:02d}:{int(s) % 60:02d}" for s in (at_s, length_s))
-
-
-_CLOCK_JS = """
-const two = (n) => String(Math.floor(n) % 60).padStart(2, "0");
-const clockText = (s) => Math.floor(s / 3600) + ":" + two(s / 60) + ":" + two(s);
-clock.text = clockText(cb_obj.value) + " / " + clockText(length);
-"""
-
-_CSS = """
-:host,.bk-btn,.bk-clearfix{font-family:B612,"Wide Watch",sans-serif}
-:host,.bk-btn,.bk-clearfix{color:var(--text);font-size:15px;font-variant-numeric:tabular-nums}
-.bk-btn,.bk-btn.bk-active,.bk-btn:hover{background:var(--panel)!important;color:var(--text)!important;
-  border:1px solid var(--second-text)!important;border-radius:2px;box-shadow:none!important;padding:6px 8px}
-.noUi-target{background:var(--grid)!important;border:1px solid var(--border)!important;box-shadow:none!important}
-.noUi-connect{background:var(--second-text)!important}
-.noUi-handle{background:var(--text)!important;border:1px solid var(--background)!important;box-shadow:none!important}
-.noUi-handle::before,.noUi-handle::after{display:none}
-:focus-visible{outline:2px solid var(--text)!important}
-"""
-
-
-SHORT_HISTORY_NS = 60 * NS_PER_S
-"""Length of the history that is read immediately for a new time, ns: the minute that NIS consistency uses."""
-
-MAX_READ_S = 0.2
-"""Maximum duration of reading a part of the ten minutes in one update, s."""
 
 
 class _Replay:
@@ -346,11 +341,6 @@ class BagPlayback:
     def history(self) -> History:
         """Data of the plots: of the last minute, and of all ten minutes as soon as they are read."""
         return self._current_replay().monitor.history
-
-    @property
-    def is_history_complete(self) -> bool:
-        """True if all of the last ten minutes has been read."""
-        return self._full_replay is None and self._displayed_replay is not None
 
     def go_to(self, since_start_s: float) -> None:
         """Set the displayed time.

@@ -154,23 +154,18 @@ def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str,
     below = [source for source in out if source not in roots]
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
     banners = [*((source.name, f"{source.name} OUT") for source in roots), *nodes.items()]
+    more = banners[_MAX_BANNERS - 1 :] if len(banners) > _MAX_BANNERS else []
     count = f"{len(used) - len(out)} of {len(used)} in" if used else ""
     return {
         "head": count if is_known or not count else f"last: {count}",
         "is_known": is_known,
-        "out": banners
-        if len(banners) <= _MAX_BANNERS
-        else [*banners[: _MAX_BANNERS - 1], _more_banner(banners[_MAX_BANNERS - 1 :])],
+        "out": [*banners[: _MAX_BANNERS - 1], (more[0][0], f"{len(more)} more OUT")] if more else banners,
         "why": _reason_lines(roots[0]) if len(banners) == len(roots) == 1 else [],
         "rows": [
             _source_row(source, is_because=source in below, is_alone=len(banners) == 1)
             for source in sorted(sources, key=lambda each: each.presence is Presence.OFF)
         ],
     }
-
-
-def _more_banner(banners: list[tuple[str, str]]) -> tuple[str, str]:
-    return banners[0][0], f"{len(banners)} more OUT"
 
 
 def _reason_lines(source: SourceDetails) -> list[str]:

@@ -34,6 +34,20 @@ from ship_watch.suite_state import Event, InputState, Presence, SourceDetails, S
 MAX_EVENTS = 16
 MAX_REASONS = 4
 
+_ROWS_AT_ONCE = 1
+"""Number of plots of a panel that are made in one step."""
+
+_HEIGHTS_PX = {"innovations": 420, "error": 420, "alignment": 300, "inputs": 200}
+"""Heights of frames that contain no panel yet; other frames have 260 px."""
+
+_ONE_COLUMN = ("error", "budget", "innovations", "sky", "lights", "alignment", "events", "inputs")
+"""Order of the panels on a small screen."""
+
+_HEADINGS = (
+    "<tr><th>topic<th class=n>rate Hz<th class='n wide'>latency s<th class=n>age s<th class=n>rejected 60 s"
+    "<th class=reasons>reasons"
+)
+
 
 class EventsPanel:
     """Panel with the newest events.
@@ -80,12 +94,6 @@ class InputsPanel:
         )
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
         self.box.set_subtitle("" if suite_state.inputs else "no input health data")
-
-
-_HEADINGS = (
-    "<tr><th>topic<th class=n>rate Hz<th class='n wide'>latency s<th class=n>age s<th class=n>rejected 60 s"
-    "<th class=reasons>reasons"
-)
 
 
 def event_row(event: Event, marked: str = "") -> str:
@@ -226,17 +234,14 @@ class Panels:
 
         A panel is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
         """
-        name = next((each for each in self._update_layout(history, suite_state) if each not in self._complete), None)
+        complete = {name for name in self._placed if name not in self._plots or self._plots[name].are_complete}
+        name = next((each for each in self._update_layout(history, suite_state) if each not in complete), None)
         if name is not None:
             with batched_model_changes(self.layout):
                 self._draw(name, history, suite_state)
                 if name not in self._placed:
                     self._place(name)
         return name is not None
-
-    @property
-    def _complete(self) -> set[str]:
-        return {name for name in self._placed if name not in self._plots or self._plots[name].are_complete}
 
     def _place(self, name: str) -> None:
         self._placed.add(name)
@@ -251,10 +256,8 @@ class Panels:
         self.frames["error"].visible = is_simulated
         self.frames["lights"].visible = has_telescope
         self._grid.css = _grid_css(is_simulated=is_simulated, has_telescope=has_telescope)
-        return [name for name in self._boxes if self._is_in_sight(name)]
-
-    def _is_in_sight(self, name: str) -> bool:
-        return (self.visible_panels is None or name in self.visible_panels) and bool(self.frames[name].visible)
+        seen = self._boxes if self.visible_panels is None else self.visible_panels
+        return [name for name in self._boxes if name in seen and self.frames[name].visible]
 
     def _draw(self, name: str, history: History, suite_state: SuiteState) -> None:
         marked, is_simulated = self.marked, bool(self.frames["error"].visible)
@@ -271,18 +274,6 @@ class Panels:
         draw[name]()
 
 
-def build_panels(theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> Panels:
-    """Return the panels of one browser, still empty (:class:`Panels`)."""
-    return Panels(theme, is_stepwise=is_stepwise, is_bag=is_bag)
-
-
-_ROWS_AT_ONCE = 1
-"""Number of plots of a panel that are made in one step."""
-
-_HEIGHTS_PX = {"innovations": 420, "error": 420, "alignment": 300, "inputs": 200}
-"""Heights of frames that contain no panel yet; other frames have 260 px."""
-
-
 def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
     """Return a frame with the title and about the height of a panel."""
     head = PanelBox(theme, box.title, []).layout
@@ -296,10 +287,6 @@ def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
         styles={"grid-area": name, "min-height": f"{_HEIGHTS_PX.get(name, 260)}px"},
         stylesheets=[InlineStyleSheet(css=":host{align-self:stretch !important;height:auto !important}")],
     )
-
-
-_ONE_COLUMN = ("error", "budget", "innovations", "sky", "lights", "alignment", "events", "inputs")
-"""Order of the panels on a small screen."""
 
 
 def _grid_css(*, is_simulated: bool, has_telescope: bool) -> str:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FixedTicker, Range1d
+from bokeh.models import FixedTicker, Range1d
 
 from ship_monitor.plots.curves import next_step, signed_text
 from ship_monitor.plots.figures import (
@@ -17,6 +17,7 @@ from ship_monitor.plots.figures import (
     SideLabels,
     belongs_to_source,
     empty_plot,
+    empty_source,
     with_mark,
     without_formulas,
 )
@@ -43,7 +44,7 @@ class AlignmentPanel:
         self.figure.min_border_left = 176
         self.figure.xaxis.ticker.desired_num_ticks = 3
         self._values = SideLabels(theme, self.figure)
-        self._source = ColumnDataSource({name: [] for name in ("row", "value", "low", "high", "fill", "bar")})
+        self._source = empty_source("row", "value", "low", "high", "fill", "bar")
         self.figure.line([0.0, 0.0], [-1e3, 1e3], line_color=theme.second_text)
         self.figure.segment(
             "low", "row", "high", "row", source=self._source, line_color="bar", line_width=5, line_alpha=0.55

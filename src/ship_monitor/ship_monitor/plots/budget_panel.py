@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FixedTicker, InlineStyleSheet, RadioButtonGroup, Range1d, Stack
+from bokeh.models import FixedTicker, InlineStyleSheet, RadioButtonGroup, Range1d, Stack
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
@@ -19,6 +19,7 @@ from ship_monitor.plots.figures import (
     SideLabels,
     batched_model_changes,
     draw_texts,
+    empty_source,
     empty_time_plot,
     is_budget_part_of,
     narrow_height,
@@ -109,15 +110,9 @@ class BudgetPanel:
         self._figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
         self._labels = SideLabels(self._theme, self._figure)
-        self._peaks = ColumnDataSource({"x": [], "y": [], "text": [], "align": [], "ahead": []})
-        placing = {
-            "text_align": "align",
-            "x_offset": "ahead",
-            "text_baseline": "top",
-            "y_offset": 2,
-            "level": "overlay",
-        }
-        placing |= {"background_fill_color": self._theme.panel, "padding": 2}
+        self._peaks = empty_source("x", "y", "text", "align", "ahead")
+        placing = {"text_align": "align", "x_offset": "ahead", "text_baseline": "top", "y_offset": 2}
+        placing |= {"level": "overlay", "background_fill_color": self._theme.panel, "padding": 2}
         draw_texts(self._figure, self._peaks, text_color=self._theme.text, **placing)
         self._band_renderers: list[object] = []
 

@@ -53,6 +53,16 @@ _BUDGET_PREFIXES = {
 the theodolite or the Earth's orientation."""
 
 
+ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
+"""Arcseconds in a radian."""
+
+NARROW = "@media (max-width: 700px)"
+"""Media query of small screens, which have one column."""
+
+_SIDE_PX = 118
+_FORMULA_BEGIN = re.compile(r"(?<=\$)(?=\$)|(?<=\\)(?=[(\[])")
+
+
 def belongs_to_source(name: str, source: str) -> bool:
     """True if a state or an alert belongs to a source ("star.bow.azimuth" to "star.bow"); False for source ""."""
     return bool(source) and (name == source or name.startswith(f"{source}.") or source_of_name(name) == source)
@@ -75,15 +85,6 @@ def with_mark(name: str, is_marked: bool) -> str:
     return MARK + name if is_marked else name
 
 
-ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
-"""Arcseconds in a radian."""
-
-NARROW = "@media (max-width: 700px)"
-"""Media query of small screens, which have one column."""
-
-_SIDE_PX = 118
-
-
 class HasFigure(Protocol):
     """An object with one plot."""
 
@@ -92,9 +93,6 @@ class HasFigure(Protocol):
 
 Key = TypeVar("Key")
 Row = TypeVar("Row", bound=HasFigure)
-
-_FORMULA_BEGIN = re.compile(r"(?<=\$)(?=\$)|(?<=\\)(?=[(\[])")
-
 
 def empty_plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
     """Return an empty plot."""
@@ -210,6 +208,11 @@ def batched_model_changes(layout: Model) -> AbstractContextManager[None]:
     return made
 
 
+def empty_source(*columns: str) -> ColumnDataSource:
+    """Return a source with empty columns."""
+    return ColumnDataSource({name: [] for name in columns})
+
+
 def draw_texts(made: figure, source: ColumnDataSource, **options: Any) -> None:
     """Draw texts in a plot: columns ``x``, ``y`` and ``text`` of a source; ``options`` as in Bokeh's text."""
     made.text("x", "y", "text", source=source, text_font=value(FONT), text_font_size="13px", **options)
@@ -228,7 +231,7 @@ class ResidualBars:
 
     def __init__(self, theme: Theme, made: figure, steps_arcsec: Sequence[float]) -> None:
         self._steps = steps_arcsec
-        self._bars = ColumnDataSource({name: [] for name in ("x", "y", "length", "angle")})
+        self._bars = empty_source("x", "y", "length", "angle")
         self._renderer = made.ray(
             "x", "y", "length", "angle", length_units="screen", source=self._bars, line_color=theme.text, line_width=2.5
         )

@@ -32,6 +32,7 @@ from ship_monitor.plots.figures import (
     SideLabels,
     add_hover,
     draw_frame,
+    empty_source,
     empty_time_plot,
     with_mark,
     without_formulas,
@@ -54,6 +55,15 @@ STATISTICS_WINDOW_NS = 60_000_000_000
 
 AXIS_WINDOW_NS = 15_000_000_000
 """Window whose values determine the height of a plot, ns: earlier values, for example after a start, may be cut off."""
+
+
+MEAN_WINDOW_NS = 10_000_000_000
+"""Window of the means at a plot, ns; the height of the plot is determined by the last six windows."""
+
+AXES_DRAWN = (("up", "z"), ("right", "x"))
+"""Drawn axes of star sensors and lights, one marker each; rotations about the boresight are far less accurate."""
+
+_MARKERS = (("circle", "●"), ("square", "■"))
 
 
 def has_truth(history: History) -> bool:
@@ -95,20 +105,30 @@ class ErrorPanel:
         self.box.set_subtitle(f"against the truth of the simulation · axis ±15″{wider}")
 
 
-class _ErrorRow:
+class _Row:
+    """Plot over time with bands of ±3 sigma; the height is symmetric about zero."""
+
+    def __init__(self, theme: Theme, times: TimeAxis, height_px: int, *, has_axis: bool) -> None:
+        self._theme, self._height = theme, Range1d(-15.0, 15.0)
+        self.figure = empty_time_plot(theme, times, height_px, self._height, has_axis=has_axis)
+        self._labels = SideLabels(theme, self.figure)
+
+    def _draw_band(self, source: ColumnDataSource, colour: str, fill_alpha: float, line_alpha: float) -> None:
+        self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=fill_alpha)
+        line = {"line_color": colour, "line_dash": "dashed", "line_alpha": line_alpha}
+        for edge in BAND[2:]:
+            self.figure.line("t", edge, source=source, **line)
+
+
+class _ErrorRow(_Row):
     """Plot of one angle."""
 
     def __init__(self, theme: Theme, times: TimeAxis, key: tuple[str, str], *, has_axis: bool) -> None:
-        self._theme, self._channel, self._title = theme, key[1], CHANNELS[key]
-        self._height = Range1d(-15.0, 15.0)
-        self.figure = empty_time_plot(theme, times, 88 if has_axis else 66, self._height, has_axis=has_axis)
-        self._labels = SideLabels(theme, self.figure)
+        super().__init__(theme, times, 88 if has_axis else 66, has_axis=has_axis)
+        self._channel, self._title = key[1], CHANNELS[key]
         self._trail = StreamedLine(("error", "sigma", *BAND), by="error", filled=BAND[:2])
-        source, colour = self._trail.source, theme.series[0]
-        self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.18)
-        for edge in BAND[2:]:
-            self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed")
-        line = self.figure.line("t", "error", source=source, line_color=theme.text, line_width=1.2)
+        self._draw_band(self._trail.source, theme.series[0], 0.18, 1.0)
+        line = self.figure.line("t", "error", source=self._trail.source, line_color=theme.text, line_width=1.2)
         add_hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line], is_line=True)
 
     def update(self, points: Sequence[ErrorPoint], chosen: str) -> float:
@@ -140,15 +160,6 @@ class _ErrorRow:
         error = np.array([point.error.get(self._channel, np.nan) for point in points], float)
         sigma = np.array([point.sigma.get(self._channel, np.nan) for point in points], float)
         return {"error": error, "sigma": sigma, **three_sigma_band(sigma)}
-
-
-MEAN_WINDOW_NS = 10_000_000_000
-"""Window of the means at a plot, ns; the height of the plot is determined by the last six windows."""
-
-AXES_DRAWN = (("up", "z"), ("right", "x"))
-"""Drawn axes of star sensors and lights, one marker each; rotations about the boresight are far less accurate."""
-
-_MARKERS = (("circle", "●"), ("square", "■"))
 
 
 class InnovationPanel:
@@ -186,15 +197,13 @@ class InnovationPanel:
         self.box.set_subtitle(nothing + (markers if has_truth else f"no truth data, errors unknown · {markers}"))
 
 
-class _SourceRow:
+class _SourceRow(_Row):
     """Plot of one source."""
 
     def __init__(self, theme: Theme, times: TimeAxis, name: str, *, has_axis: bool) -> None:
-        self._theme, self._name = theme, name
-        self._height = Range1d(-15.0, 15.0)
-        self.figure = empty_time_plot(theme, times, 150 if has_axis else 128, self._height, has_axis=has_axis)
-        self._labels = SideLabels(theme, self.figure)
-        self._out = ColumnDataSource({"start": [], "end": []})
+        super().__init__(theme, times, 150 if has_axis else 128, has_axis=has_axis)
+        self._name = name
+        self._out = empty_source("start", "end")
         shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
         hatch = {"hatch_pattern": "right_diagonal_line", "hatch_color": theme.caution_border, "hatch_alpha": 0.25}
         self.figure.vstrip(x0="start", x1="end", source=self._out, **shade, **hatch, hatch_scale=14)
@@ -206,19 +215,10 @@ class _SourceRow:
 
     def _draw(self, trail: StreamedLine, marker: str, colour: str) -> None:
         source, theme = trail.source, self._theme
-        self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.13)
-        for edge in BAND[2:]:
-            self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed", line_alpha=0.5)
-        dots = self.figure.scatter(
-            "t",
-            "used",
-            source=source,
-            marker=marker,
-            size=2.8 if marker == "circle" else 3.6,
-            line_color=None if marker == "circle" else colour,
-            line_width=0.8,
-            fill_color=colour if marker == "circle" else None,
-        )
+        self._draw_band(source, colour, 0.13, 0.5)
+        filled, hollow = {"size": 2.8, "fill_color": colour, "line_color": None}, {"size": 3.6, "fill_color": None}
+        look = filled if marker == "circle" else {**hollow, "line_color": colour}
+        dots = self.figure.scatter("t", "used", source=source, marker=marker, line_width=0.8, **look)
         crosses = self.figure.scatter(
             "t", "refused", source=source, marker="x", size=6, line_color=theme.caution_border, line_width=1.5
         )

@@ -13,6 +13,7 @@ from ship_monitor.plots.figures import (
     draw_frame,
     draw_texts,
     empty_plot,
+    empty_source,
     narrow_height,
 )
 from ship_monitor.themes import Theme
@@ -41,8 +42,8 @@ class LightsPanel:
             theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm"
         )
         self.figure.stylesheets = [*self.figure.stylesheets, narrow_height(180)]
-        self._past_points = _source("x", "z", "alpha", "colour", "marker")
-        self._newest_points = _source("x", "y", "colour", "marker", "text", "ahead", "align", "over", "base")
+        self._past_points = empty_source("x", "z", "alpha", "colour", "marker")
+        self._newest_points = empty_source("x", "y", "colour", "marker", "text", "ahead", "align", "over", "base")
         dots = {"size": 3, "line_color": "colour", "fill_color": None, "line_alpha": "alpha", "marker": "marker"}
         self.figure.scatter("x", "z", source=self._past_points, **dots)
         self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
@@ -50,25 +51,10 @@ class LightsPanel:
         scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
         self.figure.ray("x", "y", source=self._scale_bar, line_color=theme.second_text, line_width=2.5, **scale)
         draw_texts(self.figure, self._scale_bar, text_color=theme.second_text, y_offset=-3, text_baseline="bottom")
-        self._newest_markers = self.figure.scatter(
-            "x",
-            "y",
-            source=self._newest_points,
-            size=12,
-            marker="marker",
-            line_color="colour",
-            fill_color=None,
-            line_width=2,
-        )
-        draw_texts(
-            self.figure,
-            self._newest_points,
-            x_offset="ahead",
-            text_align="align",
-            text_color=theme.text,
-            y_offset="over",
-            text_baseline="base",
-        )
+        newest = {"size": 12, "line_color": "colour", "fill_color": None, "line_width": 2, "marker": "marker"}
+        self._newest_markers = self.figure.scatter("x", "y", source=self._newest_points, **newest)
+        placing = {"x_offset": "ahead", "y_offset": "over", "text_align": "align", "text_baseline": "base"}
+        draw_texts(self.figure, self._newest_points, text_color=theme.text, **placing)
         self.box = PanelBox(theme, "Lights on the detector", [self.figure])
 
     def update(self, history: History, suite_state: SuiteState, marked: str) -> None:
@@ -138,7 +124,3 @@ class LightsPanel:
 
     def _colour(self, index: int) -> str:
         return self._theme.series[index % len(self._theme.series)]
-
-
-def _source(*columns: str) -> ColumnDataSource:
-    return ColumnDataSource({name: [] for name in columns})

@@ -25,6 +25,7 @@ from ship_monitor.plots.figures import (
     draw_frame,
     draw_texts,
     empty_plot,
+    empty_source,
     with_mark,
     without_formulas,
 )
@@ -33,76 +34,6 @@ from ship_watch.history.history import ExposurePoint, History, ParameterEstimate
 from ship_watch.suite_state import AngleState, Presence, SourceDetails, SuiteState
 
 _AU_M = 149_597_870_700.0
-
-
-@lru_cache(maxsize=1)
-def _rotating_sky() -> RefreshedSky:
-    return RefreshedSky(earth_orientation_table())
-
-
-def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
-    """Return the position on the map, East and North, with the horizon at radius 1; larger radii are below the horizon.
-
-    Args:
-        azimuth: azimuth from North to East, rad.
-        elevation: elevation, rad.
-
-    Example:
-        >>> east, north = map_position(np.deg2rad(90.0), np.deg2rad(45.0))
-        >>> print(round(east, 3), round(north, 3))
-        0.5 0.0
-    """
-    radius = 1.0 - elevation / (0.5 * math.pi)
-    return radius * math.sin(azimuth), radius * math.cos(azimuth)
-
-
-def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequence[AngleState]) -> tuple[float, float]:
-    """Return azimuth and elevation of a star sensor's boresight, rad, from its installation and the attitude.
-
-    The map uses this direction for sensors that publish attitudes without stars. The result is NaN if an angle is
-    unknown.
-
-    Args:
-        name: name of the source, "star.<id>".
-        alignment: states with the installation angles.
-        angles: angles with heading, pitch and roll.
-    """
-    installed = {state.name: state.value for state in alignment}
-    values = {angle.name: angle.value for angle in angles}
-    azimuth, elevation = (installed.get(f"{name}.{angle}", math.nan) for angle in ("azimuth", "elevation"))
-    deck = [values.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
-    if not np.isfinite([azimuth, elevation, *deck]).all():
-        return math.nan, math.nan
-    # The installation's azimuth is from the bow to starboard, like an azimuth on a level deck that heads North.
-    forward_d = rotation_from_angles(np.asarray(azimuth), np.asarray(elevation), np.asarray(0.0))[:, 0]
-    north, up, east = rotation_from_angles(*map(np.asarray, deck)) @ forward_d
-    return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, math.hypot(north, east))
-
-
-def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[float, float] | None:
-    """Return azimuth and elevation of the Moon, rad, without refraction, for an observer at sea level.
-
-    The series of Meeus (ERFA ``moon98``) is accurate to about 10″. The parallax due to the ship's position, up to a
-    degree, is included.
-
-    Args:
-        utc_ns: UTC as POSIX time, ns.
-        latitude: geodetic latitude, rad.
-        longitude: longitude, rad.
-
-    Returns:
-        Azimuth and elevation; None if the Earth's orientation is unknown for that time.
-    """
-    place = GeodeticPosition(latitude, longitude, height_m=0.0)
-    try:
-        rotation_nc = _rotating_sky().rotation_horizon_from_icrs(utc_ns, place)
-    except OutsideEarthOrientation:
-        return None
-    moon_c_m = _AU_M * erfa.moon98(*tt_julian_date(utc_ns))["p"]
-    ship_n_m = rotation_horizon_from_ecef(latitude, longitude) @ ecef_from_geodetic(place)
-    north, up, east = rotation_nc @ moon_c_m - ship_n_m
-    return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, np.hypot(north, east))
-
 
 MAX_FIELDS = 3
 """Maximum number of fields of view."""
@@ -174,37 +105,25 @@ class _SkyMap:
         self._theme = theme
         self._no_moon = f" · Moon not drawn: no GNSS position{' in this bag' if is_bag else ''}"
         self.figure = empty_plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
-        self.figure.update(
-            height=None,
-            sizing_mode="scale_width",
-            aspect_ratio=1.1,
-            max_width=560,
-            min_border=0,
-            outline_line_color=None,
-        )
+        self.figure.update(height=None, sizing_mode="scale_width", aspect_ratio=1.1, max_width=560)
+        self.figure.update(min_border=0, outline_line_color=None)
         self.figure.axis.visible = False
         self.figure.grid.visible = False
         rings = {"line_color": [theme.second_text, theme.grid, theme.grid], "radius": [1.0, 2 / 3, 1 / 3]}
-        self.figure.circle(
-            "x",
-            "y",
-            radius="radius",
-            fill_color=None,
-            line_color="line_color",
-            source=_source(x=[0] * 3, y=[0] * 3, **rings),
-        )
-        winds = _source(x=[0.0, 1.1, 0.0, -1.1], y=[1.1, 0.0, -1.1, 0.0], text=["N", "E", "S", "W"])
+        centres = ColumnDataSource({"x": [0] * 3, "y": [0] * 3, **rings})
+        self.figure.circle("x", "y", radius="radius", fill_color=None, line_color="line_color", source=centres)
+        winds = ColumnDataSource({"x": [0.0, 1.1, 0.0, -1.1], "y": [1.1, 0.0, -1.1, 0.0], "text": list("NESW")})
         draw_texts(self.figure, winds, text_color=theme.second_text, text_align="center", text_baseline="middle")
-        self._bow = _source(x=[], y=[])
+        self._bow = empty_source("x", "y")
         self.figure.line("x", "y", source=self._bow, line_color=theme.second_text, line_dash="dashed")
-        self._names = _source(x=[], y=[], text=[], colour=[])
-        self._moon = _source(x=[], y=[])
+        self._names = empty_source("x", "y", "text", "colour")
+        self._moon = empty_source("x", "y")
         self.figure.scatter("x", "y", source=self._moon, size=15, line_color=theme.second_text, fill_color=None)
-        self._squares = _source(xs=[], ys=[], colour=[], dash=[], width=[])
+        self._squares = empty_source("xs", "ys", "colour", "dash", "width")
         self.figure.multi_line(
             "xs", "ys", source=self._squares, line_color="colour", line_dash="dash", line_width="width"
         )
-        self._stars = _source(x=[], y=[], colour=[], marker=[])
+        self._stars = empty_source("x", "y", "colour", "marker")
         self.figure.scatter(
             "x", "y", source=self._stars, size=3.5, marker="marker", line_color="colour", fill_color="colour"
         )
@@ -213,9 +132,9 @@ class _SkyMap:
     def update(self, history: History, suite_state: SuiteState, sources: dict[str, SourceDetails], marked: str) -> str:
         """Draw the directions of the sensors; return an addition to the subtitle."""
         theme = self._theme
-        squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": [], "width": []}
-        stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
-        names: dict[str, list[object]] = {"x": [], "y": [], "text": [], "colour": []}
+        squares: dict[str, list[object]] = {name: [] for name in self._squares.data}
+        stars: dict[str, list[object]] = {name: [] for name in self._stars.data}
+        names: dict[str, list[object]] = {name: [] for name in self._names.data}
         for name, exposure in sorted(history.star_exposures.items()):
             direction = (exposure.azimuth, exposure.elevation)
             if not np.isfinite(direction).all():
@@ -271,18 +190,15 @@ class _Field:
         self.figure.update(min_border_left=8)
         self.figure.axis.visible = False
         self.figure.grid.visible = False
-        self._used_stars = _source(u=[], v=[])
-        self._excluded_stars = _source(u=[], v=[])
-        self._scale = _source(x=[], y=[])
-        self._scale_text = _source(x=[], y=[], text=[])
+        self._used_stars = empty_source("u", "v")
+        self._excluded_stars = empty_source("u", "v")
+        self._scale = empty_source("x", "y", "text")
         self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
-        self._dots = self.figure.scatter(
-            "u", "v", source=self._used_stars, size=7, line_color=None, fill_color=theme.text
-        )
+        self.figure.scatter("u", "v", source=self._used_stars, size=7, line_color=None, fill_color=theme.text)
         self.figure.scatter("u", "v", source=self._excluded_stars, size=8, marker="x", line_color=theme.caution_border)
         scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
         self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
-        draw_texts(self.figure, self._scale_text, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
+        draw_texts(self.figure, self._scale, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
     def update(
         self, name: str, exposure: ExposurePoint, source: SourceDetails | None, field_count: int, *, is_marked: bool
@@ -304,8 +220,7 @@ class _Field:
             else (np.full(len(exposure.u), np.nan),) * 2
         )
         step = self._bars.draw(exposure.u, exposure.v, right, up, theme.caution_border if is_bad else theme.series[1])
-        self._scale.data = {"x": [0.03 * width], "y": [0.93 * height]}
-        self._scale_text.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
+        self._scale.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
         draw_frame(theme, self.figure, is_marked, theme.caution_border if is_bad else theme.border)
         self.figure.outline_line_dash = "dashed" if is_bad else "solid"
         fate = "REJECTED" if is_bad else "used"
@@ -313,6 +228,75 @@ class _Field:
         text = f"{'✕' if is_bad else '✓'} {name}  {exposure.star_count} stars {fate}{excluded}"
         self.figure.title.text = without_formulas(with_mark(text, is_marked))
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
+
+
+@lru_cache(maxsize=1)
+def _rotating_sky() -> RefreshedSky:
+    return RefreshedSky(earth_orientation_table())
+
+
+def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
+    """Return the position on the map, East and North, with the horizon at radius 1; larger radii are below the horizon.
+
+    Args:
+        azimuth: azimuth from North to East, rad.
+        elevation: elevation, rad.
+
+    Example:
+        >>> east, north = map_position(np.deg2rad(90.0), np.deg2rad(45.0))
+        >>> print(round(east, 3), round(north, 3))
+        0.5 0.0
+    """
+    radius = 1.0 - elevation / (0.5 * math.pi)
+    return radius * math.sin(azimuth), radius * math.cos(azimuth)
+
+
+def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequence[AngleState]) -> tuple[float, float]:
+    """Return azimuth and elevation of a star sensor's boresight, rad, from its installation and the attitude.
+
+    The map uses this direction for sensors that publish attitudes without stars. The result is NaN if an angle is
+    unknown.
+
+    Args:
+        name: name of the source, "star.<id>".
+        alignment: states with the installation angles.
+        angles: angles with heading, pitch and roll.
+    """
+    installed = {state.name: state.value for state in alignment}
+    values = {angle.name: angle.value for angle in angles}
+    azimuth, elevation = (installed.get(f"{name}.{angle}", math.nan) for angle in ("azimuth", "elevation"))
+    deck = [values.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
+    if not np.isfinite([azimuth, elevation, *deck]).all():
+        return math.nan, math.nan
+    # The installation's azimuth is from the bow to starboard, like an azimuth on a level deck that heads North.
+    forward_d = rotation_from_angles(np.asarray(azimuth), np.asarray(elevation), np.asarray(0.0))[:, 0]
+    north, up, east = rotation_from_angles(*map(np.asarray, deck)) @ forward_d
+    return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, math.hypot(north, east))
+
+
+def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[float, float] | None:
+    """Return azimuth and elevation of the Moon, rad, without refraction, for an observer at sea level.
+
+    The series of Meeus (ERFA ``moon98``) is accurate to about 10″. The parallax due to the ship's position, up to a
+    degree, is included.
+
+    Args:
+        utc_ns: UTC as POSIX time, ns.
+        latitude: geodetic latitude, rad.
+        longitude: longitude, rad.
+
+    Returns:
+        Azimuth and elevation; None if the Earth's orientation is unknown for that time.
+    """
+    place = GeodeticPosition(latitude, longitude, height_m=0.0)
+    try:
+        rotation_nc = _rotating_sky().rotation_horizon_from_icrs(utc_ns, place)
+    except OutsideEarthOrientation:
+        return None
+    moon_c_m = _AU_M * erfa.moon98(*tt_julian_date(utc_ns))["p"]
+    ship_n_m = rotation_horizon_from_ecef(latitude, longitude) @ ecef_from_geodetic(place)
+    north, up, east = rotation_nc @ moon_c_m - ship_n_m
+    return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, np.hypot(north, east))
 
 
 def residual_star_mask(exposure: ExposurePoint) -> np.ndarray:
@@ -352,7 +336,3 @@ def _is_out(source: SourceDetails | None) -> bool:
 def _append(names: dict[str, list[object]], x: float, y: float, text: str, colour: str) -> None:
     for key, value in (("x", x), ("y", y), ("text", text), ("colour", colour)):
         names[key].append(value)
-
-
-def _source(**columns: object) -> ColumnDataSource:
-    return ColumnDataSource(columns)

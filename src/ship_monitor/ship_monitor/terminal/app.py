@@ -39,6 +39,10 @@ from ship_monitor.themes import THEMES, Theme
 from ship_watch import value_texts
 from ship_watch.suite_state import AlertEntry, AngleState, SourceDetails, SuiteState, SuiteStateSource
 
+READ_PERIOD_S = 0.25
+DRAW_PERIOD_S = 0.5
+NOTE_TIME_S = 5.0
+
 _BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
 
 _HELP = """\
@@ -59,107 +63,6 @@ _HELP = """\
  t         theme: day, dusk, night (red light)
  p         pause the display; alerts continue
  q         quit"""
-
-
-def help_page(suite_state: SuiteState, view: View) -> tuple[Line, ...]:
-    """Return the help page with terms and keys."""
-    texts = [StyledText(text, TextStyle.TEXT) for text in _HELP.splitlines()]
-    return _page(suite_state, view, "help", [view.formatter.styled_line(text) for text in texts])
-
-
-def details(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view: View) -> tuple[Line, ...]:
-    """Return the details of the selected angle or source; without a selection, the details of alerts and inputs."""
-    for angle in suite_state.angles:
-        if angle.name == view.chosen:
-            return _page(suite_state, view, angle.name, _angle_rows(angle, suite_state, view.formatter))
-    for source in suite_state.sources:
-        if source.name == view.chosen:
-            return _page(suite_state, view, source.name, _source_rows(source, suite_state, view.formatter))
-    return _page(suite_state, view, "alerts", _alert_rows(alerts, suite_state, view.formatter))
-
-
-def _page(suite_state: SuiteState, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
-    formatter = view.formatter
-    rows = [top_bar(suite_state, view), safety_line(suite_state, formatter), formatter.rule(title), *body][
-        : max(view.height - 1, 0)
-    ]
-    rows += [formatter.styled_line()] * (view.height - 1 - len(rows))
-    keys = StyledText(f" {view.note}", TextStyle.STRONG) if view.note else StyledText(_BACK, TextStyle.SECOND)
-    return (*rows, formatter.styled_line(keys))[-view.height :]
-
-
-def _row(formatter: LineFormatter, name: str, text: str) -> Line:
-    return formatter.styled_line(
-        StyledText(f" {formatter.fit(name, 18)}", TextStyle.SECOND), StyledText(text, TextStyle.TEXT)
-    )
-
-
-def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
-    known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > value_texts.DASHES_AFTER_S)
-    value = f"{math.degrees(angle.value):.6f}°" if known else value_texts.NO_VALUE
-    rows = {
-        "value": f"{value}  OLD {value_texts.age_text(angle.age_s)}" if angle.is_old else value,
-        "state": f"{angle.safety.name}  {angle.reason}",
-        "cause": angle.because_of or value_texts.NO_VALUE,
-        "since": value_texts.date_and_clock(angle.since_ns),
-        "95 % accuracy": value_texts.small_angle(angle.accuracy_95),
-        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″"
-        if math.isfinite(angle.accuracy_95)
-        else value_texts.NO_VALUE,
-        "protection level": value_texts.small_angle(angle.protection_level),
-        "limit": value_texts.limit_text(angle.limit),
-        "time of the value": value_texts.date_and_clock(angle.stamp_ns),
-        "age": value_texts.age_text(angle.age_s),
-    }
-    made = [_row(formatter, name, text) for name, text in rows.items()]
-    return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, angle.name)]
-
-
-def _source_rows(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
-    consistency = source.nis_consistency
-    residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else value_texts.NO_VALUE
-    rows = {
-        "reason": source.reason or value_texts.NO_VALUE,
-        "disagreement": source.disagreement or value_texts.NO_VALUE,
-        "residual": residual,
-        "out since": value_texts.date_and_clock(source.out_since_ns) if source.out_since_ns else value_texts.NO_VALUE,
-        "because of": source.because_of or value_texts.NO_VALUE,
-        "rejected in a row": str(source.rejected_in_a_row),
-        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom")
-        if consistency
-        else value_texts.NO_VALUE,
-    }
-    inputs = []
-    for each in suite_state.inputs:
-        if each.topic in source.topics:
-            inputs += [
-                input_line(each, formatter),
-                _row(formatter, "   rejected for", reasons_text(each) or value_texts.NO_VALUE),
-            ]
-    made = [
-        source_line(source, suite_state, formatter, is_chosen=False),
-        *(_row(formatter, name, text) for name, text in rows.items()),
-    ]
-    made += [formatter.rule("inputs"), *inputs]
-    return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, source.name)]
-
-
-def _alert_rows(alerts: tuple[AlertEntry, ...] | None, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
-    none = "no alerts" if alerts is not None else "no alert node"
-    made: list[Line] = []
-    for alert in alerts or ():
-        made.append(formatter.styled_line(*alert_pieces(alert, formatter, formatter.width - 24)))
-        advice = f"to do: {alert.advice}" if alert.advice else ""
-        for text, style in ((alert.text, TextStyle.TEXT), (advice, TextStyle.SECOND)):
-            parts = wrap(formatter.clean(text), max(formatter.width - 6, 1))
-            made += [formatter.styled_line(StyledText(f"     {part}", style)) for part in parts]
-    made = made or [formatter.styled_line(StyledText(f" {none}", TextStyle.SECOND))]
-    return [*made, formatter.rule("inputs"), *(input_line(each, formatter) for each in suite_state.inputs)]
-
-
-READ_PERIOD_S = 0.25
-DRAW_PERIOD_S = 0.5
-NOTE_TIME_S = 5.0
 
 
 class TerminalSource(SuiteStateSource, Protocol):
@@ -356,3 +259,99 @@ def styles_of(theme: Theme) -> dict[TextStyle, Style]:
         TextStyle.NOTICE: style(theme.caution, bold=True),
         TextStyle.MARKED: style(theme.text, reverse=True),
     }
+
+
+def help_page(suite_state: SuiteState, view: View) -> tuple[Line, ...]:
+    """Return the help page with terms and keys."""
+    texts = [StyledText(text, TextStyle.TEXT) for text in _HELP.splitlines()]
+    return _page(suite_state, view, "help", [view.formatter.styled_line(text) for text in texts])
+
+
+def details(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view: View) -> tuple[Line, ...]:
+    """Return the details of the selected angle or source; without a selection, the details of alerts and inputs."""
+    for angle in suite_state.angles:
+        if angle.name == view.chosen:
+            return _page(suite_state, view, angle.name, _angle_rows(angle, suite_state, view.formatter))
+    for source in suite_state.sources:
+        if source.name == view.chosen:
+            return _page(suite_state, view, source.name, _source_rows(source, suite_state, view.formatter))
+    return _page(suite_state, view, "alerts", _alert_rows(alerts, suite_state, view.formatter))
+
+
+def _page(suite_state: SuiteState, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
+    formatter = view.formatter
+    rows = [top_bar(suite_state, view), safety_line(suite_state, formatter), formatter.rule(title), *body][
+        : max(view.height - 1, 0)
+    ]
+    rows += [formatter.styled_line()] * (view.height - 1 - len(rows))
+    keys = StyledText(f" {view.note}", TextStyle.STRONG) if view.note else StyledText(_BACK, TextStyle.SECOND)
+    return (*rows, formatter.styled_line(keys))[-view.height :]
+
+
+def _row(formatter: LineFormatter, name: str, text: str) -> Line:
+    return formatter.styled_line(
+        StyledText(f" {formatter.fit(name, 18)}", TextStyle.SECOND), StyledText(text, TextStyle.TEXT)
+    )
+
+
+def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
+    known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > value_texts.DASHES_AFTER_S)
+    value = f"{math.degrees(angle.value):.6f}°" if known else value_texts.NO_VALUE
+    rows = {
+        "value": f"{value}  OLD {value_texts.age_text(angle.age_s)}" if angle.is_old else value,
+        "state": f"{angle.safety.name}  {angle.reason}",
+        "cause": angle.because_of or value_texts.NO_VALUE,
+        "since": value_texts.date_and_clock(angle.since_ns),
+        "95 % accuracy": value_texts.small_angle(angle.accuracy_95),
+        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″"
+        if math.isfinite(angle.accuracy_95)
+        else value_texts.NO_VALUE,
+        "protection level": value_texts.small_angle(angle.protection_level),
+        "limit": value_texts.limit_text(angle.limit),
+        "time of the value": value_texts.date_and_clock(angle.stamp_ns),
+        "age": value_texts.age_text(angle.age_s),
+    }
+    made = [_row(formatter, name, text) for name, text in rows.items()]
+    return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, angle.name)]
+
+
+def _source_rows(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
+    consistency = source.nis_consistency
+    residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else value_texts.NO_VALUE
+    rows = {
+        "reason": source.reason or value_texts.NO_VALUE,
+        "disagreement": source.disagreement or value_texts.NO_VALUE,
+        "residual": residual,
+        "out since": value_texts.date_and_clock(source.out_since_ns) if source.out_since_ns else value_texts.NO_VALUE,
+        "because of": source.because_of or value_texts.NO_VALUE,
+        "rejected in a row": str(source.rejected_in_a_row),
+        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom")
+        if consistency
+        else value_texts.NO_VALUE,
+    }
+    inputs = []
+    for each in suite_state.inputs:
+        if each.topic in source.topics:
+            inputs += [
+                input_line(each, formatter),
+                _row(formatter, "   rejected for", reasons_text(each) or value_texts.NO_VALUE),
+            ]
+    made = [
+        source_line(source, suite_state, formatter, is_chosen=False),
+        *(_row(formatter, name, text) for name, text in rows.items()),
+    ]
+    made += [formatter.rule("inputs"), *inputs]
+    return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, source.name)]
+
+
+def _alert_rows(alerts: tuple[AlertEntry, ...] | None, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
+    none = "no alerts" if alerts is not None else "no alert node"
+    made: list[Line] = []
+    for alert in alerts or ():
+        made.append(formatter.styled_line(*alert_pieces(alert, formatter, formatter.width - 24)))
+        advice = f"to do: {alert.advice}" if alert.advice else ""
+        for text, style in ((alert.text, TextStyle.TEXT), (advice, TextStyle.SECOND)):
+            parts = wrap(formatter.clean(text), max(formatter.width - 6, 1))
+            made += [formatter.styled_line(StyledText(f"     {part}", style)) for part in parts]
+    made = made or [formatter.styled_line(StyledText(f" {none}", TextStyle.SECOND))]
+    return [*made, formatter.rule("inputs"), *(input_line(each, formatter) for each in suite_state.inputs)]

@@ -96,8 +96,3 @@ class LineFormatter:
         """Return a horizontal line with titles: ── sources ── 7 of 8 in ─────."""
         text = "".join(f"── {title} " for title in titles)
         return self.styled_line(StyledText(text + "─" * max(self.width - self.cell_count(text), 0), TextStyle.SECOND))
-
-
-def plain_text(line: Line) -> str:
-    """Return the text of a line without its styles."""
-    return "".join(piece.text for piece in line)

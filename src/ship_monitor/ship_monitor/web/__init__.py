@@ -1,1 +1,1 @@
-"""Common parts of both servers: allowed hosts and origins, and bounds of connections."""
+"""Server of the topics for Foxglove, and what it has in common with the page's: allowed hosts, bounded connections."""

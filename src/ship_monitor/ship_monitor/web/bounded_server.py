@@ -23,6 +23,21 @@ from ship_bags.errors import BadInput
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 
 
+MAX_CONNECTIONS = 256
+"""Maximum number of open connections, without websockets. Further connections are closed."""
+
+REQUEST_TIMEOUT_S = 10.0
+"""Time in which a client must have sent its request, s."""
+
+MAX_BODY_BYTES = 65_536
+"""Maximum size of a request body, bytes."""
+
+MAX_MESSAGE_BYTES = 1_000_000
+"""Maximum size of a websocket message, bytes."""
+
+_LOG_PERIOD_S = 10.0
+
+
 class OwnHosts:
     """Names of this machine, and names allowed by the user.
 
@@ -32,17 +47,13 @@ class OwnHosts:
     """
 
     def __init__(self, address: str, allowed: Sequence[str] = ()) -> None:
-        own = (
-            set()
-            if address in LOOPBACK
-            else {_normalised_host(socket.gethostname()), f"{_normalised_host(socket.gethostname())}.local"}
-        )
+        machine = _normalised_host(socket.gethostname())
+        own = set() if address in LOOPBACK else {machine, f"{machine}.local"}
         self._names = LOOPBACK | own | {_normalised_host(name) for name in allowed}
 
     def is_own_host(self, request: HTTPServerRequest) -> bool:
         """True if the Host of a request is in the list, or is the address at which the request arrived."""
-        name = host_of(f"//{request.host}")
-        return name in self._names or name == _local_address(request)
+        return self.is_own_origin(f"//{request.host}", request)
 
     def is_own_origin(self, origin: str, request: HTTPServerRequest) -> bool:
         """True if the host of an Origin is in the list, on any port, or is the address at which the request arrived."""
@@ -70,21 +81,6 @@ def _local_address(request: HTTPServerRequest) -> str | None:
         return None
     address = str(stream.socket.getsockname()[0])
     return address.partition("%")[0].removeprefix("::ffff:").lower()
-
-
-MAX_CONNECTIONS = 256
-"""Maximum number of open connections, without websockets. Further connections are closed."""
-
-REQUEST_TIMEOUT_S = 10.0
-"""Time in which a client must have sent its request, s."""
-
-MAX_BODY_BYTES = 65_536
-"""Maximum size of a request body, bytes."""
-
-MAX_MESSAGE_BYTES = 1_000_000
-"""Maximum size of a websocket message, bytes."""
-
-_LOG_PERIOD_S = 10.0
 
 
 class BoundedServer(HTTPServer):

@@ -48,6 +48,22 @@ _MESSAGE_DATA = 1
 _WARNING = 1
 
 
+VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "https://studio.foxglove.dev"})
+"""Origins of the viewers that are web pages of other sites."""
+
+_DESKTOP_ORIGIN, _DESKTOP_AGENT = "file://", "Electron/"
+"""Origin and user agent of desktop viewers. A page saved to a file has the same origin, but another user agent."""
+
+MAX_CLIENTS = 32
+"""Maximum number of viewers."""
+
+_PING_S = 30.0
+"""Timeout of a client's answer to a ping, s."""
+
+_CLOSE_TIMEOUT_S = 1.0
+"""Timeout of the closing handshakes at the end, s."""
+
+
 @dataclass(frozen=True)
 class Channel:
     """A topic that is offered to viewers.
@@ -212,22 +228,6 @@ class Client(WebSocketHandler):
                 written = self.write_message(head + data, binary=True)
         if written is not None:
             await written
-
-
-VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "https://studio.foxglove.dev"})
-"""Origins of the viewers that are web pages of other sites."""
-
-_DESKTOP_ORIGIN, _DESKTOP_AGENT = "file://", "Electron/"
-"""Origin and user agent of desktop viewers. A page saved to a file has the same origin, but another user agent."""
-
-MAX_CLIENTS = 32
-"""Maximum number of viewers."""
-
-_PING_S = 30.0
-"""Timeout of a client's answer to a ping, s."""
-
-_CLOSE_TIMEOUT_S = 1.0
-"""Timeout of the closing handshakes at the end, s."""
 
 
 class Viewers:

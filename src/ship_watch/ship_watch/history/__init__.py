@@ -1,1 +1,1 @@
-"""Data of the plots and log of the events of a suite, for the last minutes."""
+"""Data of the plots of a suite, for the last minutes, and their recorder."""

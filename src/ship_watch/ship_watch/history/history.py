@@ -180,7 +180,6 @@ class Timed(Protocol):
     @property
     def utc_ns(self) -> int:
         """Time of the point, UTC as POSIX time."""
-        ...
 
 
 Point = TypeVar("Point", bound=Timed)

@@ -1,11 +1,16 @@
-"""Option ``--time-zone``: local time in addition to UTC."""
+"""Options of page and terminal: limits of the ship, theme, and local time in addition to UTC."""
 
 import argparse
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
+from ship_monitor.themes import THEMES
 
-def add_time_zone(parser: argparse.ArgumentParser) -> None:
-    """Add the option; its value is a ZoneInfo, or None for UTC alone."""
+
+def add_display_options(parser: argparse.ArgumentParser, theme_help: str) -> None:
+    """Add ``--limits``, ``--theme`` and ``--time-zone``, whose value is a ZoneInfo, or None for UTC alone."""
+    parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
+    parser.add_argument("--theme", choices=tuple(THEMES), default="day", help=theme_help)
     parser.add_argument(
         "--time-zone",
         type=_zone,
