@@ -9,7 +9,7 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.page.panels import build_panels, event_row, input_row, reasons_text
+from ship_monitor.page.panels import Panels, event_row, input_row, reasons_text
 from ship_monitor.plots.alignment_panel import bars_arcsec, half_width, state_text
 from ship_monitor.plots.innovation_panel import InnovationPanel, source_line
 from ship_monitor.plots.sky_panel import boresight, positions_in_field, used_star_mask
@@ -24,7 +24,7 @@ EXCLUDED, GOOD = PICTURE.sources[0], PICTURE.sources[1]
 
 @pytest.fixture
 def panels():
-    return build_panels(THEMES["dusk"])
+    return Panels(THEMES["dusk"])
 
 
 def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
@@ -281,7 +281,7 @@ def test_large_deviation_has_its_own_scale(panels) -> None:
 def test_missing_position_is_stated_in_the_sky_panel() -> None:
     history = replace(simulated_history(), position=None)
     for is_bag, where in ((True, " in this bag"), (False, "")):
-        panels = build_panels(THEMES["dusk"], is_bag=is_bag)
+        panels = Panels(THEMES["dusk"], is_bag=is_bag)
         panels.update(history, PICTURE)
         assert panels._sky.box._head.text.endswith(f"residuals · Moon not drawn: no GNSS position{where}</span>")
 

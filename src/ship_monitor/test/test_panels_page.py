@@ -15,7 +15,7 @@ from bokeh.application import Application
 from bokeh.application.handlers import FunctionHandler
 from bokeh.server.server import Server
 
-from ship_monitor.page.panels import build_panels
+from ship_monitor.page.panels import Panels
 from ship_monitor.themes import THEMES
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
@@ -62,7 +62,7 @@ def serve_panels(theme):
     minutes = Minutes()
 
     def fill(document):
-        panels = build_panels(THEMES[theme])
+        panels = Panels(THEMES[theme])
         document.add_root(panels.layout)
         document.config.notify_connection_status = False
         panels.update(minutes.history, minutes.picture)
