@@ -222,10 +222,10 @@ def test_truth_on_the_network_means_simulated(ship, reader, until):
 
 def test_reader_rejoins_the_network_after_a_sleep(ship, reader, until, monkeypatch):
     publish_until_taken(ship, reader, until, attitude(1 * NS_PER_S))
-    former = reader._node
+    former = reader.node
     monkeypatch.setattr(reader_module, "_sleep_time_ns", lambda: 3600 * 10**9)
     reader.fetch()
-    assert reader._node is not former
+    assert reader.node is not former
     publish_until_taken(ship, reader, until, attitude(2 * NS_PER_S))
 
 
