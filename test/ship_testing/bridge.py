@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ship_bags.stamps import stamp_fields
 from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import AlertArray, ShipAttitude
+from ship_nmea.sentences import alerts  # noqa: F401 - registers its sentences with the parser
 
 TIMEOUT_S = 40.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -282,14 +282,12 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "ship_attitude_star/*/adapters/star_attitude_adapter.py": {"star_attitude"},
     "theodolite_calib/*/adapters/optical_axis_adapter.py": {"optical_axis"},
     "theodolite_calib/*/adapters/triangulation_adapter.py": {"triangulation"},
-    "ship_node/*/adapters/recovery_status.py": RECOVERING_NODES,
-    "ship_node/*/health/innovation_report.py": RECOVERING_NODES,
+    "ship_node/*/adapters/recovering_adapter.py": RECOVERING_NODES,
     "ship_node/*/messages/common_messages.py": RECOVERING_NODES,
     "ship_node/*/adapters/node_adapter.py": ADAPTER_NODES,
-    "ship_node/*/health/overload.py": ADAPTER_NODES,
+    "ship_node/*/adapters/adapter.py": ADAPTER_NODES,
     "ship_node/*/adapters/result_report.py": ADAPTER_NODES,
-    "ship_node/*/adapters/sources_off.py": ADAPTER_NODES,
-    "ship_node/*/adapters/time_steps.py": ADAPTER_NODES,
+    "ship_node/*/adapters/input_report.py": ADAPTER_NODES,
     "ship_node/*/health/input_health.py": ADAPTER_NODES,
     "ship_node/*/black_box/*.py": ADAPTER_NODES,
     "ship_node/*/live/node_report.py": ADAPTER_NODES | NMEA_NODES | {"alerts"},
@@ -301,7 +299,9 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "ship_monitor/*/alerts/*.py": {"alerts"},
 }
 NOT_PUBLISHED = {  # status: nodes of its file in MAKERS that do not publish it
+    "clocks": ADAPTER_NODES - RECOVERING_NODES,
     "conflict {}": ADAPTER_NODES - RECOVERING_NODES,
+    "verdict {}": ADAPTER_NODES - RECOVERING_NODES,
     "stamps": NMEA_NODES | {"alerts"},
     "name": {"alerts"},
 }

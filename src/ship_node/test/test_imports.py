@@ -11,7 +11,6 @@ WITHOUT_ROS = [
     "ship_node.messages.common_messages",
     "ship_bags.errors",
     "ship_node.pages.figure_files",
-    "ship_node.live.node_report",
     "ship_node.health.input_health",
     "ship_node.messages.field_checks",
     "ship_bags.message_factory",
@@ -19,7 +18,6 @@ WITHOUT_ROS = [
     "ship_bags.stamps",
     "ship_node.live.node_clock",
     "ship_node.messages.inputs_outputs",
-    "ship_node.live.node_runtime",
 ]
 
 

@@ -8,13 +8,11 @@ node and decoded messages of a bag. The node runtime reports to the adapter when
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.plausibility.checked_ins import CheckedBlock
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_node.health.duplicate_publishers import StreamQuantity
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.field_checks import ReadMessage
@@ -28,6 +26,11 @@ from ship_node.messages.inputs_outputs import (
     StampArray,
 )
 from ship_node.saved_files.saved_document import DISK, Files
+
+if TYPE_CHECKING:
+    # Nodes that are no estimators would import 20 more modules at their start.
+    from ship_estimation.plausibility.checked_ins import CheckedBlock
+    from ship_node.health.duplicate_publishers import StreamQuantity
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ class EvaluatedBatch(Protocol):
         pending_outcomes: outcomes without estimates that are not published yet, each with the index of its sample.
     """
 
-    checked: CheckedBlock
+    checked: "CheckedBlock"
     pending_outcomes: list[tuple[int, Any]]
 
 
@@ -174,7 +177,7 @@ class Feed:
     measurement_source: str = ""
     block: BlockFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
-    stream_quantity: StreamQuantity | None = None
+    stream_quantity: "StreamQuantity | None" = None
 
 
 def ignore_time(process: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
