@@ -19,6 +19,25 @@ from ship_bags.nmea.instrument_lines import LONGEST_LINE
 
 _END = re.compile(rb"[\r\n]+")
 
+_PERMANENT_ERRORS = (
+    errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM, errno.EISDIR, errno.EROFS, errno.ENOTDIR,
+    errno.EINVAL, errno.ENOTTY, errno.EAGAIN,
+)  # fmt: skip
+"""Errors that do not disappear by waiting."""
+
+_ADVICE = {
+    errno.EADDRINUSE: "another program uses it: end that program, or use another port",
+    errno.EAGAIN: "another program uses it: end that program",
+    errno.EADDRNOTAVAIL: "this machine has no such address",
+    errno.ENOTTY: "not a serial device: expected for example /dev/ttyUSB0",
+    errno.EACCES: "not permitted: ports below 1024 are privileged, use a higher one",
+}
+_ADVICE_BY_KIND = {
+    ("serial", errno.EACCES): "not permitted: add this user to the group of the device, often 'dialout'",
+    ("file", errno.EACCES): "not permitted: use a folder in which this user may write",
+    ("serial", errno.EINVAL): "expected a rate that the device supports, for example 4800 or 38400",
+}
+
 
 class LineSplitter:
     """Splitter of a byte stream into lines; a line that is too long is cut, but a sentence at its end is kept."""
@@ -60,26 +79,6 @@ def _split_long_line(line: bytes, is_skipping: bool) -> tuple[bytes, bytes]:
     if start < 0 or len(line) - start > LONGEST_LINE:
         start = len(line)
     return b"" if is_skipping else line[:start][: LONGEST_LINE + 1], line[start:]
-
-
-_PERMANENT_ERRORS = (
-    errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM, errno.EISDIR, errno.EROFS, errno.ENOTDIR,
-    errno.EINVAL, errno.ENOTTY, errno.EAGAIN,
-)  # fmt: skip
-"""Errors that do not disappear by waiting."""
-
-_ADVICE = {
-    errno.EADDRINUSE: "another program uses it: end that program, or use another port",
-    errno.EAGAIN: "another program uses it: end that program",
-    errno.EADDRNOTAVAIL: "this machine has no such address",
-    errno.ENOTTY: "not a serial device: expected for example /dev/ttyUSB0",
-    errno.EACCES: "not permitted: ports below 1024 are privileged, use a higher one",
-}
-_ADVICE_BY_KIND = {
-    ("serial", errno.EACCES): "not permitted: add this user to the group of the device, often 'dialout'",
-    ("file", errno.EACCES): "not permitted: use a folder in which this user may write",
-    ("serial", errno.EINVAL): "expected a rate that the device supports, for example 4800 or 38400",
-}
 
 
 def open_serial(device: str, baud: int, wait_s: float) -> serial.Serial:

@@ -39,6 +39,8 @@ REPORT_PERIOD_S = 1.0
 
 _EXIT_CODE_TEXT = "0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (reported in one line)"
 
+PLAYBACK_TEXT = "this node follows /clock, and tell_simulated is false"
+
 
 def run_nmea_node(
     name: str,
@@ -214,9 +216,6 @@ class NmeaNode:
         statuses += [self.guard.status(), self._parameters.status()]
         now_ns, name = self.clock.now_ns(), self.node.get_name()
         self._diagnostics.publish(diagnostic_array(now_ns, name, statuses, self._full_name).__cdr__)
-
-
-PLAYBACK_TEXT = "this node follows /clock, and tell_simulated is false"
 
 
 def is_played(runtime: NmeaNode) -> bool:

@@ -25,6 +25,16 @@ _RANGES = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
 _LAST_SAFE_DOMAIN = 101
 """Highest domain whose ports are below the range that Linux assigns to any program."""
 
+_SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
+
+_SENSORS = "sensors"
+_NOT_TIME_ORDERED = "gnss", "weather"
+"""Inputs whose values are used on arrival, not in order of time."""
+_OLD = "old"
+_UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
+"""Units of ages and their lengths, s. An age is given in the largest unit of which it has at least two."""
+_OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
+
 
 def check_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
     """Check the variables that define the domain and the range of discovery."""
@@ -98,9 +108,6 @@ def check_domain(state: NetworkState, own: Collection[str], companions: Collecti
     yield CheckLine(_DOMAIN, Result.OK, found)
 
 
-_SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
-
-
 def check_security(
     environment: Mapping[str, str], has_security: bool | None, is_required: bool
 ) -> Iterator[CheckLine]:
@@ -153,15 +160,6 @@ def check_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterat
         yield CheckLine(_KEYSTORE, Result.OK, found)
     if enclaves and not any(fault.of_policy for fault in faults):
         yield CheckLine(_POLICIES, Result.OK, "they allow what the code declares and no more")
-
-
-_SENSORS = "sensors"
-_NOT_TIME_ORDERED = "gnss", "weather"
-"""Inputs whose values are used on arrival, not in order of time."""
-_OLD = "old"
-_UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
-"""Units of ages and their lengths, s. An age is given in the largest unit of which it has at least two."""
-_OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
 def find_requested_qos(

@@ -30,6 +30,13 @@ _SINK = r"sinks\.[^.]+\.path"
 """Pattern of a parameter with a file to which ``nmea_out`` appends."""
 _SERIAL = r"(sinks|sources)\.[^.]+\.device"
 
+_PORTS = "ports"
+_SOCKETS = {ResourceKind.UDP: socket.SOCK_DGRAM, ResourceKind.TCP: socket.SOCK_STREAM}
+_TABLES = {ResourceKind.UDP: ("udp", "udp6"), ResourceKind.TCP: ("tcp", "tcp6")}
+_BLOCKING_STATES = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
+"""Protocol → socket state in the system's table that prevents binding the same port."""
+_ANY_PORT = 0
+
 
 @dataclass(frozen=True)
 class PathState:
@@ -129,14 +136,6 @@ def _can_create_file(folder: Path) -> bool:
             return True
     except OSError:
         return False
-
-
-_PORTS = "ports"
-_SOCKETS = {ResourceKind.UDP: socket.SOCK_DGRAM, ResourceKind.TCP: socket.SOCK_STREAM}
-_TABLES = {ResourceKind.UDP: ("udp", "udp6"), ResourceKind.TCP: ("tcp", "tcp6")}
-_BLOCKING_STATES = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
-"""Protocol → socket state in the system's table that prevents binding the same port."""
-_ANY_PORT = 0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,17 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat,
 
 from ship_bags.errors import BadInput
 
+LEAST_RSA_BITS = 2048
+LEAST_CURVE_BITS = 256
+LEAST_DIGEST_BITS = 256
+"""Minimum length of a digest, bits; excludes MD5, SHA-1 and all forms of SHA-224."""
+
+_KEY = "key.pem"
+_OTHERS_READ = 0o004
+_GROUP_WRITE, _OTHERS_WRITE = 0o020, 0o002
+_LARGEST_KEY_BYTES = 100_000
+_KEY_MARK = b"PRIVATE KEY-----"
+
 
 @dataclass(frozen=True)
 class KeystoreFault:
@@ -36,12 +47,6 @@ class KeystoreFault:
     is_error: bool = True
     of_policy: bool = False
     is_weakness: bool = False
-
-
-LEAST_RSA_BITS = 2048
-LEAST_CURVE_BITS = 256
-LEAST_DIGEST_BITS = 256
-"""Minimum length of a digest, bits; excludes MD5, SHA-1 and all forms of SHA-224."""
 
 
 def read_certificate(path: Path) -> x509.Certificate:
@@ -127,13 +132,6 @@ def _key_weaknesses(key: Any) -> Iterator[str]:
         yield f"its curve {key.curve.name} has {key.curve.key_size} bits: {expected}"
     elif isinstance(key, dsa.DSAPublicKey):
         yield f"its key is DSA: expected a curve of {LEAST_CURVE_BITS} bits, as prime256v1"
-
-
-_KEY = "key.pem"
-_OTHERS_READ = 0o004
-_GROUP_WRITE, _OTHERS_WRITE = 0o020, 0o002
-_LARGEST_KEY_BYTES = 100_000
-_KEY_MARK = b"PRIVATE KEY-----"
 
 
 def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -> Iterator[KeystoreFault]:

@@ -33,6 +33,11 @@ DISCOVERY_TOPIC = "ros_discovery_info"
 _SCHEMAS = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_"
 _ALLOW = "ALLOW"
 
+_LARGEST_BYTES = 4_000_000
+_OPENSSL_TIMEOUT_S = 10.0
+_ACTIONS = "publish", "subscribe"
+_YES, _NO = ("true", "1"), ("false", "0")
+
 
 def policy_text(all_rights: Sequence[Rights]) -> str:
     """Return the SROS2 policy (policy.xsd 0.2.0), for ``ros2 security generate_artifacts --policy-files``."""
@@ -140,12 +145,6 @@ def _add_names(group: ET.Element, kind: str, names: Iterable[str]) -> None:
 def _xml_text(root: ET.Element) -> str:
     ET.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
-
-
-_LARGEST_BYTES = 4_000_000
-_OPENSSL_TIMEOUT_S = 10.0
-_ACTIONS = "publish", "subscribe"
-_YES, _NO = ("true", "1"), ("false", "0")
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,9 @@ from ship_replay.offline.replay import ADAPTERS, match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 from ship_watch.safety.limits import Limits, read_limits
 
+SAVED_FILES = "alignment_file", "calibration_file"
+"""Parameters with a file that a node reads at its start and writes periodically."""
+
 
 def add_enclaves(
     programs: Sequence[Program], all_rights: Sequence[Rights], namespace: str, limits: Limits
@@ -65,10 +68,6 @@ def add_enclaves(
         for program, enclave in zip(programs, enclaves, strict=True)
     ]
     return secured, warnings
-
-
-SAVED_FILES = "alignment_file", "calibration_file"
-"""Parameters with a file that a node reads at its start and writes periodically."""
 
 
 @dataclass(frozen=True)

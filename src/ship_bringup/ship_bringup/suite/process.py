@@ -34,6 +34,15 @@ _LEASE_S = 20.0
 _MARGIN_S = 5.0
 _FIRST_EPHEMERAL = 32768
 
+LONGEST_STEP_S = 1.0
+"""Maximum time between two checks that counts, s; a longer time is a standstill of the supervisor itself."""
+
+_LONGEST_MESSAGE = 32
+
+_LONGEST_LINE = 65536
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
 
 class ReservedPorts:
     """UDP ports that no other process can take, each for the default lease of DDS plus 5 s."""
@@ -83,12 +92,6 @@ def udp_ports_of(pid: int) -> frozenset[int]:
 def _close(sockets: list[socket.socket]) -> None:
     for each in sockets:
         each.close()
-
-
-LONGEST_STEP_S = 1.0
-"""Maximum time between two checks that counts, s; a longer time is a standstill of the supervisor itself."""
-
-_LONGEST_MESSAGE = 32
 
 
 class HeartbeatSocket:
@@ -154,11 +157,6 @@ class HeartbeatAge:
         with contextlib.suppress(OSError, IndexError, ValueError):
             return int(self._schedstat.read_text(encoding="ascii").split()[1]) * 1e-9
         return None
-
-
-_LONGEST_LINE = 65536
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class Process:

@@ -10,6 +10,16 @@ from enum import Enum
 from ship_bags.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from ship_bringup.suite.process import Process
 
+STEADY_S = 60.0
+"""Run time after which earlier ends are no longer counted, s."""
+
+_LONGEST_DELAY_S = 30.0
+"""Longest pause before a restart, s."""
+
+_FIRST_DELAY_S = 1.0
+_NORMAL_EXIT_CODES = (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT, -signal.SIGTERM)
+_SIGNAL_BASE = 128
+
 
 class Role(Enum):
     """Role of a program, which determines the consequence of its end for the other programs."""
@@ -40,17 +50,6 @@ class Program:
     name: str
     command: tuple[str, ...]
     role: Role = Role.NODE
-
-
-STEADY_S = 60.0
-"""Run time after which earlier ends are no longer counted, s."""
-
-_LONGEST_DELAY_S = 30.0
-"""Longest pause before a restart, s."""
-
-_FIRST_DELAY_S = 1.0
-_NORMAL_EXIT_CODES = (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT, -signal.SIGTERM)
-_SIGNAL_BASE = 128
 
 
 @dataclass

@@ -33,6 +33,13 @@ CHECK_PERIOD_S = 0.5
 _MAX_START_S = 60.0
 """Minimum time limit for the first heartbeat, s, because a slow computer loads libraries for a while."""
 
+_END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+_END_TIMEOUT_S = 10.0
+"""Timeout after a request to end, s; the program is then killed."""
+_SUITE = "suite"
+
+_END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
+
 
 class FrozenCheck:
     """Checks the heartbeats of programs.
@@ -91,14 +98,6 @@ class FrozenCheck:
             symptom = f"no heartbeat for {heartbeat_age.time_s:.0f} s, stopped or in a callback that does not return"
             left_s = max(0.0, self._restart_s - heartbeat_age.time_s)
             self._log(f"{name} is frozen: {symptom}; it is killed and started again in {left_s:.0f} s")
-
-
-_END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-_END_TIMEOUT_S = 10.0
-"""Timeout after a request to end, s; the program is then killed."""
-_SUITE = "suite"
-
-_END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
 
 
 class Supervisor:

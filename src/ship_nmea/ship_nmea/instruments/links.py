@@ -27,6 +27,21 @@ _MAX_INCOMPLETE = 100
 _CUT_SENTENCE = re.compile(rb".*[$!](?!.*\*[0-9A-Fa-f]{2}\s*$)[^$!]*", re.DOTALL)
 """Pattern of a text that ends within a sentence, before the end of its checksum."""
 
+RETRY_S = 1.0
+MAX_QUEUED_LINES = 1000
+"""Maximum number of queued lines of a link. If more arrive, the oldest lines are dropped."""
+
+_READ_TIMEOUT_S = 0.2
+_CONNECT_TIMEOUT_S = 2.0
+_JOIN_TIMEOUT_S = 0.5
+_MAX_READ_BYTES = 65536
+_RECEIVE_BUFFER = 1 << 20
+_SO_RXQ_OVFL = 40
+"""Linux socket option that adds to each datagram the number of dropped datagrams. Python has no name for it."""
+_ANCILLARY_BYTES = socket.CMSG_SPACE(64)
+_KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
+"""TCP keep-alive: an idle connection is probed after 3 s and, without an answer, closed 3 s later."""
+
 
 class DatagramLines:
     """Joins the lines of datagrams, separately for each sender."""
@@ -60,22 +75,6 @@ class DatagramLines:
         """Return the cut sentences whose rest has not arrived in time."""
         late = [sender for sender, (since_ns, _, _) in self._incomplete.items() if now_ns - since_ns > JOIN_TIMEOUT_NS]
         return [(*self._incomplete.pop(sender)[1:], sender) for sender in late]
-
-
-RETRY_S = 1.0
-MAX_QUEUED_LINES = 1000
-"""Maximum number of queued lines of a link. If more arrive, the oldest lines are dropped."""
-
-_READ_TIMEOUT_S = 0.2
-_CONNECT_TIMEOUT_S = 2.0
-_JOIN_TIMEOUT_S = 0.5
-_MAX_READ_BYTES = 65536
-_RECEIVE_BUFFER = 1 << 20
-_SO_RXQ_OVFL = 40
-"""Linux socket option that adds to each datagram the number of dropped datagrams. Python has no name for it."""
-_ANCILLARY_BYTES = socket.CMSG_SPACE(64)
-_KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
-"""TCP keep-alive: an idle connection is probed after 3 s and, without an answer, closed 3 s later."""
 
 
 class Link(Protocol):

@@ -26,6 +26,22 @@ SENDER_TIMEOUT_NS = 10 * NS_PER_S
 NOT_LISTED = "sender that is not in 'from'"
 NOT_SELECTED = "sender other than the first (name the instrument's address in 'from')"
 
+NO_TIME = "no time: no /clock yet"
+
+WARNING_NS = 10 * NS_PER_S
+"""Time for which a past problem remains in the status, ns."""
+
+_BACKWARD_JUMP_NS = NS_PER_S
+"""Backward jump of the node's time beyond which the conversion (:class:`Instrument`) is reset, ns."""
+
+_CLOCK_CORRECTED_NS = 3 * NS_PER_S
+"""Time without a message on a required topic, ns, after which a rejection as NOT_LATER may reset the conversion.
+
+The conversion is reset if the last stamp on a required topic is later than the arrival of the text."""
+
+_MAX_CHARACTERS = 60
+_MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
+
 
 class SenderFilter:
     """Selects the sender whose datagrams are used.
@@ -68,23 +84,6 @@ class SenderFilter:
 
     def _identity(self, sender: str) -> str:
         return sender.rpartition(":")[0] if self._addresses else sender
-
-
-NO_TIME = "no time: no /clock yet"
-
-WARNING_NS = 10 * NS_PER_S
-"""Time for which a past problem remains in the status, ns."""
-
-_BACKWARD_JUMP_NS = NS_PER_S
-"""Backward jump of the node's time beyond which the conversion (:class:`Instrument`) is reset, ns."""
-
-_CLOCK_CORRECTED_NS = 3 * NS_PER_S
-"""Time without a message on a required topic, ns, after which a rejection as NOT_LATER may reset the conversion.
-
-The conversion is reset if the last stamp on a required topic is later than the arrival of the text."""
-
-_MAX_CHARACTERS = 60
-_MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
 
 
 @dataclass

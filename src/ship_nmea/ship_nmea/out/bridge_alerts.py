@@ -48,6 +48,14 @@ _LAST_REVISION = 99
 _LAST_ESCALATION = 9
 _TITLE_LENGTH = 16
 
+ALERTS = InputTopic("ship/alerts", "ship_msgs/msg/AlertArray", required=False, depth=1)
+ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
+
+_COMMANDS_PERIOD_S = 0.05
+_MAX_RECEIVED = 100
+_MAX_PENDING = 50
+_RESPONSE_TIMEOUT_NS = 3 * NS_PER_S
+
 
 @dataclass(frozen=True)
 class _Entry:
@@ -171,15 +179,6 @@ def _title(id_: str) -> str:
 def _length_without_number(word: str) -> int:
     """Return the length of a word without the number at its end."""
     return len(word.rstrip(string.digits))
-
-
-ALERTS = InputTopic("ship/alerts", "ship_msgs/msg/AlertArray", required=False, depth=1)
-ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
-
-_COMMANDS_PERIOD_S = 0.05
-_MAX_RECEIVED = 100
-_MAX_PENDING = 50
-_RESPONSE_TIMEOUT_NS = 3 * NS_PER_S
 
 
 @dataclass(frozen=True)

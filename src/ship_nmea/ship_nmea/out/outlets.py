@@ -28,6 +28,20 @@ RECEIVE_BYTES = 4096
 LineReceiver = Callable[[str, str], None]
 """Function called with a received line and the address of its sender (empty for a serial line)."""
 
+MAX_CLIENTS, MAX_CLIENTS_PER_HOST = 32, 8
+"""Maximum number of clients, and of clients of one host, so that one host cannot shut out other hosts."""
+CLIENT_TIMEOUT_S = 10.0
+"""Time without acknowledgement of sent data after which a client is disconnected, s."""
+
+_MAX_READS = 20
+"""Maximum number of reads in a row: a flood of received datagrams must not delay the sentences."""
+_SEND_BUFFER_BYTES = 4096
+"""Size of the send buffer of a client: small, because data waiting for a slow client are old when they are read."""
+
+_MAX_UNSENT_S = 0.1
+"""Maximum transmission time of the unsent data of a serial line, s; with more unsent data, no sentence is accepted."""
+_BITS_PER_BYTE = 10
+
 
 class Outlet(ABC):
     """Destination of a sink.
@@ -81,17 +95,6 @@ def command_texts(lines: Iterable[bytes]) -> list[str]:
     """Return received lines as texts, without empty lines and lines longer than :data:`LONGEST_LINE`."""
     texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
     return [text for text in texts if text]
-
-
-MAX_CLIENTS, MAX_CLIENTS_PER_HOST = 32, 8
-"""Maximum number of clients, and of clients of one host, so that one host cannot shut out other hosts."""
-CLIENT_TIMEOUT_S = 10.0
-"""Time without acknowledgement of sent data after which a client is disconnected, s."""
-
-_MAX_READS = 20
-"""Maximum number of reads in a row: a flood of received datagrams must not delay the sentences."""
-_SEND_BUFFER_BYTES = 4096
-"""Size of the send buffer of a client: small, because data waiting for a slow client are old when they are read."""
 
 
 class UdpOutlet(Outlet):
@@ -254,11 +257,6 @@ class TcpOutlet(Outlet):
             self._clients.remove(client)
             self._selector.unregister(client.connection)
             client.connection.close()
-
-
-_MAX_UNSENT_S = 0.1
-"""Maximum transmission time of the unsent data of a serial line, s; with more unsent data, no sentence is accepted."""
-_BITS_PER_BYTE = 10
 
 
 class SerialOutlet(Outlet):

@@ -28,6 +28,21 @@ _ASCII_REPLACEMENTS = str.maketrans({
 _ELLIPSIS = ".."
 """End of a text that is longer than its field."""
 
+FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
+"""Range of alert identifiers that a manufacturer may use."""
+MAX_INSTANCE = 999_999
+MAX_ALERTS = 200
+"""Maximum number of alerts sent: ten times the highest number in any suite so far."""
+
+ACKNOWLEDGE, REPEAT = "A", "Q"
+"""Commands that are executed; O (responsibility transfer) and S (silence) are refused."""
+
+_TITLE_LENGTH = 16
+_CATEGORY = "B"
+"""Category of all alerts: an alert contains all information needed to decide what to do."""
+_TIME_DECIMALS = 2
+_FRAME_LENGTH = len("$*hh\r\n")
+
 
 class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
     """Alert: the state of one alert; two sentences if the alert has a description in addition to its title."""
@@ -146,22 +161,6 @@ def time_field(time_ns: int, decimals: int) -> str:
     minutes, second = divmod(seconds % 86_400, 60)
     hour, minute = divmod(minutes, 60)
     return f"{hour:02d}{minute:02d}{second:02d}.{parts:0{decimals}d}"
-
-
-FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
-"""Range of alert identifiers that a manufacturer may use."""
-MAX_INSTANCE = 999_999
-MAX_ALERTS = 200
-"""Maximum number of alerts sent: ten times the highest number in any suite so far."""
-
-ACKNOWLEDGE, REPEAT = "A", "Q"
-"""Commands that are executed; O (responsibility transfer) and S (silence) are refused."""
-
-_TITLE_LENGTH = 16
-_CATEGORY = "B"
-"""Category of all alerts: an alert contains all information needed to decide what to do."""
-_TIME_DECIMALS = 2
-_FRAME_LENGTH = len("$*hh\r\n")
 
 
 @dataclass(frozen=True)

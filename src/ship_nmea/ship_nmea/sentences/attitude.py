@@ -26,6 +26,9 @@ _TIME_DECIMALS = 3
 _ROUNDING_MARGIN = 1.0 - 1e-12
 """Factor before rounding up, so that a whole number of units with a floating-point error is not rounded up."""
 
+SIMULATION_SENTENCES = ("THS",)
+"""Sentences with a mode for simulated data."""
+
 
 class AttitudeQuality(Enum):
     """Quality of an attitude, as mode of THS and as quality of PSXN 20 (0 normal, 1 reduced, 2 invalid)."""
@@ -134,8 +137,6 @@ ATTITUDE_SENTENCES: dict[str, Callable[[SentenceAttitude, str, int], Any]] = {
     "HDT": hdt, "THS": ths, "ROT": rot, "PASHR": pashr, "PSXN20": psxn20, "PSXN23": psxn23,
 }  # fmt: skip
 """Name → function that returns the sentence of an attitude, a talker (two letters) and a number of decimals."""
-SIMULATION_SENTENCES = ("THS",)
-"""Sentences with a mode for simulated data."""
 
 
 def simulated_attitude(name: str, attitude: SentenceAttitude) -> SentenceAttitude:

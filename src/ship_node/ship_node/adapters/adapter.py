@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from ship_estimation.plausibility.checked_ins import CheckedBlock
     from ship_node.health.duplicate_publishers import StreamQuantity
 
+TICK_PERIOD_NS = 100_000_000
+"""Period of :meth:`Adapter.tick` by the timeout clock, ns."""
+
 
 @dataclass(frozen=True)
 class Overload:
@@ -183,10 +186,6 @@ class Feed:
 def ignore_time(process: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
     """Return a core's method without a time argument in the form of :attr:`Feed.process`."""
     return lambda value, _waiting_ns: process(value)
-
-
-TICK_PERIOD_NS = 100_000_000
-"""Period of :meth:`Adapter.tick` by the timeout clock, ns."""
 
 
 class ServiceResult(NamedTuple):

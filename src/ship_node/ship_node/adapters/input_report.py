@@ -26,6 +26,22 @@ from ship_node.saved_files.saved_start import SavedStart
 SOURCE_OFF = Rejection(Reason.OFF, "switched off by sources_off")
 """Rejection of a message whose source is switched off."""
 
+_STARS = "star."
+_LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
+_MAX_PENDING_STEP_NS = 60 * SECOND_NS
+"""Maximum age of the state from before a possible time step, ns; the core is not reset to an older state."""
+_STEP_SHOWN_NS = 60 * SECOND_NS
+"""Time for which a step of the time base is a warning, ns."""
+
+_ATTITUDE_SHAPE = (3, 3)
+"""Shape of the noise covariance of an attitude measurement."""
+
+PRESENCE_REASONS = frozenset({
+    *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
+    *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
+})  # fmt: skip
+"""Reasons of decisions that follow a comparison: the compared message was usable, so its source counts as present."""
+
 
 def disabled_topics(
     feeds: Iterable[Feed], sources_off: tuple[str, ...], required_sources: Collection[str]
@@ -61,14 +77,6 @@ def off_statuses(feeds: Iterable[Feed], off_topics: Collection[str]) -> list[Dia
     names = [feed.source for feed in feeds if feed.input.topic in off_topics]
     text = f"switched off by sources_off: {', '.join(names)}"
     return [DiagnosticStatus("sources off", Level.WARN, text)] if names else []
-
-
-_STARS = "star."
-_LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
-_MAX_PENDING_STEP_NS = 60 * SECOND_NS
-"""Maximum age of the state from before a possible time step, ns; the core is not reset to an older state."""
-_STEP_SHOWN_NS = 60 * SECOND_NS
-"""Time for which a step of the time base is a warning, ns."""
 
 
 class TimeSteps:
@@ -127,16 +135,6 @@ class TimeSteps:
 def step_text(step_ns: int) -> str:
     """Return the text of a time step."""
     return f"{step_ns / SECOND_NS:+.3f} s"
-
-
-_ATTITUDE_SHAPE = (3, 3)
-"""Shape of the noise covariance of an attitude measurement."""
-
-PRESENCE_REASONS = frozenset({
-    *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
-    *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
-})  # fmt: skip
-"""Reasons of decisions that follow a comparison: the compared message was usable, so its source counts as present."""
 
 
 class InputReport(ResultReport):

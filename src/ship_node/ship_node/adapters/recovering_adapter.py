@@ -29,6 +29,14 @@ _ADOPTION_SHOWN_NS = 60_000_000_000
 _Remedy = Callable[[Mapping[str, float]], str]
 """Returns the advice for the operator about sources that have moved, from source → shift, rad."""
 
+_DECISION_PERIOD_NS = 1_000_000_000
+"""Period of the decisions by the timeout clock, ns."""
+
+_RECOVERY = "recovery"
+"""Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
+
+_NOT_SAVED_TEXT = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
+
 
 def recovery_counts(recovery: EstimatorRecovery) -> dict[str, str]:
     """Return the number of troubles in which a second estimator was started, and the number of adoptions."""
@@ -68,15 +76,6 @@ def trouble_text(displaced: Mapping[str, float], excluded: Set[str], remedy: _Re
     if excluded:
         return f"excluded: {', '.join(sorted(excluded))}"
     return "the output is not VALID although the inputs are good"
-
-
-_DECISION_PERIOD_NS = 1_000_000_000
-"""Period of the decisions by the timeout clock, ns."""
-
-_RECOVERY = "recovery"
-"""Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
-
-_NOT_SAVED_TEXT = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
 
 
 class RecoveringAdapter(NodeAdapter):

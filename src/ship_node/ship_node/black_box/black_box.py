@@ -43,6 +43,24 @@ from ship_node.messages.inputs_outputs import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text
 from ship_node.saved_files.saved_document import FileUse
 
+FLUSH_PERIOD_S = 0.07
+"""Flush period, s; including the duration of a flush, data are on the disk after 0.1 s."""
+
+MAX_QUEUE_ENTRIES = 50_000
+"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz.
+
+Further entries are lost and counted.
+"""
+
+MAX_QUEUE_BYTES = 64 * 2**20
+"""Maximum size of the waiting entries, bytes; files that the node read and wrote do not count."""
+
+RETRY_S = 10.0
+"""Period of the attempts to open a new file after a failure of the disk, s."""
+
+MAX_ENTRIES_BEFORE_TIME = 1000
+"""Maximum number of entries kept before the node has a time; above it the oldest entries are lost."""
+
 
 class BlackBoxHeader(NamedTuple):
     """Header of each file of a black box: names, parameters and versions as texts, and all topics."""
@@ -181,25 +199,6 @@ def _unusable_path_error(path: str, reason: str) -> BadInput:
     """Return the error about a path where no black box can be written."""
     name = BLACK_BOX_PARAMETER
     return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)
-
-
-FLUSH_PERIOD_S = 0.07
-"""Flush period, s; including the duration of a flush, data are on the disk after 0.1 s."""
-
-MAX_QUEUE_ENTRIES = 50_000
-"""Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz.
-
-Further entries are lost and counted.
-"""
-
-MAX_QUEUE_BYTES = 64 * 2**20
-"""Maximum size of the waiting entries, bytes; files that the node read and wrote do not count."""
-
-RETRY_S = 10.0
-"""Period of the attempts to open a new file after a failure of the disk, s."""
-
-MAX_ENTRIES_BEFORE_TIME = 1000
-"""Maximum number of entries kept before the node has a time; above it the oldest entries are lost."""
 
 
 class _Message(NamedTuple):

@@ -25,6 +25,25 @@ _ROTATION = np.sqrt(2.0)
 _TIMEOUT_NS = 30 * SECOND_NS
 """Time without values after which two detected streams count as one again, ns."""
 
+UNNUMBERED = 2**64 - 1
+"""Number of every message if the middleware does not count messages (CycloneDDS); publishers are then unknown."""
+
+MIN_TIMEOUT_NS = 1_000_000_000
+"""Minimum timeout of a publisher, ns."""
+
+_TIMEOUT_PERIODS = 3
+"""Timeout of a publisher in units of its longest interval between two messages."""
+
+_REMOVAL_TIMEOUT_NS = 10_000_000_000
+"""Time without a message after which a publisher is removed, ns."""
+
+_MIN_RETURNS = 2
+"""Minimum number of returns that shows two publishers.
+
+A return is a message of a known publisher after a message of another publisher. A restart of a publisher causes no
+return. A message lost after a restart may cause one, when the new numbers pass the last number before the restart.
+"""
+
 
 class StreamQuantity(NamedTuple):
     """Quantity of an input that is continuous within one stream.
@@ -147,26 +166,6 @@ class DuplicatePublishers:
     def add_batch(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
         """Add the attitudes of a batch, which change no text."""
         self._streams[topic].add_all(times_ns, rotations_nd.reshape(-1, 9))
-
-
-UNNUMBERED = 2**64 - 1
-"""Number of every message if the middleware does not count messages (CycloneDDS); publishers are then unknown."""
-
-MIN_TIMEOUT_NS = 1_000_000_000
-"""Minimum timeout of a publisher, ns."""
-
-_TIMEOUT_PERIODS = 3
-"""Timeout of a publisher in units of its longest interval between two messages."""
-
-_REMOVAL_TIMEOUT_NS = 10_000_000_000
-"""Time without a message after which a publisher is removed, ns."""
-
-_MIN_RETURNS = 2
-"""Minimum number of returns that shows two publishers.
-
-A return is a message of a known publisher after a message of another publisher. A restart of a publisher causes no
-return. A message lost after a restart may cause one, when the new numbers pass the last number before the restart.
-"""
 
 
 @dataclass

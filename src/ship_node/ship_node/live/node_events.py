@@ -49,6 +49,26 @@ _WAITED_NS = 200_000
 
 _SHOWN_NS = 10_000_000_000
 
+LONG_QUEUE_TIME_NS = 1_000_000_000
+"""Queue time that counts as long, ns.
+
+The sum of this time and :data:`BEHIND_AFTER_NS` does not exceed the default ``lag_s``. So the next node
+does not reject as late the outputs of a node that is not behind."""
+
+BEHIND_AFTER_NS = 1_000_000_000
+"""Working time, without standstills, for which queue times may stay long before the node is behind, ns."""
+
+MAX_QUEUE_TIME_NS = 3_000_000_000
+"""Queue time above which a node is behind at once, ns."""
+
+SHORT_QUEUE_TIME_NS = 200_000_000
+"""Maximum queue time in a node that keeps up, ns: twice the longest wait for an event.
+
+If /clock runs faster than real time, queue times are divided by its rate before the comparison."""
+
+RECOVERED_AFTER_NS = 1_000_000_000
+"""Steady time with short queue times after which a node keeps up again, ns."""
+
 
 class NodeEvents:
     """Events executor of one node.
@@ -295,27 +315,6 @@ class Inbox:
             return self._cuts
         cuts, self._cuts = self._cuts, Counter()
         return cuts
-
-
-LONG_QUEUE_TIME_NS = 1_000_000_000
-"""Queue time that counts as long, ns.
-
-The sum of this time and :data:`BEHIND_AFTER_NS` does not exceed the default ``lag_s``. So the next node
-does not reject as late the outputs of a node that is not behind."""
-
-BEHIND_AFTER_NS = 1_000_000_000
-"""Working time, without standstills, for which queue times may stay long before the node is behind, ns."""
-
-MAX_QUEUE_TIME_NS = 3_000_000_000
-"""Queue time above which a node is behind at once, ns."""
-
-SHORT_QUEUE_TIME_NS = 200_000_000
-"""Maximum queue time in a node that keeps up, ns: twice the longest wait for an event.
-
-If /clock runs faster than real time, queue times are divided by its rate before the comparison."""
-
-RECOVERED_AFTER_NS = 1_000_000_000
-"""Steady time with short queue times after which a node keeps up again, ns."""
 
 
 class OverloadChange(enum.Enum):

@@ -71,6 +71,13 @@ _RUNTIME_ROWS = (
 )
 _PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}
 
+EXIT_DONE, EXIT_BAD_INPUT = 0, 2
+
+_BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
+"""Exceptions that end the start, for example due to bad parameters, bad arguments or a missing message package.
+
+The exceptions of all packages for bad input are ValueErrors."""
+
 
 def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFactory) -> str:
     """Return the help of a node.
@@ -181,14 +188,6 @@ def _example_values(descriptions: list[ParameterDescription]) -> dict[str, Any]:
             is_number = description.kind in (float, int) and low is not None
             values[description.name] = max(placeholder, description.kind(low)) if is_number else placeholder
     return values
-
-
-EXIT_DONE, EXIT_BAD_INPUT = 0, 2
-
-_BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
-"""Exceptions that end the start, for example due to bad parameters, bad arguments or a missing message package.
-
-The exceptions of all packages for bad input are ValueErrors."""
 
 
 class RunnableNode(Protocol):

@@ -48,6 +48,9 @@ _EXPECTED = (
     "depth: an integer from 1"
 )
 
+OnMessage = Callable[[str, tuple[bytes, Mapping[str, Any]]], None]
+"""Callback with the adapter's name of a topic, and a received message with its information."""
+
 
 def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
     """Return the QoS of an input: best effort by default, so that a lost message never delays newer messages.
@@ -98,10 +101,6 @@ def check_overrides(node: Node, topic: str) -> Iterator[None]:
 
 def _check_depth(profile: QoSProfile) -> SetParametersResult:
     return SetParametersResult(successful=profile.depth > 0, reason="depth must be at least 1")
-
-
-OnMessage = Callable[[str, tuple[bytes, Mapping[str, Any]]], None]
-"""Callback with the adapter's name of a topic, and a received message with its information."""
 
 
 class InputSubscriptions:

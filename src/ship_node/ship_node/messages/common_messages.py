@@ -38,6 +38,10 @@ _NOTHING = np.empty(0)
 _SECOND_NS = 1_000_000_000
 _count = struct.Struct("<I").pack
 
+Fields = Mapping[str, Any]
+MessageFields = Iterator[tuple[str, str, Fields]]
+"""Topic, type and fields of each message."""
+
 
 class Level(enum.IntEnum):
     """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -263,11 +267,6 @@ def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) 
         IntegrityState.NO_LIMIT: (Level.OK, "no alert limit is configured"),
     }
     return DiagnosticStatus("integrity", *words[report.state], values)
-
-
-Fields = Mapping[str, Any]
-MessageFields = Iterator[tuple[str, str, Fields]]
-"""Topic, type and fields of each message."""
 
 
 def join_fields(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:

@@ -47,6 +47,12 @@ MAX_RATE = 100.0
 
 A ship's rates in degrees per second are below this limit; a check of the ratio to the expected rates detects them."""
 
+_ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
+"""Indices of the off-diagonal elements of a 3x3 matrix given as nine numbers."""
+
+Valid = NDArray[np.bool_]
+"""True for each message that passes, shape (N,)."""
+
 
 @dataclass(frozen=True)
 class ReadMessage(Generic[Value]):
@@ -330,12 +336,6 @@ def imu_rotation(message: Any, convention: str, accept_unset_covariance: bool) -
     """
     return rotation_from_quaternion(imu_quaternion(message, accept_unset_covariance), convention)
 
-
-_ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
-"""Indices of the off-diagonal elements of a 3x3 matrix given as nine numbers."""
-
-Valid = NDArray[np.bool_]
-"""True for each message that passes, shape (N,)."""
 
 ReadRows = list[ReadMessage[Any] | None]
 """Result of reading each message; None if the message must be read alone."""

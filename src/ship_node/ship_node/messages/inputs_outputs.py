@@ -17,6 +17,9 @@ from ship_bags.cdr_template import CdrRows
 OutputMessage = tuple[str, Any]
 """Message to publish: (topic, message)."""
 
+StampArray = NDArray[np.int64]
+"""Stamps, ns."""
+
 
 @dataclass(frozen=True)
 class InputTopic:
@@ -49,10 +52,6 @@ class OutputTopic:
     topic: str
     type_name: str
     latched: bool = False
-
-
-StampArray = NDArray[np.int64]
-"""Stamps, ns."""
 
 
 class Arrival(NamedTuple):

@@ -33,6 +33,9 @@ from ship_node.messages.inputs_outputs import ReadBatch, StampArray
 SIGMA_MISMATCH_RATIO = 1.5
 """Ratio of the sigma stated by an INS to the configured sigma, above which the stated sigma is reported."""
 
+_FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
+_MAX_LENGTH_M = 1e5
+
 
 def sigma_mismatch_text(covariance: FloatArray, config: InsInputConfig) -> str:
     """Return a text about sigmas that the INS states too large for the configuration; empty if there are none.
@@ -113,10 +116,6 @@ def _rates_d(rates_ros: FloatArray, config: InsInputConfig) -> FloatArray:
     """Convert angular rates from the axes of the message to the deck frame, rad/s, shape (N, 3)."""
     rates: FloatArray = (config.rotation_di @ device_vector_from_ros(rates_ros, config.convention)[..., None])[..., 0]
     return rates
-
-
-_FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
-_MAX_LENGTH_M = 1e5
 
 
 class Antennas(Protocol):
