@@ -36,7 +36,8 @@ def statuses(adapter: Any, drive: Callable[..., Any], arrivals: Arrivals, topic:
     for since_s, until_s, text in ((-1.0, 2.0, ""), (2.0, 4.0, TEXT), (4.0, 9.0, "")):
         adapter.set_duplicate_publishers(topic, text)
         run = drive(adapter, part(arrivals, since_s, until_s))
-        health = next(status for status in adapter.health.statuses(run.now_ns) if status.name == f"input {topic}")
+        _, statuses_now = adapter.health.messages_and_statuses(adapter.factory, run.now_ns, run.now_ns)
+        health = next(status for status in statuses_now if status.name == f"input {topic}")
         assert (health.message == TEXT) == bool(text)
         found.append({message.status for message in run.messages(output)[3:]})
     return found

@@ -10,6 +10,7 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.parameters.fields import mapping_of, parameter, section
 from ship_estimation.parameters.schema import ParameterError
+from ship_estimation.rejection_rules import Reason
 from ship_node.adapters.adapter import Overload, ServiceResult
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, diagnostic_array
@@ -117,15 +118,16 @@ class RelayAdapter:
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         self.ticks.append(now_ns if waiting_ns is None else waiting_ns)
         self.node_times.append(now_ns)
-        statuses = self.health.statuses(now_ns, waiting_ns)
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        messages, statuses = self.health.messages_and_statuses(self.factory, now_ns, waiting_ns)
         published = [(DIAGNOSTICS_TOPIC, diagnostic_array(now_ns, self.node_name, statuses))]
-        return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
+        return published + [("input_health", message) for message in messages]
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         self.overloads.append(change)
         self.overload_times_ns.append(now_ns)
         for topic, count in change.cut.items():
-            self.health.record_overload_cut(topic, count, change.text(self.node_name), now_ns)
+            self.health.record_dropped(topic, count, Reason.BEHIND, change.text(self.node_name), now_ns)
         return []
 
     def clock_jumped_back(self, now_ns: int) -> list[OutputMessage]:

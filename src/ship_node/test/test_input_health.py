@@ -43,8 +43,12 @@ def reject(health, count, reason, *, start_ns=START_NS, period_ns=10 * MS):
     return receive_ns
 
 
+def statuses_of(health, now_ns):
+    return health.messages_and_statuses(RosidlFactory(), now_ns, now_ns)[1]
+
+
 def imu_status(health, now_ns):
-    return {status.name: status for status in health.statuses(now_ns)}[f"input {IMU}"]
+    return {status.name: status for status in statuses_of(health, now_ns)}[f"input {IMU}"]
 
 
 def imu_message(health, now_ns):
@@ -62,25 +66,25 @@ def test_good_data_is_ok_with_rate_latency_and_age(health):
 
 
 def test_before_the_first_message_values_are_nan_and_level_ok(health):
-    health.statuses(START_NS)
+    statuses_of(health, START_NS)
     message = imu_message(health, START_NS + 4_999 * MS)
     assert (message.received, message.level) == (0, 0)
     assert all(math.isnan(value) for value in (message.rate_hz, message.latency_s, message.age_s))
 
 
 def test_required_topic_without_messages_is_an_error_after_five_seconds(health):
-    health.statuses(START_NS)
-    statuses = health.statuses(START_NS + 5 * S)
+    statuses_of(health, START_NS)
+    statuses = statuses_of(health, START_NS + 5 * S)
     assert [status.level for status in statuses] == [Level.ERROR, Level.OK]
     assert statuses[0].message == "required input: no message for 5 s since the start"
     assert statuses[1].message == "no message yet"
 
 
 def test_first_message_timeout_text_depends_on_the_publishers(health):
-    health.statuses(START_NS)
+    statuses_of(health, START_NS)
     health.set_publisher_count(IMU, 0)
     health.set_publisher_count(STAR, 2)
-    imu, star = health.statuses(START_NS + 6 * S)
+    imu, star = statuses_of(health, START_NS + 6 * S)
     assert imu.message.endswith(": no publisher, start the driver or check the topic name")
     assert star.level is Level.WARN
     assert star.message == "no message for 6 s from 2 publisher(s): QoS mismatch, or none is sent"
@@ -91,16 +95,16 @@ def test_a_configured_device_without_messages_is_a_warning():
     monitor = InputHealthMonitor(
         [InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)]
     )
-    monitor.statuses(START_NS)
+    statuses_of(monitor, START_NS)
     monitor.set_publisher_count(STAR, 0)
-    (early,), (late,) = monitor.statuses(START_NS + 4 * S), monitor.statuses(START_NS + 5 * S)
+    (early,), (late,) = statuses_of(monitor, START_NS + 4 * S), statuses_of(monitor, START_NS + 5 * S)
     assert (early.level, early.message) == (Level.OK, "no message yet")
     assert late.level is Level.WARN
     assert late.message.startswith("no message for 5 s since the start: no publisher, ")
 
 
 def test_one_message_has_no_rate(health):
-    imu, _ = health.statuses(feed(health, 1))
+    imu, _ = statuses_of(health, feed(health, 1))
     assert imu.message == "messages: 1, latency 0.005 s"
 
 
@@ -115,7 +119,7 @@ def test_timeout_of_an_optional_slow_topic_is_three_periods(health, timeout_ms, 
     for i in range(20):
         health.record_arrival(STAR, START_NS + i * 200 * MS)
         health.record_accepted(STAR, START_NS + i * 200 * MS, START_NS + i * 200 * MS)
-    status = health.statuses(START_NS + (19 * 200 + timeout_ms) * MS)[1]
+    status = statuses_of(health, START_NS + (19 * 200 + timeout_ms) * MS)[1]
     assert status.level is level
     assert ("no data for" in status.message) == (level is Level.WARN)
 
@@ -284,12 +288,12 @@ def test_occasional_topics_have_no_timeout():
     monitor = InputHealthMonitor(
         [InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)]
     )
-    monitor.statuses(START_NS)
+    statuses_of(monitor, START_NS)
     monitor.set_publisher_count(target, 1)
-    (status,) = monitor.statuses(START_NS + 60 * S)
+    (status,) = statuses_of(monitor, START_NS + 60 * S)
     assert (status.level, status.message) == (Level.OK, "no message yet")
     for i in range(10):
         monitor.record_arrival(target, START_NS + i * 100 * MS)
         monitor.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
-    (gone,) = monitor.statuses(START_NS + 120 * S)
+    (gone,) = statuses_of(monitor, START_NS + 120 * S)
     assert gone.level is Level.OK

@@ -108,6 +108,10 @@ def message(**changes: Any) -> Any:
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp), **(given | changes))
 
 
+def statuses_of(adapter: TinyAdapter, now_ns: int) -> list[DiagnosticStatus]:
+    return adapter.health.messages_and_statuses(FACTORY, now_ns, now_ns)[1]
+
+
 def health(adapter: TinyAdapter, topic: str) -> Any:
     (of_topic,) = [m for m in adapter.health.messages(FACTORY, NOW_NS) if m.topic == topic]
     reasons = dict(zip(of_topic.reasons, of_topic.reason_counts, strict=True))
@@ -274,7 +278,7 @@ def test_a_source_that_is_off_has_no_consecutive_rejections(adapter: TinyAdapter
     adapter.set_parameters({"sources_off": ["device"]})
     for number in range(30):
         process_message(adapter, CHECKED, message(), NOW_NS + number * S // 10)
-    (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {CHECKED}"]
+    (status,) = [s for s in statuses_of(adapter, NOW_NS + 3 * S) if s.name == f"input {CHECKED}"]
     assert (status.level, status.message) == (Level.WARN, "rejected, off: switched off by sources_off")
 
 
@@ -316,7 +320,7 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     ((_, invalid),) = [message for message in published if message[0] == "tiny/value"]
     assert (invalid.status, invalid.text) == (Status.INVALID, why)
     assert health(adapter, FAST) == (320, 0, 320, {"behind": 320})
-    statuses = {status.name: status for status in adapter.health.statuses(NOW_NS)}
+    statuses = {status.name: status for status in statuses_of(adapter, NOW_NS)}
     assert statuses[f"input {FAST}"].level is Level.WARN
     assert "rejected, behind: 320 messages dropped" in statuses[f"input {FAST}"].message
 
@@ -338,14 +342,14 @@ def test_cut_messages_cause_no_timeout(adapter: TinyAdapter) -> None:
     for tenth in range(10):
         process_message(adapter, FAST, message(), NOW_NS + tenth * S // 10)
     adapter.overload(Overload(3.2, 2, 12.0, {FAST: 30}), NOW_NS + 4 * S)
-    (status,) = [s for s in adapter.health.statuses(NOW_NS + 4 * S) if s.name == f"input {FAST}"]
+    (status,) = [s for s in statuses_of(adapter, NOW_NS + 4 * S) if s.name == f"input {FAST}"]
     assert "no data for" not in status.message
 
 
 def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(adapter: TinyAdapter) -> None:
     adapter.set_duplicate_publishers(CHECKED, "two publishers send")
     assert adapter.core.calls == [("set_duplicate_publishers", "camera", "two publishers send")]
-    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {CHECKED}"]
+    (status,) = [status for status in statuses_of(adapter, NOW_NS) if status.name == f"input {CHECKED}"]
     assert (status.level, status.message) == (Level.ERROR, "two publishers send")
     adapter.set_parameters({"sources_off": ["device"]})
     assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "")
@@ -353,5 +357,5 @@ def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(ada
     assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "two publishers send")
     adapter.set_duplicate_publishers(CHECKED, "")
     assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "")
-    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {CHECKED}"]
+    (status,) = [status for status in statuses_of(adapter, NOW_NS) if status.name == f"input {CHECKED}"]
     assert status.level is Level.OK

@@ -150,7 +150,7 @@ class NodeAdapter(InputReport):
         published = []
         for topic, count in change.cut.items():
             text = f"{count} messages dropped: {why}"
-            self.health.record_overload_cut(topic, count, text, waiting_ns)
+            self.health.record_dropped(topic, count, Reason.BEHIND, text, waiting_ns)
             published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.published_levels = PublishedLevels()  # earlier levels do not apply to the next output
         return published + self._invalid_while_behind(now_ns, waiting_ns)

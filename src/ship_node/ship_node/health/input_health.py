@@ -109,24 +109,17 @@ class InputHealthMonitor(InputRecords):
         """Record that the middleware lost ``count`` further messages."""
         self._lost[topic] = self._lost.get(topic, 0) + count
 
-    def statuses(self, now_ns: int, waiting_ns: int | None = None) -> list[DiagnosticStatus]:
-        """Return one diagnostic status per topic; ``waiting_ns`` defaults to the node's time."""
-        return [self._status(state) for state in self._states(now_ns, waiting_ns)]
-
-    def messages(self, factory: MessageFactory, now_ns: int, waiting_ns: int | None = None) -> list[Any]:
-        """Return one ship_msgs/InputHealth per topic; ``waiting_ns`` defaults to the node's time."""
-        return [_message(factory, state, now_ns) for state in self._states(now_ns, waiting_ns)]
+    def messages(self, factory: MessageFactory, now_ns: int) -> list[Any]:
+        """Return one ship_msgs/InputHealth per topic, for a time at which both clocks are equal."""
+        return self.messages_and_statuses(factory, now_ns, now_ns)[0]
 
     def messages_and_statuses(
         self, factory: MessageFactory, now_ns: int, waiting_ns: int
     ) -> tuple[list[Any], list[DiagnosticStatus]]:
-        """Return the messages and the diagnostic statuses for one time."""
-        states = self._states(now_ns, waiting_ns)
+        """Return one ship_msgs/InputHealth and one diagnostic status per topic."""
+        waiting_ns = self._now(waiting_ns)
+        states = [self._state(record, now_ns, waiting_ns) for record in self.records.values()]
         return [_message(factory, state, now_ns) for state in states], [self._status(state) for state in states]
-
-    def _states(self, now_ns: int, waiting_ns: int | None) -> list[_InputState]:
-        waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
-        return [self._state(record, now_ns, waiting_ns) for record in self.records.values()]
 
     def _state(self, record: InputRecord, now_ns: int, waiting_ns: int) -> _InputState:
         latency_s, rate_hz = record.latency_s, record.rate_hz(waiting_ns)

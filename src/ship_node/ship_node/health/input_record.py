@@ -126,22 +126,17 @@ class InputRecord:
             delay_s = (receive_ns - stamp_ns) * 1e-9
             self.late_delays[sum(delay_s > edge for edge in DELAY_BIN_EDGES_S)] += 1
 
-    def add_overflow(self, count: int, why: str, waiting_ns: int) -> None:
-        """Count messages that were dropped unread because of a bound; the count of consecutive rejections stays."""
+    def add_dropped(self, count: int, reason: Reason, why: str, waiting_ns: int) -> None:
+        """Count messages that were dropped unread; the count of consecutive rejections stays."""
         self.received += count
         self.rejected += count
-        self.reasons[Reason.OVERFLOW] += count
-        self.last_rejection_ns = waiting_ns
-        cut = self.reasons[Reason.OVERFLOW]
-        self.last_rejection = Rejection(Reason.OVERFLOW, f"{cut} messages dropped, the last {why}")
-
-    def add_behind(self, count: int, why: str, waiting_ns: int) -> None:
-        """Count messages that were dropped because the node is behind; for the timeout they count as arrivals."""
-        self.received += count
-        self.rejected += count
-        self.reasons[Reason.BEHIND] += count
-        self.last_arrival_ns = waiting_ns
-        self.last_rejection_ns, self.last_rejection = waiting_ns, Rejection(Reason.BEHIND, why)
+        self.reasons[reason] += count
+        if reason is Reason.BEHIND:
+            # The node drops messages that have arrived, so there is no timeout.
+            self.last_arrival_ns = waiting_ns
+        else:
+            why = f"{self.reasons[reason]} messages dropped, the last {why}"
+        self.last_rejection_ns, self.last_rejection = waiting_ns, Rejection(reason, why)
 
     @property
     def mean_period_ns(self) -> float:
@@ -306,20 +301,17 @@ class InputRecords:
         self.records[topic].reasons[reason] += 1
         self.records[topic].note_counts[reason] += 1
 
-    def record_overflow(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """Record messages that were dropped unread because a bound was exceeded.
+    def record_dropped(self, topic: str, count: int, reason: Reason, why: str, waiting_ns: int) -> None:
+        """Record messages that were dropped unread.
 
         Args:
             topic: the input topic.
             count: number of messages.
-            why: text for the user about the bound.
+            reason: OVERFLOW if a bound was exceeded, BEHIND if the node is behind.
+            why: text for the user about the bound, or about the node that is behind.
             waiting_ns: time of the report by the timeout clock.
         """
-        self.records[topic].add_overflow(count, why, self._now(waiting_ns))
-
-    def record_overload_cut(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
-        """Record messages that were dropped because the node is behind; arguments as in :meth:`record_overflow`."""
-        self.records[topic].add_behind(count, why, self._now(waiting_ns))
+        self.records[topic].add_dropped(count, reason, why, self._now(waiting_ns))
 
     def record_failure(self, text: str) -> None:
         """Record an exception of the suite's own code that was caught, for the log of a live node."""

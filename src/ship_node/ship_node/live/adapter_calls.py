@@ -1,6 +1,6 @@
 """Calls of an adapter by a live node: results are published; a black box records the calls and the results."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rclpy.publisher import Publisher
@@ -58,7 +58,6 @@ class AdapterCalls:
 
     def handle(self, topic: str, data: bytes, message: Any, now_ns: int, waiting_ns: int | None = None) -> None:
         """Give the adapter a message; ``data`` are its bytes."""
-        published: list[OutputMessage] = []
         try:
             published = self._adapter.process(Batch.of_message(topic, message, now_ns, waiting_ns)).output_messages()
         finally:
@@ -69,12 +68,7 @@ class AdapterCalls:
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> None:
         """Tick the adapter."""
-        published: list[OutputMessage] = []
-        try:
-            published = self._adapter.tick(now_ns, waiting_ns)
-        finally:
-            self._record_event(Tick(), now_ns, waiting_ns)
-        self.publish(published, now_ns)
+        published = self._call(Tick(), self._adapter.tick, (), now_ns, waiting_ns)
         if self._status_log is not None:
             for topic, message in published:
                 if topic == DIAGNOSTICS_TOPIC:
@@ -82,12 +76,7 @@ class AdapterCalls:
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
         """Report to the adapter that the node is behind, or keeps up again."""
-        published: list[OutputMessage] = []
-        try:
-            published = self._adapter.overload(change, now_ns, waiting_ns)
-        finally:
-            self._record_event(change, now_ns, waiting_ns)
-        self.publish(published, now_ns)
+        self._call(change, self._adapter.overload, (change,), now_ns, waiting_ns)
 
     def set_duplicate_publishers(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that two publishers send on a topic or, with an empty text, that this has ended."""
@@ -98,21 +87,11 @@ class AdapterCalls:
 
     def clock_jumped_back(self, now_ns: int) -> None:
         """Report to the adapter that the node's clock went back."""
-        published: list[OutputMessage] = []
-        try:
-            published = self._adapter.clock_jumped_back(now_ns)
-        finally:
-            self._record_event(ClockJumpedBack(), now_ns)
-        self.publish(published, now_ns)
+        self._call(ClockJumpedBack(), self._adapter.clock_jumped_back, (), now_ns)
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that the computer's clock stepped."""
-        published: list[OutputMessage] = []
-        try:
-            published = self._adapter.clock_stepped(step_ns, now_ns, waiting_ns)
-        finally:
-            self._record_event(ClockStepped(step_ns), now_ns, waiting_ns)
-        self.publish(published, now_ns)
+        self._call(ClockStepped(step_ns), self._adapter.clock_stepped, (step_ns,), now_ns, waiting_ns)
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
         """Call a service of the adapter."""
@@ -147,6 +126,21 @@ class AdapterCalls:
                 self._black_box.add(topic, data, now_ns)
         for topic, data in outputs:
             self._publishers[topic].publish(data)
+
+    def _call(
+        self,
+        event: Event,
+        function: Callable[..., list[OutputMessage]],
+        arguments: tuple[Any, ...],
+        *times_ns: int | None,
+    ) -> list[OutputMessage]:
+        """Call the adapter with the arguments and the times of an event; record the event, then publish the results."""
+        try:
+            published = function(*arguments, *times_ns)
+        finally:
+            self._record_event(event, *times_ns)
+        self.publish(published, times_ns[0])
+        return published
 
     def _record_event(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:
         if self._black_box is not None:

@@ -21,6 +21,7 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from ship_bags.message_factory import RosidlFactory, message_class
+from ship_estimation.rejection_rules import Reason
 from ship_geometry.input_error import InputError
 from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.live.adapter_calls import AdapterCalls
@@ -256,7 +257,7 @@ class LiveNode:
         for text in self.adapter.health.take_failures():
             self._guard.record(text)
         for (topic, why), count in self._inbox.take_cuts().items():
-            self.adapter.health.record_overflow(topic, count, why, waiting_ns)
+            self.adapter.health.record_dropped(topic, count, Reason.OVERFLOW, why, waiting_ns)
 
     def _on_jump_back(self, jump: TimeJump) -> None:
         # A node that is behind drops its messages; processing them all could take minutes without another check.

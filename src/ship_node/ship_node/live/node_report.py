@@ -13,7 +13,7 @@ import dataclasses
 import re
 import sys
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity
@@ -23,10 +23,6 @@ from ship_estimation.rejection_rules import failure_rejection
 from ship_node.adapters.adapter import Adapter
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import DiagnosticStatus, Level
-
-if TYPE_CHECKING:
-    from rclpy.node import Node
-
 
 Result = TypeVar("Result")
 
@@ -189,7 +185,7 @@ class StatusLog:
             self._logger.error(text)
 
 
-def name_status(node: "Node") -> DiagnosticStatus:
+def name_status(node: Node) -> DiagnosticStatus:
     """Return the status of the node's name: ERROR if another node has the same name.
 
     Service calls and parameters for such a name reach either node, and both nodes publish outputs.
@@ -204,10 +200,9 @@ def name_status(node: "Node") -> DiagnosticStatus:
 
 def stamps_status(health: InputHealthMonitor) -> DiagnosticStatus:
     """Return the status of the stamps: ERROR if the stamps of an input are too old."""
-    text = health.stale_stamps_text()
-    if not text:
-        return DiagnosticStatus("stamps", Level.OK, "consistent with the node's time")
-    return DiagnosticStatus("stamps", Level.ERROR, text)
+    if text := health.stale_stamps_text():
+        return DiagnosticStatus("stamps", Level.ERROR, text)
+    return DiagnosticStatus("stamps", Level.OK, "consistent with the node's time")
 
 
 class NodeLog:
