@@ -287,7 +287,7 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "ship_node/*/adapters/node_adapter.py": ADAPTER_NODES,
     "ship_node/*/adapters/adapter.py": ADAPTER_NODES,
     "ship_node/*/adapters/result_report.py": ADAPTER_NODES,
-    "ship_node/*/adapters/input_report.py": ADAPTER_NODES,
+    "ship_node/*/adapters/input_processing.py": ADAPTER_NODES,
     "ship_node/*/health/input_health.py": ADAPTER_NODES,
     "ship_node/*/black_box/*.py": ADAPTER_NODES,
     "ship_node/*/live/node_report.py": ADAPTER_NODES | NMEA_NODES | {"alerts"},

@@ -28,7 +28,7 @@ from ship_node.live.node_clock import NodeClock
 from ship_node.live.node_events import NodeEvents
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status
 from ship_node.live.node_runtime import run_node
-from ship_node.live.node_topics import check_overrides, input_qos, output_qos, overriding_options
+from ship_node.live.node_topics import check_overrides, create_publisher, input_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus, diagnostic_array
 from ship_node.messages.inputs_outputs import InputTopic, OutputTopic
@@ -185,9 +185,7 @@ class NmeaNode:
 
     def publisher(self, topic: OutputTopic) -> Publisher:
         """Return a publisher of a topic."""
-        kind, qos = message_class(topic.type_name), output_qos(topic)
-        with check_overrides(self.node, topic.topic):
-            return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overriding_options())
+        return create_publisher(self.node, topic)
 
     def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
         """Call a function periodically, by a steady clock; reports of exceptions contain ``name``."""

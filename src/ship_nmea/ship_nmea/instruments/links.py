@@ -5,7 +5,6 @@ the line was read. A sentence cut at the end of a datagram is joined with the ne
 """
 
 import contextlib
-import ipaddress
 import re
 import socket
 import sys
@@ -17,7 +16,7 @@ from typing import Protocol
 
 from ship_nmea.connections import LineSplitter, error_text, open_serial
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
-from ship_node.parameters.machine_resources import ANY_ADDRESS
+from ship_node.parameters.machine_resources import ANY_ADDRESS, is_multicast
 
 JOIN_TIMEOUT_NS = 200_000_000
 """Maximum wait for the rest of a cut sentence, ns."""
@@ -121,7 +120,7 @@ class UdpLink:
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
             self._socket.settimeout(_READ_TIMEOUT_S)
-            is_group = _is_multicast(self._address)
+            is_group = is_multicast(self._address)
             if is_group:
                 # Every receiver of a group gets each datagram, so other programs may bind the same port.
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -306,10 +305,3 @@ class LinkReader:
             self._overwritten += max(0, len(self._lines) + len(lines) - MAX_QUEUED_LINES)
             self._lines.extend(lines)
         self._on_lines()
-
-
-def _is_multicast(address: str) -> bool:
-    try:
-        return ipaddress.ip_address(address).is_multicast
-    except ValueError:
-        return False

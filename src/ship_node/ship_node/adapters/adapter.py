@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.common_messages import DiagnosticStatus, Level
@@ -136,6 +137,20 @@ class BatchCore(Protocol[Evaluated]):
 
     def batch_estimates(self, batch: Evaluated) -> list[tuple[slice, Any]]:
         """Return slices of samples, each with its estimates from one state, or with their rejection."""
+        ...
+
+
+class DeferringPart(Protocol):
+    """Part of a core that computes several outputs together.
+
+    Attributes:
+        pending: data of each pending output, with its stamp ``time_ns``; None if each output is published at once.
+    """
+
+    pending: list[Any] | None
+
+    def compute_pending(self) -> list[tuple[slice, Any | Rejection]]:
+        """Compute all pending outputs; return slices of ``pending``, each with its outputs or its rejection."""
         ...
 
 

@@ -7,7 +7,7 @@ alone. In a batch of more than one arrival, outputs on which no other message de
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,20 +31,6 @@ if TYPE_CHECKING:
 
 _BACKOFF_MESSAGES = 8
 """Number of messages processed one by one after a block could not be evaluated."""
-
-
-class DeferringPart(Protocol):
-    """Part of a core that computes several outputs together.
-
-    Attributes:
-        pending: data of each pending output, with its stamp ``time_ns``; None if each output is published at once.
-    """
-
-    pending: list[Any] | None
-
-    def compute_pending(self) -> list[tuple[slice, Any | Rejection]]:
-        """Compute all pending outputs; return slices of ``pending``, each with its outputs or its rejection."""
-        ...
 
 
 class _Part(NamedTuple):

@@ -16,9 +16,9 @@ from ship_estimation.parameters.schema import with_changes
 from ship_estimation.rejection_rules import Reason, Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_node.adapters.adapter import Overload, ServiceResult
-from ship_node.adapters.batch_pass import BatchPass, DeferringPart
-from ship_node.adapters.input_report import InputReport, disabled_topics, off_statuses, step_text
+from ship_node.adapters.adapter import DeferringPart, Overload, ServiceResult
+from ship_node.adapters.batch_pass import BatchPass
+from ship_node.adapters.input_processing import InputProcessing, disabled_topics, off_statuses, step_text
 from ship_node.messages import common_messages
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.messages.inputs_outputs import Batch, BatchOutputs, OutputMessage, OutputTopic
@@ -34,7 +34,7 @@ OWN_OUTPUTS = (
 _SLOW_TOPICS = "slow topics"
 
 
-class NodeAdapter(InputReport):
+class NodeAdapter(InputProcessing):
     """Adapter of a node; see :class:`ship_node.adapters.adapter.Adapter` for the methods.
 
     Args:
@@ -71,7 +71,6 @@ class NodeAdapter(InputReport):
         if saved is not None and saved.unreadable_reason:
             self.start_warnings = (*self.start_warnings, f"{saved.unreadable_reason}; the filter starts as configured")
         self.clock_jumps = 0
-        self.next_slow_ns: int | None = None
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -134,8 +133,7 @@ class NodeAdapter(InputReport):
         self._autosave(waiting_ns)
         if self.next_slow_ns is None or waiting_ns >= self.next_slow_ns:
             self.next_slow_ns = waiting_ns + round(self.config.slow_topics_period_s * SECOND_NS)
-            for topic in self.duplicates.end_timed_out(waiting_ns):
-                self.update_duplicate_publishers(topic)
+            self.update_duplicate_publishers(self.duplicates.end_timed_out(waiting_ns))
             try:
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
@@ -197,7 +195,7 @@ class NodeAdapter(InputReport):
         self.config = config
         self.call_cores(lambda core: core.reconfigure(config))
         self.bind()
-        self.update_all_duplicate_publishers()
+        self.update_duplicate_publishers(self.duplicate_topics)
 
     # -- the node itself ------------------------------------------------------------------------------------
 
@@ -214,11 +212,6 @@ class NodeAdapter(InputReport):
         if self.saved is not None:
             self.saved.note_core_reset()
         self.reset_outputs()
-
-    def reset_outputs(self) -> None:
-        """See :class:`ship_node.adapters.result_report.ResultReport`; the next tick publishes the slow topics."""
-        super().reset_outputs()
-        self.next_slow_ns = None
 
     def saved_document_remarks(self) -> list[str]:
         """Return remarks on the saved document: on the start from it, and on obstacles to saving."""

@@ -18,7 +18,7 @@ from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_node.adapters.adapter import Feed
-from ship_node.adapters.input_report import PRESENCE_REASONS
+from ship_node.adapters.input_processing import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.inputs_outputs import OutputMessage
@@ -212,7 +212,7 @@ class RecoveringAdapter(NodeAdapter):
         finally:
             if self.recovery.candidate is not before:
                 self.bind()
-                self.update_all_duplicate_publishers()
+                self.update_duplicate_publishers(self.duplicate_topics)
         return published
 
     def _adopt(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:

@@ -74,9 +74,8 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
         groups: as for :func:`ship_estimation.innovations.innovation_diagnosis.clock_diagnoses`.
     """
     issues = clock_diagnoses(model, mean, groups)
-    return DiagnosticStatus(
-        "clocks", Level.WARN if issues else Level.OK, "; ".join(issues) or "within configured limits"
-    )
+    text = "; ".join(issues) or "within configured limits"
+    return DiagnosticStatus("clocks", Level.WARN if issues else Level.OK, text)
 
 
 def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:
@@ -105,6 +104,7 @@ class ResultReport(ABC):
         conflicts: source → text, for sources in persistent conflict.
         innovation_report: innovation diagnoses of the sources.
         published_levels: the protection levels last published.
+        next_slow_ns: timeout-clock time of the next slow topics; None if the next tick publishes them.
         overload_report: overload of the node; the estimates of a node that is behind are not published.
         batch_pass: the batch in progress; None between batches.
     """
@@ -134,6 +134,7 @@ class ResultReport(ABC):
         self.conflicts: dict[str, str] = {}
         self.innovation_report = InnovationReport()
         self.published_levels = PublishedLevels()
+        self.next_slow_ns: int | None = None
         self.overload_report = OverloadReport(self.node_name)
         self.batch_pass: BatchPass | None = None
 
@@ -210,11 +211,8 @@ class ResultReport(ABC):
 
     def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
         """Return the protection levels of an output if the published levels do not cover it."""
-        published, redundancy_key, directions = (
-            self.published_levels,
-            self.redundancy_key(estimate),
-            self.directions(estimate),
-        )
+        published, directions = self.published_levels, self.directions(estimate)
+        redundancy_key = self.redundancy_key(estimate)
         # Runs for every output: the fast check comes first.
         if published.state is estimate.state and published.redundancy_key == redundancy_key:
             output = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
@@ -229,8 +227,8 @@ class ResultReport(ABC):
         return [(self.integrity_topic, message)]
 
     def reset_outputs(self) -> None:
-        """Discard the published estimate and levels, the conflicts and the diagnoses."""
-        self.latest, self.pending_budget = None, None
+        """Discard the published estimate and the reports; the next tick publishes the slow topics."""
+        self.latest = self.pending_budget = self.next_slow_ns = None
         self.reset_reports()
 
     def reset_reports(self) -> None:
@@ -247,6 +245,6 @@ class ResultReport(ABC):
     def conflict_statuses(self) -> list[DiagnosticStatus]:
         """Return one status per source in persistent conflict."""
         return [
-            DiagnosticStatus(f"conflict {source}", common_messages.Level.ERROR, text)
+            DiagnosticStatus(f"conflict {source}", Level.ERROR, text)
             for source, text in sorted(self.conflicts.items())
         ]

@@ -285,11 +285,8 @@ class TimeBase:
             is_recent = clock.last_delay_ns and waiting_ns - clock.last_delay_at_ns <= _FOLLOWS_WITHIN_NS
             if is_recent and not clock.moved_ns and _are_equal(clock.last_delay_ns, first.moved_ns):
                 clock.level_ns -= clock.last_delay_ns
-                clock.moved_ns, clock.moved_since_ns, clock.last_delay_ns = (
-                    clock.last_delay_ns,
-                    clock.last_delay_at_ns,
-                    0,
-                )
+                clock.moved_ns, clock.moved_since_ns = clock.last_delay_ns, clock.last_delay_at_ns
+                clock.last_delay_ns = 0
                 found.add(name)
         return found
 

@@ -1,6 +1,7 @@
 """Calls of an adapter by a live node: results are published; a black box records the calls and the results."""
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.publisher import Publisher
@@ -68,7 +69,7 @@ class AdapterCalls:
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> None:
         """Tick the adapter."""
-        published = self._call(Tick(), self._adapter.tick, (), now_ns, waiting_ns)
+        published = self._call(Tick(), partial(self._adapter.tick, now_ns, waiting_ns), now_ns, waiting_ns)
         if self._status_log is not None:
             for topic, message in published:
                 if topic == DIAGNOSTICS_TOPIC:
@@ -76,7 +77,7 @@ class AdapterCalls:
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
         """Report to the adapter that the node is behind, or keeps up again."""
-        self._call(change, self._adapter.overload, (change,), now_ns, waiting_ns)
+        self._call(change, partial(self._adapter.overload, change, now_ns, waiting_ns), now_ns, waiting_ns)
 
     def set_duplicate_publishers(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that two publishers send on a topic or, with an empty text, that this has ended."""
@@ -87,11 +88,12 @@ class AdapterCalls:
 
     def clock_jumped_back(self, now_ns: int) -> None:
         """Report to the adapter that the node's clock went back."""
-        self._call(ClockJumpedBack(), self._adapter.clock_jumped_back, (), now_ns)
+        self._call(ClockJumpedBack(), partial(self._adapter.clock_jumped_back, now_ns), now_ns)
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that the computer's clock stepped."""
-        self._call(ClockStepped(step_ns), self._adapter.clock_stepped, (step_ns,), now_ns, waiting_ns)
+        call = partial(self._adapter.clock_stepped, step_ns, now_ns, waiting_ns)
+        self._call(ClockStepped(step_ns), call, now_ns, waiting_ns)
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
         """Call a service of the adapter."""
@@ -128,18 +130,14 @@ class AdapterCalls:
             self._publishers[topic].publish(data)
 
     def _call(
-        self,
-        event: Event,
-        function: Callable[..., list[OutputMessage]],
-        arguments: tuple[Any, ...],
-        *times_ns: int | None,
+        self, event: Event, call: Callable[[], list[OutputMessage]], now_ns: int, waiting_ns: int | None = None
     ) -> list[OutputMessage]:
-        """Call the adapter with the arguments and the times of an event; record the event, then publish the results."""
+        """Call the adapter, record the event, then publish the results."""
         try:
-            published = function(*arguments, *times_ns)
+            published = call()
         finally:
-            self._record_event(event, *times_ns)
-        self.publish(published, times_ns[0])
+            self._record_event(event, now_ns, waiting_ns)
+        self.publish(published, now_ns)
         return published
 
     def _record_event(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:

@@ -17,10 +17,9 @@ from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
-from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_factory import RosidlFactory
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.input_error import InputError
 from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
@@ -28,7 +27,7 @@ from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Backlog, Inbox, NodeEvents, OverloadChange, ReceivedMessage, current_overload
 from ship_node.live.node_report import ExceptionGuard, NodeLog, StatusLog, name_status, stamps_status, start_line
-from ship_node.live.node_topics import InputSubscriptions, check_overrides, output_qos, overriding_options
+from ship_node.live.node_topics import InputSubscriptions, create_publisher
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.messages.inputs_outputs import OutputTopic
@@ -79,7 +78,7 @@ class LiveNode:
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
             files = RecordingFiles()
             self.adapter = adapter_class(self._parameters.config, factory, files)
-            self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
+            self._publishers = {o.topic: create_publisher(self.node, o) for o in _outputs(self.adapter)}
             self._inputs = InputSubscriptions(
                 self.node,
                 self.adapter,
@@ -133,11 +132,6 @@ class LiveNode:
         self._jump_handle.unregister()
         self._events.close()
         self.node.destroy_node()
-
-    def _create_publisher(self, output: OutputTopic) -> Publisher:
-        kind, qos = message_class(output.type_name), output_qos(output)
-        with check_overrides(self.node, output.topic):
-            return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overriding_options())
 
     def _open_black_box(self) -> "BlackBox | None":
         path, config = self._parameters.black_box, self._parameters.config
@@ -219,18 +213,15 @@ class LiveNode:
             self._report_clock_step(message.stepped_ns, now_ns, waiting_ns)
             self._advance(now_ns, waiting_ns)
             self._guard.call(message.topic, self._handle, message.topic, message.data, now_ns, waiting_ns)
-        self._log_notices()
+        for notice in self.adapter.notices:
+            self._log.info(notice)
+        self.adapter.notices.clear()
 
     def _report_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
         """Report a step of the system's clock to the adapter, in order with the messages."""
         step_ns, self._stepped_ns = stepped_ns - self._stepped_ns, stepped_ns
         if step_ns:
             self._guard.call("clock step", self._calls.clock_stepped, step_ns, now_ns, waiting_ns)
-
-    def _log_notices(self) -> None:
-        for notice in self.adapter.notices:
-            self._log.info(notice)
-        self.adapter.notices.clear()
 
     def _handle_all(self) -> None:
         """Give the adapter all waiting messages before another call."""

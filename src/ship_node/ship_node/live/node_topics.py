@@ -15,6 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -67,14 +68,21 @@ def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
     )
 
 
-def output_qos(output_topic: OutputTopic) -> QoSProfile:
-    """Return the QoS of an output: reliable; a latched topic keeps its last message for late subscribers."""
-    return QoSProfile(
+def create_publisher(node: Node, output_topic: OutputTopic) -> Publisher:
+    """Create the publisher of an output: reliable; a latched topic keeps its last message for late subscribers.
+
+    Raises:
+        BadInput: an override of the QoS cannot be used.
+    """
+    qos = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=1 if output_topic.latched else OUTPUT_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if output_topic.latched else DurabilityPolicy.VOLATILE,
     )
+    kind, name = message_class(output_topic.type_name), output_topic.topic
+    with check_overrides(node, name):
+        return node.create_publisher(kind, name, qos, qos_overriding_options=overriding_options())
 
 
 def overriding_options() -> QoSOverridingOptions:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ship_bags.cdr_template import HEADER, CdrMessage
 from ship_bags.message_factory import MessageFactory, cdr_text
+from ship_bags.stamps import NS_PER_S
 from ship_estimation.integrity.protection_levels import IntegrityConfig, IntegrityReport, IntegrityState
 from ship_estimation.rejection_rules import Reason, Rejection, shorten
 from ship_estimation.time_order.outcome import MeasurementDecision
@@ -35,7 +36,6 @@ ZERO_VECTOR = dict.fromkeys("xyz", 0.0)
 """Fields of a geometry_msgs/Vector3 that is unknown or not given: position of a frame, acceleration."""
 
 _NOTHING = np.empty(0)
-_SECOND_NS = 1_000_000_000
 _count = struct.Struct("<I").pack
 
 Fields = Mapping[str, Any]
@@ -103,7 +103,7 @@ def diagnostic_array(
         statuses: the statuses.
         full_name: the node's name with its namespace, used as hardware_id; if empty, ``node`` is used.
     """
-    stamp, hardware_id = divmod(now_ns, _SECOND_NS), full_name or node
+    stamp, hardware_id = divmod(now_ns, NS_PER_S), full_name or node
     reported = [_ReportedStatus(status, f"{node}: {status.name}", hardware_id) for status in statuses]
     data = bytearray(b"".join([HEADER, struct.pack("<iI", *stamp), cdr_text(""), _count(len(reported))]))
     end = len(data)

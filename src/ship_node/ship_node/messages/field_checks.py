@@ -30,7 +30,6 @@ FUTURE_TOLERANCE_NS = 50_000_000
 
 Value = TypeVar("Value")
 
-_SECOND_NS = 1_000_000_000
 MIN_QUATERNION_NORM = 1e-6
 QUATERNION_NORM_TOLERANCE = 1e-2
 COVARIANCE_TOLERANCE = 1e-6
@@ -95,11 +94,11 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
         MessageRejected: BAD_STAMP if the stamp is zero or negative, or if its nanoseconds are 1e9 or more; FUTURE if
             the stamp is more than 50 ms ahead of ``receive_ns``.
     """
-    if header.stamp.nanosec >= _SECOND_NS:
+    if header.stamp.nanosec >= NS_PER_S:
         raise MessageRejected(
             Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second"
         )
-    ns = int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
+    ns = int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
     if ns <= 0:
         raise MessageRejected(Reason.BAD_STAMP, f"header.stamp is {ns} ns: expected POSIX time")
     if ns > receive_ns + FUTURE_TOLERANCE_NS:

@@ -48,10 +48,7 @@ class MachineResource:
     @property
     def is_multicast(self) -> bool:
         """True for a port of a multicast group, whose datagrams every listener gets."""
-        try:
-            return ipaddress.ip_address(self.address).is_multicast
-        except ValueError:
-            return False
+        return is_multicast(self.address)
 
     def conflicts_with(self, other: "MachineResource") -> bool:
         """Return True if the two resources cannot be used together."""
@@ -66,6 +63,14 @@ def is_ipv4(text: str) -> bool:
     """True for an IPv4 address in numeric form."""
     try:
         return ipaddress.ip_address(text).version == 4
+    except ValueError:
+        return False
+
+
+def is_multicast(text: str) -> bool:
+    """True for the address of a multicast group in numeric form."""
+    try:
+        return ipaddress.ip_address(text).is_multicast
     except ValueError:
         return False
 

@@ -206,7 +206,8 @@ class SavedFormat(Generic[Content]):
         try:
             return files.read(path)
         except OSError as error:
-            raise self._unreadable(path, error) from error
+            reason = f"the {self.kind_name} cannot be read: {open_error_text(error.errno or errno.EIO)}"
+            raise BadInput(reason, file=path) from error
 
     def read_if_present(self, path: Path, files: Files = DISK) -> bytes | None:
         """Return the bytes of a document; None if the file does not exist.
@@ -215,14 +216,11 @@ class SavedFormat(Generic[Content]):
             BadInput: the file cannot be read.
         """
         try:
-            return files.read(path)
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except OSError as error:
-            raise self._unreadable(path, error) from error
-
-    def _unreadable(self, path: Path, error: OSError) -> BadInput:
-        return BadInput(f"the {self.kind_name} cannot be read: {open_error_text(error.errno or errno.EIO)}", file=path)
+            return self.read_bytes(path, files)
+        except BadInput as error:
+            if isinstance(error.__cause__, (FileNotFoundError, NotADirectoryError)):
+                return None
+            raise
 
     def parse(self, path: Path, written: bytes) -> Content:
         """Return the content of a document's bytes.

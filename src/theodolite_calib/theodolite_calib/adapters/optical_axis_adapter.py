@@ -13,9 +13,8 @@ from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.adapter import Feed, ignore_time
-from ship_node.adapters.batch_pass import DeferringPart
-from ship_node.adapters.input_report import PRESENCE_REASONS
+from ship_node.adapters.adapter import DeferringPart, Feed, ignore_time
+from ship_node.adapters.input_processing import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
 from ship_node.adapters.recovering_adapter import RecoveringAdapter, recovery_status
 from ship_node.adapters.result_report import clock_status

@@ -6,6 +6,7 @@ inputs step together, the core is reset to its state from before the step.
 
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable
+from operator import methodcaller
 from typing import Any, ClassVar
 
 from ship_bags.message_factory import MessageFactory
@@ -137,7 +138,7 @@ def step_text(step_ns: int) -> str:
     return f"{step_ns / SECOND_NS:+.3f} s"
 
 
-class InputReport(ResultReport):
+class InputProcessing(ResultReport):
     """Part of an adapter that processes single messages; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
 
     Attributes:
@@ -260,32 +261,33 @@ class InputReport(ResultReport):
         self.health.record_decision(topic, decision, now_ns)
         is_attitude = decision.noise.shape == _ATTITUDE_SHAPE and not decision.revised
         if is_attitude and self.duplicates.add_value(topic, decision.measurement.time_ns, decision):
-            self.update_duplicate_publishers(topic)
+            self.update_duplicate_publishers([topic])
         return feed
 
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """See :class:`ship_node.adapters.adapter.Adapter`."""
         self.duplicates.set_publisher_text(topic, text)
-        self.update_duplicate_publishers(topic)
+        self.update_duplicate_publishers([topic])
 
-    def update_duplicate_publishers(self, topic: str) -> None:
-        """Pass the duplicate publishers of an input to health and core; if the source is off, to health only."""
-        feed, text = self.feeds[topic], self.duplicates.text(topic)
-        self.health.set_duplicate_publishers(topic, text)
-        source, core_text = feed.measurement_source or feed.source, "" if self.is_off(topic) else text
-        self.call_cores(lambda core: core.set_duplicate_publishers(source, core_text))
+    @property
+    def duplicate_topics(self) -> list[str]:
+        """Topics on which two publishers send."""
+        return list(filter(self.duplicates.text, self.feeds))
 
-    def update_all_duplicate_publishers(self) -> None:
-        """Pass the duplicate publishers of all inputs to a new or changed core."""
-        for topic in filter(self.duplicates.text, self.feeds):
-            self.update_duplicate_publishers(topic)
+    def update_duplicate_publishers(self, topics: Iterable[str]) -> None:
+        """Pass the duplicate publishers of some inputs to health and core; if the source is off, to health only."""
+        for topic in topics:
+            feed, text = self.feeds[topic], self.duplicates.text(topic)
+            self.health.set_duplicate_publishers(topic, text)
+            core_text = "" if self.is_off(topic) else text
+            source = feed.measurement_source or feed.source
+            self.call_cores(methodcaller("set_duplicate_publishers", source, core_text))
 
     def restart_streams(self) -> None:
         """Restart the check for two publishers, because new stamps do not continue the earlier stamps."""
-        doubled = list(filter(self.duplicates.text, self.feeds))
+        topics = self.duplicate_topics
         self.duplicates.restart()
-        for topic in doubled:
-            self.update_duplicate_publishers(topic)
+        self.update_duplicate_publishers(topics)
 
     def step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
@@ -309,4 +311,4 @@ class InputReport(ResultReport):
             return
         topic = feed.input.topic
         if self.duplicates.add_value(topic, reading.value.time_ns, reading.value):
-            self.update_duplicate_publishers(topic)
+            self.update_duplicate_publishers([topic])
