@@ -31,7 +31,7 @@ setup(
     entry_points={
         "console_scripts": [
             "nmea_in = ship_nmea.instruments.nmea_in:main",
-            "nmea_out = ship_nmea.commands.nmea_out:main",
+            "nmea_out = ship_nmea.out.nmea_out:main",
         ],
     },
 )

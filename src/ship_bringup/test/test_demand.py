@@ -97,8 +97,9 @@ def test_missing_keystore_fails_if_security_is_required():
 
 
 def programs(**options):
-    plan = make_plan(ROOT / "examples" / "two_sensors.yaml", SuiteOptions(namespace="demo", monitor=True, **options))
-    return {program.name: program.command for program in plan.programs}, plan.warnings
+    suite, options = ROOT / "examples" / "two_sensors.yaml", SuiteOptions(namespace="demo", monitor=True, **options)
+    planned, warnings = make_plan(suite, options)
+    return {program.name: program.command for program in planned}, warnings
 
 
 def keystore_for_now(path, **options):

@@ -30,27 +30,27 @@ def suite(tmp_path):
     return path
 
 
-def roles(plan):
-    return {program.name: program.role for program in plan.programs}
+def roles(programs):
+    return {program.name: program.role for program in programs}
 
 
 def test_roles_of_nmea_nodes(suite):
-    plan = make_plan(suite, SuiteOptions(namespace="aurora", monitor=True))
-    assert roles(plan) == {
+    programs, _ = make_plan(suite, SuiteOptions(namespace="aurora", monitor=True))
+    assert roles(programs) == {
         "ship_attitude": Role.NODE, "nmea_in": Role.FEEDER, "nmea_out": Role.WATCHER, "monitor": Role.WATCHER,
         "alerts": Role.WATCHER,
     }  # fmt: skip
-    (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
+    (command,) = [program.command for program in programs if program.name == "nmea_out"]
     at = command.index("--params-file")
     assert command[at + 1 : at + 4] == (str(suite.resolve()), "-r", "__ns:=/aurora")
 
 
 def test_bag_excludes_nmea_in_and_warns_of_nmea_out(suite):
-    plan = make_plan(suite, SuiteOptions(bag=DEMO))
-    assert roles(plan) == {"ship_attitude": Role.NODE, "nmea_out": Role.WATCHER, "play": Role.PLAYER}
-    (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
+    programs, warnings = make_plan(suite, SuiteOptions(bag=DEMO))
+    assert roles(programs) == {"ship_attitude": Role.NODE, "nmea_out": Role.WATCHER, "play": Role.PLAYER}
+    (command,) = [program.command for program in programs if program.name == "nmea_out"]
     assert "use_sim_time:=true" in command
-    assert any("only as THS, with mode S (simulator)" in warning for warning in plan.warnings)
+    assert any("only as THS, with mode S (simulator)" in warning for warning in warnings)
 
 
 def test_bad_nmea_parameter_is_reported_before_the_start(suite):
@@ -70,6 +70,7 @@ def test_suite_of_nmea_nodes_only(tmp_path):
     """Without estimators, for example on a second computer, the NMEA nodes have the role NODE."""
     path = tmp_path / "suite.yaml"
     path.write_text(NMEA)
-    assert roles(make_plan(path, SuiteOptions(namespace="aurora"))) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}
+    programs, _ = make_plan(path, SuiteOptions(namespace="aurora"))
+    assert roles(programs) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}
     with pytest.raises(BadInput, match=r"suite.yaml: .*demo.mcap cannot be played: .* no section for an estimator"):
         make_plan(path, SuiteOptions(bag=DEMO))

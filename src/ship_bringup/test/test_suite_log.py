@@ -8,8 +8,7 @@ import time
 
 import pytest
 
-from ship_bringup.suite import suite_log
-from ship_bringup.suite.suite_log import SuiteLog, log_path
+from ship_bringup.suite.supervisor import SuiteLog, log_path
 
 
 @pytest.fixture
@@ -74,7 +73,7 @@ def test_blocked_reader_delays_nothing(tmp_path, pipe):
 
 
 def test_file_size_is_bounded(tmp_path, pipe, monkeypatch):
-    monkeypatch.setattr(suite_log, "LARGEST_FILE_BYTES", 1000)
+    monkeypatch.setattr("ship_bringup.suite.supervisor.LARGEST_FILE_BYTES", 1000)
     os.close(pipe[0])
     log = SuiteLog(tmp_path / "suite.log", pipe[1])
     for number in range(500):
@@ -86,7 +85,7 @@ def test_file_size_is_bounded(tmp_path, pipe, monkeypatch):
 
 
 def test_lines_of_stdout_and_stderr_share_a_file_without_loss(tmp_path, pipe, monkeypatch):
-    monkeypatch.setattr(suite_log, "LARGEST_FILE_BYTES", 1000)
+    monkeypatch.setattr("ship_bringup.suite.supervisor.LARGEST_FILE_BYTES", 1000)
     os.close(pipe[0])
     output, errors = (SuiteLog(tmp_path / "suite.log", pipe[1]) for _ in range(2))
     errors.write("first error")
@@ -109,9 +108,8 @@ def test_file_is_in_the_log_folder_of_ros(monkeypatch, tmp_path):
 SUPERVISOR = """
 import sys
 from pathlib import Path
-from ship_bringup.suite.supervisor import Supervisor
+from ship_bringup.suite.supervisor import SuiteLog, Supervisor
 from ship_bringup.suite.program import Program
-from ship_bringup.suite.suite_log import SuiteLog
 text = "import os, time\\nopen({pid!r}, 'w').write(str(os.getpid()))\\n"
 text += "while True: print('x', flush=True); time.sleep(.1)"
 raise SystemExit(Supervisor([Program("p", (sys.executable, "-c", text))], SuiteLog(Path({log!r})).write).run())

@@ -337,8 +337,8 @@ def start_supervisor(*texts, limits=""):
     """Start a supervisor in a process of its own, with one program for each text."""
     programs = ", ".join(f"Program('p{i}', (sys.executable, '-c', {text!r}))" for i, text in enumerate(texts))
     code = (
-        "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.supervisor import Program, Supervisor\n"
-        "from ship_bringup.suite.suite_log import SuiteLog\n"
+        "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.supervisor import Program, SuiteLog, Supervisor"
+        "\n"
         f"raise SystemExit(Supervisor(({programs},), SuiteLog(Path('/dev/null')).write, {limits}).run())"
     )
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)

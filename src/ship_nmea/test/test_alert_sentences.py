@@ -229,15 +229,15 @@ def test_alert_numbers_are_unique(monkeypatch):
     ledger = SentAlerts()
     one, two = ledger.update([alert("a"), alert("b")], 0)
     assert (one.identifier, two.identifier) == (LAST_IDENTIFIER, FIRST_IDENTIFIER)
-    assert ledger.alert_key(AlertCommand(two.identifier, None, "A")) == ("b", 1)
+    assert ledger.find(AlertCommand(two.identifier, None, "A"))[:2] == ("b", 1)
 
 
 def test_command_without_instance_refers_to_the_present_one():
     ledger = SentAlerts()
     (sent,) = ledger.update([alert(instance=7)], 0)
-    assert ledger.alert_key(AlertCommand(sent.identifier, None, "A")) == ("star.fore.out", 7)
-    assert ledger.alert_key(AlertCommand(sent.identifier, 6, "A")) == ("star.fore.out", 6)
-    assert ledger.alert_key(AlertCommand(sent.identifier + 1, None, "A")) is None
+    assert ledger.find(AlertCommand(sent.identifier, None, "A"))[:2] == ("star.fore.out", 7)
+    assert ledger.find(AlertCommand(sent.identifier, 6, "A"))[:2] == ("star.fore.out", 6)
+    assert ledger.find(AlertCommand(sent.identifier + 1, None, "A")) is None
 
 
 def test_unreadable_list_changes_nothing():

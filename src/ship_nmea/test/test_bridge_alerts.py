@@ -148,7 +148,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         "sentences: [ALF]}\n"
         f"      heading: {{kind: tcp_server, port: {heading_display.port}, sentences: [HDT], from: [127.0.0.1]}}\n"
     )
-    processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
+    processes("nmea_out", "-m", "ship_nmea.out.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
 
     def wait_for(found, act=lambda: None):

@@ -14,15 +14,14 @@ import pytest
 from rosgraph_msgs.msg import Clock
 
 from ship_msgs.msg import Alert, AlertArray, ShipAttitude
-from ship_nmea.commands.nmea_out import main
-from ship_nmea.out.nmea_out import Throttle
+from ship_nmea.out.nmea_out import Throttle, main
 from ship_testing.bridge import LATCHED, AttitudePublisher, Display, wait_until
 from ship_testing.nmea_in_peer import free_port
 from ship_testing.trials.live_process import free_domain_id
 
 pytestmark = pytest.mark.live
 
-NODE = [sys.executable, "-m", "ship_nmea.commands.nmea_out", "--ros-args"]
+NODE = [sys.executable, "-m", "ship_nmea.out.nmea_out", "--ros-args"]
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,9 @@ from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_geometry.frames import rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
 from ship_msgs.msg import ShipAttitude
-from ship_nmea.commands.nmea_out import NAME
 from ship_nmea.nmea_node import NmeaNode
 from ship_nmea.out.config import NmeaOutConfig
-from ship_nmea.out.nmea_out import NmeaOut
+from ship_nmea.out.nmea_out import NAME, NmeaOut
 from ship_testing.nmea_in_peer import free_port
 
 pytestmark = pytest.mark.live

@@ -194,8 +194,8 @@ def check_places(states: Sequence[PlaceState], running: Collection[str]) -> Iter
             yield CheckLine(_PORTS, Result.NOT_CHECKED, found, "end it before the suite, or the suite cannot use it")
             continue
         problem, advice = _place_problem(state)
-        good = "is available" if state.place.name else "is an address of this machine"
-        found = f"{state.named_by}: {_place_text(state.place)} {problem or good}"
+        place, good = state.place, "is available" if state.place.name else "is an address of this machine"
+        found = f"{state.named_by}: {place if place.name else place.address} {problem or good}"
         yield CheckLine(_PORTS, Result.FAIL if problem else Result.OK, found, advice)
 
 
@@ -211,10 +211,6 @@ def _place_problem(state: PlaceState) -> tuple[str, str]:
     if state.error in (errno.EACCES, errno.EPERM):
         return f"is not permitted for user {getpass.getuser()}", "use a port from 1024 on"
     return f"is not available: {os.strerror(state.error)}", "correct it in the suite file"
-
-
-def _place_text(place: MachineResource) -> str:
-    return str(place) if place.name else place.address
 
 
 def _binding_error(place: MachineResource) -> int:

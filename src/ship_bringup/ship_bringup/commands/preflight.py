@@ -73,13 +73,8 @@ class _Suite:
         except BadInput:
             return {}  # the error is reported with the parameters
 
-    @property
-    def companion_names(self) -> list[str]:
-        return [full_name(name, self.options.namespace) for name in self.companions]
-
-    @property
-    def names(self) -> list[str]:
-        return [full_name(adapter.node_name, self.options.namespace) for adapter in self.chain.adapters]
+    def full_names(self, nodes: Iterable[str]) -> list[str]:
+        return [full_name(name, self.options.namespace) for name in nodes]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,9 +140,12 @@ def _preflight(options: argparse.Namespace) -> int:
     security = list(_security(suite))
     settings = list(check_settings(os.environ))
     network = _network(suite, settings)
-    domain = [*settings, *check_domain(network, suite.names, suite.companion_names)]
-    checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
-    checks += [_files(suite), _ports(suite, network), _sensors(suite, network), _load(suite, network)]
+    own = suite.full_names(adapter.node_name for adapter in suite.chain.adapters)
+    domain = [*settings, *check_domain(network, own, suite.full_names(suite.companions))]
+    files = check_files(read_path_states(options.file, options.box), list(missing_saved_files(options.file, nodes)))
+    place_states = list(read_place_states(options.file, options.namespace, suite.companions))
+    checks = [_parameters(suite), security, [check_clock(read_clock_state(), limits)], domain, _disk(suite, network)]
+    checks += [files, check_places(place_states, network.nodes), _sensors(suite, network), _load(suite, network)]
     lines = worst_first(checks)
     print("\n".join(table(lines)))
     print(f"{options.file}: {summary_text(lines)}")
@@ -172,11 +170,7 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
         namespace, names = suite.options.namespace, ship_names(suite.options.file)
         use = KeystoreUse(
             rights=suite_rights(
-                suite.chain.adapters,
-                namespace,
-                suite.options.locked,
-                companions=suite.companions,
-                ship_names=names,
+                suite.chain.adapters, namespace, suite.options.locked, companions=suite.companions, ship_names=names
             ),
             domain_id=domain_of(os.environ),
             now=datetime.datetime.now(datetime.timezone.utc),
@@ -184,10 +178,6 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
             authority_sha256=suite.limits.machine.authority_sha256,
         )
         yield from check_keystore(keystore, use, is_demand)
-
-
-def _clock(suite: _Suite) -> Iterable[CheckLine]:
-    yield check_clock(read_clock_state(), suite.limits)
 
 
 def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
@@ -214,16 +204,6 @@ def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
         # The needs of all folders on one disk are added.
         needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)
         yield from check_disk(state, needs, suite.options.hours, suite.limits, named_by)
-
-
-def _files(suite: _Suite) -> Iterable[CheckLine]:
-    states = read_path_states(suite.options.file, suite.options.box)
-    yield from check_files(states, list(missing_saved_files(suite.options.file, suite.nodes)))
-
-
-def _ports(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    states = read_place_states(suite.options.file, suite.options.namespace, suite.companions)
-    yield from check_places(list(states), network.nodes)
 
 
 def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

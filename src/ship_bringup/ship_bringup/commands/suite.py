@@ -1,9 +1,14 @@
-"""``suite``: start the nodes of a suite file, each as a separate process, with one command."""
+"""``suite``: start the nodes of a suite file, each as a separate process, with one command.
+
+Without a start it reports the expected availability at the suite's limits, from a recording that is replayed through
+the nodes of the suite.
+"""
 
 import argparse
+import math
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, launcher, run_command
@@ -15,14 +20,18 @@ from ship_bags.live.ros_process import (
     positive_number,
     require_security,
 )
+from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.topic_names import add_remap_option
+from ship_bags.topic_names import TRUTH_PREFIX, add_remap_option
 from ship_bringup.security.demand import require_profile
-from ship_bringup.suite.expected_limits import expected_limits
-from ship_bringup.suite.plan import SuiteOptions, make_plan, read_attached_suite
-from ship_bringup.suite.suite_log import SuiteLog, log_path
-from ship_bringup.suite.supervisor import FROZEN_REPORT_S, FROZEN_RESTART_S, Supervisor
+from ship_bringup.suite.plan import SuiteOptions, make_plan
+from ship_bringup.suite.supervisor import FROZEN_REPORT_S, FROZEN_RESTART_S, SuiteLog, Supervisor, log_path
+from ship_replay.offline.adapter_chain import suite_text
+from ship_replay.offline.replay import ADAPTERS, replay
+from ship_watch.safety.availability import REQUIRED_SHARE, START_UP_S, Availability, AvailabilityRecord
+from ship_watch.safety.functions import QUANTITIES
 from ship_watch.safety.limits import Limits, read_limits
+from ship_watch.topics import monitored_topic
 
 _DESCRIPTION = """\
 Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a
@@ -142,17 +151,17 @@ def _suite(parsed: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="ship_suite_") as folder:
         path = parsed.file or _write_attached_suite(parsed.bag, Path(folder))
         try:
-            plan = make_plan(path, options)
+            programs, warnings = make_plan(path, options)
         except BadInput as problem:
             raise BadInput(_with_bag_name(str(problem), path, parsed)) from problem
         if parsed.box is not None:
             _make_folder(parsed.box)
         log_file = log_path(parsed.namespace)
         errors, log = SuiteLog(log_file, sys.stderr.fileno()), SuiteLog(log_file, sys.stdout.fileno())
-        for warning in plan.warnings:
+        for warning in warnings:
             errors.write(f"suite: warning: {one_line(_with_bag_name(warning, path, parsed))}")
-        log.write(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
-        return Supervisor(plan.programs, log.write, parsed.frozen_report, parsed.frozen_restart).run()
+        log.write(f"[suite] starts {', '.join(program.name for program in programs)}")
+        return Supervisor(programs, log.write, parsed.frozen_report, parsed.frozen_restart).run()
 
 
 def _show_limits(parsed: argparse.Namespace) -> int:
@@ -182,9 +191,14 @@ def _make_folder(box: Path) -> None:
 
 
 def _write_attached_suite(bag: Path, folder: Path) -> Path:
-    """Write the suite file attached to a bag, for the nodes to read; return its path."""
+    """Write the suite file attached to a bag, for the nodes to read; return its path.
+
+    Raises:
+        BadInput: the bag cannot be read, or has no attached suite file.
+    """
     path = folder / SUITE_ATTACHMENT
-    path.write_text(read_attached_suite(bag), encoding="utf-8")
+    with read_bag(bag) as opened:
+        path.write_text(suite_text(opened, None), encoding="utf-8")
     return path
 
 
@@ -205,6 +219,73 @@ def _port(text: str) -> int:
     if not 0 < value < 65536:
         raise argparse.ArgumentTypeError(f"{text} is not a port: expected 1 to 65535")
     return value
+
+
+def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: Limits) -> list[str]:
+    """Return lines of text: expected availability for each limit, proposed limits, and how to adopt them.
+
+    Args:
+        suite_file: path of the suite file; None for the file attached to the bag.
+        bag: recording of the suite's inputs.
+        namespace: namespace of the ship in the bag.
+        limits: limits of the ship.
+
+    Raises:
+        BadInput: bag or suite file cannot be used, or the outputs are not sufficient to propose a limit.
+    """
+    record = AvailabilityRecord(limits)
+    with tempfile.TemporaryDirectory(prefix="ship_limits_") as folder:
+        outputs = Path(folder) / "outputs.mcap"
+        summary = replay(bag, outputs, ADAPTERS, suite_file, namespace, with_bag_progress)
+        with read_bag(outputs) as replayed:
+            topics = {
+                name
+                for name, kind in replayed.topics.items()
+                if monitored_topic(name, kind) and not name.startswith(TRUTH_PREFIX)
+            }
+            for each in with_bag_progress(replayed.records(topics), replayed):
+                record.process_message(each.topic, each.decode(), each.log_time_ns)
+    found = [one for one in map(record.availability, QUANTITIES) if one is not None]
+    if not found:
+        reason = f"no limit can be proposed: after the first {START_UP_S:.0f} s no quantity is SAFE with any limit"
+        raise BadInput(reason, file=bag)
+    return [
+        f"{summary.duration_s:.0f} s of {bag} through the nodes of this suite, without the first {START_UP_S:.0f} s:",
+        "",
+        *_table(found),
+        "",
+        *_explanation(found),
+        "",
+        "Nothing is adopted. To adopt proposed limits, or those of your task, write them into a file for --limits:",
+        "",
+        *(f"{one.quantity}_arcsec: {one.proposed_arcsec}" for one in found),
+    ]
+
+
+def _table(found: Sequence[Availability]) -> Iterator[str]:
+    yield f"{'':10}{'±95 %, median':>14}{'limit':>9}{'SAFE':>9}{'proposed':>11}{'SAFE':>9}"
+    for one in found:
+        limit, proposed = f"{one.limit_arcsec:g}″", f"{one.proposed_arcsec:g}″"
+        shares = (f"{_percent(share):>9}" for share in (one.share, one.proposed_share))
+        yield f"{one.quantity:10}{one.median_arcsec:13.1f}″{limit:>9}{next(shares)}{proposed:>11}{next(shares)}"
+
+
+def _explanation(found: Sequence[Availability]) -> Iterator[str]:
+    yield "SAFE: share of time in which the quantity is SAFE. Only the time counts in which the limit alone decides."
+    yield f"proposed: the lowest round limit with which this is SAFE for {_percent(REQUIRED_SHARE)} of that time."
+    for one in found:
+        if one.other:
+            first, share = next(iter(one.other.items()))
+            yield (
+                f"{one.quantity}: not SAFE for {_percent(1.0 - one.decisive_share)} of the time, whatever the limit. "
+                f"Most frequent reason ({_percent(share)} of the time): {first}."
+            )
+    yield "The accuracies are those that the filters publish. In another sea, sky or suite they differ."
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent, rounded down, so that 100 % means always."""
+    return f"{math.floor(share * 100.0 + 1e-9)} %"
 
 
 if __name__ == "__main__":

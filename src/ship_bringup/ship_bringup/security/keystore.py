@@ -239,18 +239,14 @@ class _Enclave:
     def _governance_faults(self) -> Iterator[KeystoreFault]:
         path = self._folder / _GOVERNANCE
         file = read_signed(path)
-        if (fault := signature_fault(path, self._folder / _PERMISSIONS_CA)) is not None:
-            yield KeystoreFault(f"{path}: {fault}", "take governance.p7s from this ship's own keystore")
-        yield from _digest_faults(path)
+        yield from self._signature_faults(path, "take governance.p7s from this ship's own keystore")
         for problem in governance_faults(file, self._use.domain_id):
             yield KeystoreFault(str(problem), "sign governance.xml of 'policies' again", of_policy=True)
 
     def _permission_faults(self) -> Iterator[KeystoreFault]:
         path = self._folder / _PERMISSIONS
         file = read_signed(path)
-        if (fault := signature_fault(path, self._folder / _PERMISSIONS_CA)) is not None:
-            yield KeystoreFault(f"{path}: {fault}", "sign the permissions with this ship's permissions authority")
-        yield from _digest_faults(path)
+        yield from self._signature_faults(path, "sign the permissions with this ship's permissions authority")
         permissions = read_permissions(file)
         expected = f"CN={self._rights.enclave}"
         if permissions.subject != expected:
@@ -262,12 +258,13 @@ class _Enclave:
         for text in policy_faults(permissions, self._rights, self._use.domain_id):
             yield KeystoreFault(f"{path}: {text}", advice, of_policy=True)
 
-
-def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
-    digest = signature_digest(path)
-    if digest not in ("", *_STRONG_DIGESTS):
-        text = f"{path}: too weak: it is signed with {digest.upper()}: expected SHA-256 or longer"
-        yield KeystoreFault(text, "sign it again: openssl smime -sign -md sha256", is_weakness=True)
+    def _signature_faults(self, path: Path, advice: str) -> Iterator[KeystoreFault]:
+        """Yield the faults of a file's signature; ``advice`` is for a signature of another authority."""
+        if (fault := signature_fault(path, self._folder / _PERMISSIONS_CA)) is not None:
+            yield KeystoreFault(f"{path}: {fault}", advice)
+        if (digest := signature_digest(path)) not in ("", *_STRONG_DIGESTS):
+            text = f"{path}: too weak: it is signed with {digest.upper()}: expected SHA-256 or longer"
+            yield KeystoreFault(text, "sign it again: openssl smime -sign -md sha256", is_weakness=True)
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:

@@ -253,12 +253,8 @@ def signature_fault(path: Path, authority: Path) -> str | None:
     Raises:
         LookupError: there is no program ``openssl`` here.
     """
-    program = shutil.which("openssl")
-    if program is None:
-        raise LookupError("openssl")
     # Dates are checked separately, with the remaining days.
-    command = [program, "smime", "-verify", "-in", str(path), "-CAfile", str(authority), "-no_check_time", "-text"]
-    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_TIMEOUT_S, check=False)
+    run = _run_openssl("smime", "-verify", "-in", str(path), "-CAfile", str(authority), "-no_check_time", "-text")
     if run.returncode == 0:
         return None
     error_text = run.stderr.decode("utf-8", errors="replace")
@@ -272,14 +268,17 @@ def signature_digest(path: Path) -> str:
     Raises:
         LookupError: there is no program ``openssl`` here.
     """
-    program = shutil.which("openssl")
-    if program is None:
-        raise LookupError("openssl")
-    command = [program, "cms", "-cmsout", "-print", "-noout", "-inform", "SMIME", "-in", str(path)]
-    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_TIMEOUT_S, check=False)
+    run = _run_openssl("cms", "-cmsout", "-print", "-noout", "-inform", "SMIME", "-in", str(path))
     signers = run.stdout.decode("utf-8", errors="replace").partition("signerInfos:")[2]
     found = re.search(r"digestAlgorithm:\s+algorithm: (\S+)", signers)
     return found[1] if found else ""
+
+
+def _run_openssl(*arguments: str) -> "subprocess.CompletedProcess[bytes]":
+    program = shutil.which("openssl")
+    if program is None:
+        raise LookupError("openssl")
+    return subprocess.run([program, *arguments], capture_output=True, timeout=_OPENSSL_TIMEOUT_S, check=False)
 
 
 def read_permissions(file: SignedFile) -> Permissions:

@@ -28,7 +28,7 @@ from ship_bringup.security.rights import Rights, load_companions, suite_rights
 from ship_bringup.suite.program import Program, Role
 from ship_node.messages.common_messages import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.parameter_file import COMPANIONS, Companion, configured_companions, unknown_sections
-from ship_replay.offline.adapter_chain import AdapterChain, suite_text
+from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.replay import ADAPTERS, match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 from ship_watch.safety.limits import Limits, read_limits
@@ -98,32 +98,9 @@ class SuiteOptions:
     limits: Path | None = None
     monitor_arguments: tuple[str, ...] = ()
 
-    def topic(self, name: str) -> str:
-        """Return the full name of a topic; a name with a leading slash is not in the namespace of the suite."""
-        return resolve_topic(name, self.namespace)
 
-
-@dataclass(frozen=True)
-class Plan:
-    """Programs in the order of their start, and warnings for the user."""
-
-    programs: tuple[Program, ...]
-    warnings: tuple[str, ...]
-
-
-def read_attached_suite(bag_path: Path) -> str:
-    """Return the text of the suite file attached to a bag.
-
-    Raises:
-        BadInput: the bag cannot be read, or has no attached suite file.
-    """
-    with read_bag(bag_path) as bag:
-        text: str = suite_text(bag, None)
-    return text
-
-
-def make_plan(path: Path, options: SuiteOptions) -> Plan:
-    """Return the programs of a suite file.
+def make_plan(path: Path, options: SuiteOptions) -> tuple[list[Program], list[str]]:
+    """Return the programs of a suite file in the order of their start, and warnings for the user.
 
     Raises:
         BadInput: file, bag or keystore is bad, or a program is not installed. The text contains the file, the line, the
@@ -158,9 +135,7 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
         )
         programs, enclave_warnings = add_enclaves(programs, rights, options.namespace, limits)
         warnings += enclave_warnings
-    return Plan(
-        tuple(programs), (*warnings, *missing_saved_files(path, nodes), *_playback_warnings(companions, options))
-    )
+    return programs, [*warnings, *missing_saved_files(path, nodes), *_playback_warnings(companions, options)]
 
 
 def check_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
@@ -222,7 +197,7 @@ def _namespace_arguments(options: SuiteOptions) -> tuple[str, ...]:
     """
     if not options.namespace:
         return ()
-    clock = () if options.bag is None else ("-r", f"/clock:={options.topic('clock')}")
+    clock = () if options.bag is None else ("-r", f"/clock:={resolve_topic('clock', options.namespace)}")
     frames = [word for topic in (TF_TOPIC, TF_STATIC_TOPIC) for word in ("-r", f"{topic}:={topic[1:]}")]
     return ("-r", f"__ns:=/{options.namespace}", *clock, *frames)
 
@@ -248,8 +223,8 @@ def _player_program(suite_file: Path, path: Path, chain: AdapterChain, options: 
     on_ship = ship_names(suite_file)
     targets = {name: on_ship.get(relative, relative) for relative, name in played.items()}
     targets |= {name: relative for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
-    recorded = {bag.recorded_names.get(name, name): options.topic(target) for name, target in targets.items()}
-    remaps = [f"{name}:={target}" for name, target in recorded.items()]
+    recorded = {bag.recorded_names.get(name, name): target for name, target in targets.items()}
+    remaps = [f"{name}:={resolve_topic(target, options.namespace)}" for name, target in recorded.items()]
     command = [*executable("ship_bags", "play"), str(path), "--rate", str(options.rate)]
     command += ["--loop", str(options.loop), "--topics", *recorded, "--remap", *remaps]
     return Program("play", (*command, "--ros-args", *_namespace_arguments(options)), Role.PLAYER)

@@ -37,8 +37,6 @@ _FIRST_EPHEMERAL = 32768
 LONGEST_STEP_S = 1.0
 """Maximum time between two checks that counts, s; a longer time is a standstill of the supervisor itself."""
 
-_LONGEST_MESSAGE = 32
-
 _LONGEST_LINE = 65536
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -92,33 +90,6 @@ def udp_ports_of(pid: int) -> frozenset[int]:
 def _close(sockets: list[socket.socket]) -> None:
     for each in sockets:
         each.close()
-
-
-class HeartbeatSocket:
-    """Socket that receives heartbeats."""
-
-    def __init__(self) -> None:
-        self.receiver, self._sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.receiver.setblocking(False)
-
-    @property
-    def sender_descriptor(self) -> int:
-        """Return the file descriptor that the programs inherit."""
-        return self._sender.fileno()
-
-    def receive(self) -> set[int]:
-        """Return the ids of the processes that have sent a heartbeat since the last call."""
-        pids = set()
-        with contextlib.suppress(OSError):
-            while True:
-                with contextlib.suppress(ValueError):
-                    pids.add(int(self.receiver.recv(_LONGEST_MESSAGE)))
-        return pids
-
-    def close(self) -> None:
-        """Close both ends of the socket."""
-        self.receiver.close()
-        self._sender.close()
 
 
 class HeartbeatAge:

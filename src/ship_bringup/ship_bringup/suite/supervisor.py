@@ -5,21 +5,33 @@ the time of the next start. If this process ends, for any reason, the kernel end
 after a signal, at the end of a bag, or if all nodes refuse their input at the start.
 
 A program without heartbeats is frozen: it is reported, and later killed.
+
+The suite must continue if the reader of stdout has ended or does not read, or if the disk of stdout is full. While
+stdout does not accept lines, they are written to a file of bounded size (:class:`SuiteLog`).
 """
 
 import contextlib
+import errno
+import os
+import select
 import selectors
 import signal
 import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from types import FrameType
 
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE
-from ship_bringup.suite.process import HeartbeatSocket, Process, ReservedPorts, udp_ports_of
+from ship_bringup.suite.process import Process, ReservedPorts, udp_ports_of
 from ship_bringup.suite.program import Program, Role, SupervisedProgram, end_text, exit_code_of
 from ship_estimation.rejection_rules import failure_rejection
+
+LARGEST_FILE_BYTES = 5_000_000
+"""Maximum size of the file; a larger file is renamed to ``NAME.log.1``."""
+
+_WRITE_TIMEOUT_MS = 200
 
 FROZEN_REPORT_S = 5.0
 """Time without a heartbeat after which a program is reported, s."""
@@ -29,6 +41,9 @@ FROZEN_RESTART_S = 15.0
 
 CHECK_PERIOD_S = 0.5
 """Period at which the times without a heartbeat are checked, s."""
+
+_LONGEST_MESSAGE = 32
+"""Maximum length of a heartbeat, bytes."""
 
 _MAX_START_S = 60.0
 """Minimum time limit for the first heartbeat, s, because a slow computer loads libraries for a while."""
@@ -41,11 +56,81 @@ _SUITE = "suite"
 _END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
 
 
+class SuiteLog:
+    """Writes lines; it neither raises nor blocks for longer than a fraction of a second.
+
+    Args:
+        path: path of the file for lines that stdout does not accept.
+        descriptor: file descriptor of stdout; that of stderr for the log of warnings.
+    """
+
+    def __init__(self, path: Path, descriptor: int = 1) -> None:
+        self._path, self._descriptor = path, descriptor
+        self._missed_count = 0
+
+    def write(self, line: str) -> None:
+        """Write a line, given without a newline, to stdout or else to the file."""
+        try:
+            if self._missed_count:
+                self._write_to_stdout(
+                    f"[suite] {self._missed_count} lines that were not accepted here are in {self._path}"
+                )
+                self._missed_count = 0
+            self._write_to_stdout(line)
+        except OSError as problem:
+            if not self._missed_count:
+                reason = os.strerror(problem.errno or errno.EIO)
+                self._append_to_file(f"[suite] lines continue here, because stdout does not accept them: {reason}")
+            self._missed_count += 1
+            self._append_to_file(line)
+
+    def _write_to_stdout(self, line: str) -> None:
+        """Write a line to stdout.
+
+        Raises:
+            OSError: stdout does not accept the line.
+        """
+        data = _bytes(line)
+        poll = select.poll()
+        poll.register(self._descriptor, select.POLLOUT)
+        while data:
+            # A pipe with room accepts PIPE_BUF bytes at once; writing more bytes could wait for the reader.
+            if not poll.poll(0 if self._missed_count else _WRITE_TIMEOUT_MS):
+                raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+            data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
+
+    def _append_to_file(self, line: str) -> None:
+        """Append a line to the file, which the logs of stdout and stderr may share; on failure the line is lost."""
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        with contextlib.suppress(OSError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(self._path, flags, 0o644)
+            try:
+                os.write(file, _bytes(line))
+                is_full = os.fstat(file).st_size > LARGEST_FILE_BYTES
+            finally:
+                os.close(file)
+            if is_full:
+                self._path.replace(f"{self._path}.1")
+
+
+def log_path(namespace: str) -> Path:
+    """Return the path of a suite's own log, in the folder of ROS's logs."""
+    home = os.environ.get("ROS_HOME") or "~/.ros"
+    folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
+    return folder / f"{'_'.join(['suite', *namespace.split('/')] if namespace else ['suite'])}.log"
+
+
+def _bytes(line: str) -> bytes:
+    return f"{line}\n".encode("utf-8", errors="replace")
+
+
 class FrozenCheck:
     """Checks the heartbeats of programs.
 
     Attributes:
-        heartbeats: socket that receives the heartbeats.
+        receiver: socket that receives the heartbeats.
+        sender: socket that the programs inherit, to send their heartbeats.
 
     Args:
         report_s: time since the last heartbeat after which a program is reported, s.
@@ -55,7 +140,8 @@ class FrozenCheck:
 
     def __init__(self, report_s: float, restart_s: float, log: Callable[[str], None]) -> None:
         self._report_s, self._restart_s, self._log = report_s, restart_s, log
-        self.heartbeats = HeartbeatSocket()
+        self.receiver, self.sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.receiver.setblocking(False)
         self._checked_s = time.monotonic()
 
     @property
@@ -64,8 +150,12 @@ class FrozenCheck:
         return self._checked_s + CHECK_PERIOD_S
 
     def receive(self, programs: Sequence[SupervisedProgram]) -> None:
-        """Record the heartbeats that have arrived."""
-        pids = self.heartbeats.receive()
+        """Record the heartbeats that have arrived; each contains the id of its process."""
+        pids = set()
+        with contextlib.suppress(OSError):
+            while True:
+                with contextlib.suppress(ValueError):
+                    pids.add(int(self.receiver.recv(_LONGEST_MESSAGE)))
         for entry in programs:
             if entry.process is None or entry.process.pid not in pids:
                 continue
@@ -74,6 +164,11 @@ class FrozenCheck:
                 self._log(f"{entry.program.name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
             heartbeat_age.reset()
             entry.has_run = True
+
+    def close(self) -> None:
+        """Close both sockets."""
+        self.receiver.close()
+        self.sender.close()
 
     def check(self, programs: Sequence[SupervisedProgram]) -> None:
         """Report programs without a heartbeat, and kill those without one for long; the player is not checked."""
@@ -135,18 +230,18 @@ class Supervisor:
         The exit code is that of the player, or of the first failed program that was down at the end or never sent a
         heartbeat, or 0. If no node has run yet and all nodes end with bad input, the suite ends.
         """
-        heartbeats = self._frozen_check.heartbeats
-        self._selector.register(
-            heartbeats.receiver, selectors.EVENT_READ, lambda: self._frozen_check.receive(self._programs)
-        )
+        receive_heartbeats = partial(self._frozen_check.receive, self._programs)
+        self._selector.register(self._frozen_check.receiver, selectors.EVENT_READ, receive_heartbeats)
         with self._signals():
             try:
                 while any(kept.is_alive for kept in self._programs):
                     self._work_safely()
             finally:
-                self._kill_all()
+                for process in self._processes:
+                    process.kill()
+                    process.close()
                 self._reserved_ports.close()
-                heartbeats.close()
+                self._frozen_check.close()
         return self._exit_code
 
     def _work_safely(self) -> None:
@@ -187,7 +282,7 @@ class Supervisor:
         Raises:
             OSError: the process cannot be started, usually for lack of memory or file descriptors.
         """
-        process = Process(entry.program.command, self._frozen_check.heartbeats.sender_descriptor)
+        process = Process(entry.program.command, self._frozen_check.sender.fileno())
         try:
             self._selector.register(process.output, selectors.EVENT_READ, lambda: self._read(entry, process))
             self._selector.register(process.pidfd, selectors.EVENT_READ, lambda: self._handle_end(entry, process))
@@ -289,11 +384,9 @@ class Supervisor:
             self._kill_due_s = time.monotonic() + _END_TIMEOUT_S
             process.kill()
 
-    def _kill_all(self) -> None:
-        for kept in self._programs:
-            if kept.process is not None:
-                kept.process.kill()
-                kept.process.close()
+    @property
+    def _processes(self) -> list[Process]:
+        return [kept.process for kept in self._programs if kept.process is not None]
 
     def _log(self, name: str, line: str) -> None:
         self._write(f"[{name}] {line}")
@@ -307,7 +400,8 @@ class Supervisor:
 
         def request_end(_number: int, _frame: FrameType | None) -> None:
             if self._is_end_requested:
-                self._kill_all_now()
+                for process in self._processes:
+                    process.kill()
             self._is_end_requested = True
 
         before = {number: signal.signal(number, request_end) for number in _END_SIGNALS}
@@ -322,8 +416,3 @@ class Supervisor:
             self._selector.close()
             wake_writer.close()
             wake_reader.close()
-
-    def _kill_all_now(self) -> None:
-        for kept in self._programs:
-            if kept.process is not None:
-                kept.process.kill()

@@ -28,6 +28,7 @@ from ship_nmea.sentences.alerts import (
     MAX_ALERTS,
     MAX_INSTANCE,
     REPEAT,
+    TITLE_LENGTH,
     AlertCommand,
     SentenceAlert,
     alc,
@@ -46,7 +47,6 @@ _STATES = "NVSAU"
 """Letter of each priority and of each state of ship_msgs/Alert, in the order of its constants."""
 _LAST_REVISION = 99
 _LAST_ESCALATION = 9
-_TITLE_LENGTH = 16
 
 ALERTS = InputTopic("ship/alerts", "ship_msgs/msg/AlertArray", required=False, depth=1)
 ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
@@ -112,20 +112,15 @@ class SentAlerts:
         self._entries = now
         return changed + [_normal_alert(entry.sent, now_ns) for number, entry in before.items() if number not in now]
 
-    def alert_key(self, command: AlertCommand) -> tuple[str, int] | None:
-        """Return id and instance of the alert of a command; None if there is no such alert.
+    def find(self, command: AlertCommand) -> tuple[str, int, SentenceAlert] | None:
+        """Return id, instance and sentence values of the alert of a command; None if there is no such alert.
 
         A command without an instance refers to the present instance. The alert node checks an instance that is given.
         """
         entry = self._entries.get(command.identifier)
         if entry is None:
             return None
-        return entry.id, entry.instance if command.instance is None else command.instance
-
-    def alert_of(self, command: AlertCommand) -> SentenceAlert | None:
-        """Return the alert of a command as it was sent; None if there is no such alert."""
-        entry = self._entries.get(command.identifier)
-        return None if entry is None else entry.sent
+        return entry.id, entry.instance if command.instance is None else command.instance, entry.sent
 
 
 def _identifier(id_: str, used: Container[int]) -> int:
@@ -170,7 +165,7 @@ def _title(id_: str) -> str:
     end of a word is kept, because it distinguishes two devices.
     """
     words = id_.upper().replace("_", " ").replace(".", " ").split()
-    while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_length_without_number, words), default=0)) > 1:
+    while len(" ".join(words)) > TITLE_LENGTH and (longest := max(map(_length_without_number, words), default=0)) > 1:
         at = next(at for at, word in enumerate(words) if _length_without_number(word) == longest)
         words[at] = words[at][: longest - 1] + words[at][longest:]
     return " ".join(words)
@@ -302,19 +297,19 @@ class BridgeAlerts:
             self._execute(sink, command)
 
     def _execute(self, sink: Sink, command: AlertCommand) -> None:
-        key, alert = self._sent_alerts.alert_key(command), self._sent_alerts.alert_of(command)
+        found = self._sent_alerts.find(command)
         if not {ALF, ALC} & set(sink.config.sentences):
             self._refuse(sink, command, "this sink sends no alerts")
-        elif key is None or alert is None:
+        elif found is None:
             self._refuse(sink, command, "no such alert")
         elif command.command == REPEAT:
-            self._send_alert(alert, [sink])
+            self._send_alert(found[2], [sink])
         elif command.command != ACKNOWLEDGE:
             self._refuse(sink, command, "unknown command")
         elif len(self._pending) >= _MAX_PENDING or not self._acknowledger.service_is_ready():
             self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not available, or overloaded")
         else:
-            future = self._acknowledger.call_async(AcknowledgeAlert.Request(id=key[0], instance=key[1]))
+            future = self._acknowledger.call_async(AcknowledgeAlert.Request(id=found[0], instance=found[1]))
             self._pending.append(
                 _PendingAcknowledgement(future, time.monotonic_ns() + _RESPONSE_TIMEOUT_NS, command, sink)
             )

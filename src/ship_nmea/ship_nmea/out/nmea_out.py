@@ -1,4 +1,4 @@
-"""Work of ``nmea_out``: attitudes, at the rate of each sink, and alerts.
+"""``nmea_out``: send the ship's attitude, at the rate of each sink, and alerts as NMEA sentences.
 
 An attitude is sent on arrival, so that it is as recent as possible. Without a valid attitude a timer sends void
 sentences: without any sentence the bridge could not distinguish a missing attitude from a broken cable.
@@ -6,13 +6,13 @@ sentences: without any sentence the bridge could not distinguish a missing attit
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S, duration_text, ns_from_stamp
 from ship_msgs.msg import ShipAttitude
-from ship_nmea.nmea_node import PLAYBACK_TEXT, NmeaNode, is_played, utc_ns
+from ship_nmea.nmea_node import PLAYBACK_TEXT, NmeaNode, is_played, run_nmea_node, utc_ns
 from ship_nmea.out.bridge_alerts import BridgeAlerts
 from ship_nmea.out.config import NmeaOutConfig
 from ship_nmea.out.sink import Sink
@@ -27,6 +27,18 @@ from ship_nmea.sentences.attitude import (
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.inputs_outputs import InputTopic
 
+NAME = "nmea_out"
+
+_DESCRIPTION = """\
+Sends ship/attitude as HDT, THS, ROT, PASHR and PSXN, and ship/alerts as ALF, ALC and HBT, to any number of sinks: UDP
+(one host, broadcast, a group), TCP server, serial line, file. An attitude that is INVALID, missing or older than
+longest_age_s is sent void, with status V, never as an old value. The bridge's alert management acknowledges with ACN
+over the same sink (udp: listen_port); a refused command is answered with ARC.
+
+A receiver that does not read, a lost line or a full disk delays nothing: dropped sentences are counted in /diagnostics,
+and the sink is opened again every 2 s.
+"""
+
 ATTITUDE = InputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude", required=True, depth=200)
 
 _VOID_PERIOD_S = 0.1
@@ -35,6 +47,11 @@ _QUALITIES = {
     ShipAttitude.COASTING: AttitudeQuality.ESTIMATED,
     ShipAttitude.DEGRADED: AttitudeQuality.ESTIMATED,
 }  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``nmea_out``; return the exit code."""
+    return run_nmea_node(NAME, _DESCRIPTION, NmeaOutConfig, NmeaOut, arguments)
 
 
 class Throttle:
@@ -163,3 +180,7 @@ class NmeaOut:
             (sigma_heading, sigma_pitch, sigma_roll),
             heading_rate(message.pitch, message.roll, (rate.x, rate.y, rate.z)),
         )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

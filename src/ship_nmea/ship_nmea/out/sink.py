@@ -56,6 +56,7 @@ class Sink:
         receive: called with each received line and its sender's address, in the thread of the sink.
 
     Attributes:
+        place: kind and address of the destination, as text.
         opening_error: error of the first opening if retries cannot succeed without the user; otherwise None.
     """
 
@@ -63,6 +64,7 @@ class Sink:
         self.name, self.config = name, config
         self.opening_error: BadInput | None = None
         self._outlet: Outlet = _OUTLETS[config.kind](config, receive)
+        self.place = self._outlet.place
         self._queue: deque[_QueuedSentence] = deque()
         self._lock = threading.Lock()
         self._dropped: Counter[str] = Counter()
@@ -79,11 +81,6 @@ class Sink:
             self._fail(problem)
             self.opening_error = permanent_error(problem, f"sinks.{name}", config, _PARAMETER_NAMES)
         self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
-
-    @property
-    def place(self) -> str:
-        """Return a description of the outlet of the sink."""
-        return self._outlet.place
 
     def start(self) -> None:
         """Start sending."""
@@ -114,13 +111,13 @@ class Sink:
             waiting, last_ns = len(self._queue), max(self._dropped_ns, self._outlet.client_lost_ns or self._dropped_ns)
         values = {"sent": str(self._sent), "waiting": str(waiting), "failures": str(self._failures)}
         values |= {f"dropped: {why}": str(count) for why, count in dropped.items()}
-        text = f"{self._outlet.place}: {self._sent} sent"
+        text = f"{self.place}: {self._sent} sent"
         if note := self._outlet.status_note():
             text += f"; {note}"
         if dropped:
             text += f"; {sum(dropped.values())} dropped"
         if not self._is_open:
-            text = f"{self._outlet.place}: {failure}; retried every {RETRY_S:g} s"
+            text = f"{self.place}: {failure}; retried every {RETRY_S:g} s"
             return DiagnosticStatus(f"sink {self.name}", Level.ERROR, text, values)
         is_recent = time.monotonic_ns() - last_ns <= _WARNING_NS
         return DiagnosticStatus(f"sink {self.name}", Level.WARN if is_recent else Level.OK, text, values)
@@ -137,23 +134,18 @@ class Sink:
 
     def _run(self) -> None:
         while not self._is_stopped:
-            if problem := self._work_until_failure():
+            try:
+                if not self._is_open:
+                    self._open()
+                self._work()
+            except Exception as problem:  # noqa: PERF203 - then the thread waits
+                # An outlet may raise anything; the failure is reported in the status, and opening is retried.
                 self._fail(problem)
                 self._wait(RETRY_S)
         if self._is_open:
             with contextlib.suppress(OSError):
                 self._send_queued()
         self._close_all()
-
-    def _work_until_failure(self) -> Exception | None:
-        """Send sentences until the end or a failure; return the exception of a failure, for the status and a retry."""
-        try:
-            if not self._is_open:
-                self._open()
-            self._work()
-        except Exception as problem:
-            return problem
-        return None
 
     def _work(self) -> None:
         timeout_s = _SELECT_TIMEOUT_S

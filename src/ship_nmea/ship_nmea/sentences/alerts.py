@@ -37,7 +37,9 @@ MAX_ALERTS = 200
 ACKNOWLEDGE, REPEAT = "A", "Q"
 """Commands that are executed; O (responsibility transfer) and S (silence) are refused."""
 
-_TITLE_LENGTH = 16
+TITLE_LENGTH = 16
+"""Maximum length of the title of an alert, characters."""
+
 _CATEGORY = "B"
 """Category of all alerts: an alert contains all information needed to decide what to do."""
 _TIME_DECIMALS = 2
@@ -219,7 +221,7 @@ def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> 
     total = "2" if alert.description else "1"
     which = manufacturer, str(alert.identifier), str(alert.instance), str(alert.revision), str(alert.escalation)
     time_text = time_field(alert.changed_ns, _TIME_DECIMALS)
-    title = text_field(alert.title, _TITLE_LENGTH)
+    title = text_field(alert.title, TITLE_LENGTH)
     head = total, "1", str(sequence % 10)
     sentences = [ALF(talker, "ALF", (*head, time_text, _CATEGORY, alert.priority, alert.state, *which, title))]
     if alert.description:
