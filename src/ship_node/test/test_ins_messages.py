@@ -11,7 +11,7 @@ from ship_bags.cdr_template import CdrRows, CdrTemplate
 from ship_bags.message_store import RosbagsFactory, definition_in, message_store, serialize
 from ship_estimation.parameters.ship_devices import InsInputConfig
 from ship_node.messages.field_checks import MessageRejected
-from ship_node.messages.sensor_readers import ins_batch, ins_sample
+from ship_node.messages.sensor_readers import ins_block, ins_sample
 
 START_NS, COUNT, ODD = 1_400_000_000_000_000_000, 30, 17
 FACTORY = RosbagsFactory()
@@ -53,7 +53,7 @@ def receive_times(count: int = COUNT) -> np.ndarray:
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 def test_a_batch_equals_its_messages(config: InsInputConfig) -> None:
     messages = [message(number) for number in range(COUNT)]
-    found = ins_batch(rows(messages), receive_times(), config)
+    found = ins_block(rows(messages), receive_times(), config)
     alone = [ins_sample(one, config, int(now_ns)) for one, now_ns in zip(messages, receive_times(), strict=True)]
     together = found.samples.samples()
     assert [sample.time_ns for sample in together] == [one.value.time_ns for one in alone]
@@ -83,13 +83,13 @@ REJECTED = {
 @pytest.mark.parametrize("changes", REJECTED.values(), ids=REJECTED)
 def test_a_batch_ends_before_a_differing_message(changes: dict[str, Any]) -> None:
     messages = [message(number, **(changes if number == ODD else {})) for number in range(COUNT)]
-    assert len(ins_batch(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD
+    assert len(ins_block(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD
 
 
 def test_a_batch_ends_before_an_invalid_stamp() -> None:
     messages = [message(number) for number in range(COUNT)]
     messages[ODD].header.stamp.nanosec = 1_000_000_000
-    assert len(ins_batch(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD
+    assert len(ins_block(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_batch_ends_before_an_invalid_stamp() -> None:
 )
 def test_a_batch_of_bad_messages_is_empty(changes: dict[str, Any], config: InsInputConfig) -> None:
     messages = [message(number, **changes) for number in range(COUNT)]
-    assert len(ins_batch(rows(messages), receive_times(), config).samples.times_ns) == 0
+    assert len(ins_block(rows(messages), receive_times(), config).samples.times_ns) == 0
     with pytest.raises(MessageRejected):
         ins_sample(messages[0], config, int(receive_times()[0]))
 
@@ -115,7 +115,7 @@ def test_a_batch_of_bad_messages_is_empty(changes: dict[str, Any], config: InsIn
 )
 def test_an_unknown_covariance_is_marked(unknown: np.ndarray, config: InsInputConfig) -> None:
     messages = [message(number, orientation_covariance=unknown) for number in range(COUNT)]
-    found = ins_batch(rows(messages), receive_times(), config)
+    found = ins_block(rows(messages), receive_times(), config)
     assert (len(found.samples.times_ns), found.covariance_known) == (COUNT, False)
     alone = ins_sample(messages[0], config, int(receive_times()[0]))
     assert (alone.value.content(), alone.covariance_known) == (found.samples.sample(0).content(), False)

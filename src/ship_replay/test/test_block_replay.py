@@ -172,13 +172,13 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
 ) -> None:
     """Blocks contain over 80 % of the INS samples; otherwise one-by-one replay would be compared with itself."""
     taken = []
-    finish_batch = core.finish_batch
+    finish_block = core.finish_block
 
     def count_accepted(self: Any, batch: Any) -> Any:
         taken.append(batch.checked.accepted_count)
-        return finish_batch(self, batch)
+        return finish_block(self, batch)
 
-    monkeypatch.setattr(core, "finish_batch", count_accepted)
+    monkeypatch.setattr(core, "finish_block", count_accepted)
     _, summary = replay_faults(suite_bag, Injection(suite_bag, {}, 0), LARGEST_BATCH)
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 

@@ -167,21 +167,21 @@ class _InsBatches:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
             block = self._block.subset(slice(index, min(next_wanted, index + _MAX_BATCH)))
             if self._in_order and len(block.times_ns):
-                self._batch, self._arrived = self._core.ins.evaluate_batch(block, block.times_ns), 0
+                self._batch, self._arrived = self._core.ins.evaluate_block(block, block.times_ns), 0
             if self._batch is None:
                 yield self._core.ins.add(self._block.sample(index), estimate=index == next_wanted)
                 return
         self._arrived += 1
         if self._arrived == self._batch.checked.count:
             yield from self.commit()
-            last, self._batch = self._core.ins.finish_batch(self._batch), None
+            last, self._batch = self._core.ins.finish_block(self._batch), None
             if last is not None:
                 yield last
 
     def commit(self) -> Iterator[AttitudeOutcome]:
         """Commit the samples that have arrived."""
         if self._batch is not None:
-            self._core.ins.commit_batch(self._batch, min(self._arrived, self._batch.checked.accepted_count))
+            self._core.ins.commit_block(self._batch, min(self._arrived, self._batch.checked.accepted_count))
             yield from (outcome for _, outcome in self._batch.pending_outcomes)
             self._batch.pending_outcomes.clear()
 

@@ -68,8 +68,8 @@ from ship_node.messages.common_messages import (
     Level,
 )
 from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic, ReadBatch, StampArray
-from ship_node.messages.sensor_readers import ins_batch, ins_sample, sigma_mismatch_text
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic, ReadBlock, StampArray
+from ship_node.messages.sensor_readers import ins_block, ins_sample, sigma_mismatch_text
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
 from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries
@@ -222,9 +222,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self._stated_covariance = message.orientation_covariance if reading.covariance_known else None
         return reading
 
-    def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBatch:
+    def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBlock:
         """Return the INS samples of a block; the covariance of the first message is stored for the diagnostics."""
-        reading = ins_batch(messages, receive_ns, config)
+        reading = ins_block(messages, receive_ns, config)
         self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
         return reading
 

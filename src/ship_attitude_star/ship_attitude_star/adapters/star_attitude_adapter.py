@@ -27,7 +27,7 @@ from ship_node.messages.common_messages import (
 )
 from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputTopic
-from ship_node.messages.sensor_readers import ins_batch, ins_sample
+from ship_node.messages.sensor_readers import ins_block, ins_sample
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_stars.camera.config import JOINT
 from ship_stars.messages.star_messages import ExposingSensor, star_exposure
@@ -118,7 +118,7 @@ class StarAttitudeAdapter(NodeAdapter):
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
             read_ins = functools.partial(ins_sample, config=config.ins)
-            block = BlockFeed(functools.partial(ins_batch, config=config.ins), core)
+            block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
             yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), block=block, stream_quantity=ATTITUDE)
 
     def _process_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:

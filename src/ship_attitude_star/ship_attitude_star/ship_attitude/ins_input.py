@@ -192,10 +192,10 @@ class InsInput:
         checked = self.checks.ins.check(sample, self.track, self.checks.motion_references)
         return self._use(checked, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
-    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
+    def evaluate_block(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch, up to the first sample that needs separate handling.
 
-        No other INS sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
+        No other INS sample may be added until the batch is committed (:meth:`commit_block`, :meth:`finish_block`).
 
         Args:
             block: samples with rates, in the order of their stamps.
@@ -230,7 +230,7 @@ class InsInput:
         extra = self.track.extra_noise(first_ns)
         return InsBatch(samples[: checked.accepted_count], block, arrivals_ns, checked, before, extra)
 
-    def commit_batch(self, batch: InsBatch, stop: int) -> None:
+    def commit_block(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         while batch.committed_count < stop:
             if self._estimator.is_idle:
@@ -254,7 +254,7 @@ class InsInput:
             self._output.sequence.record(batch.samples[end - 1].time_ns, self._arrival_ns, self._output.ins_timeout_ns)
             self.checks.ins.by_rates = batch.checked.by_rates(end - 1)
 
-    def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
+    def finish_block(self, batch: InsBatch) -> AttitudeOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without such a sample."""
         values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
         self.checks.ins.commit_block(values, batch.checked, self.checks.motion_references)
@@ -300,6 +300,6 @@ class InsInput:
                 self._output.publish_from_ins(outcome, self.track, time_ns, arrival_ns)
         return outcome
 
-    def batch_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeSeries | Rejection]]:
+    def block_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeSeries | Rejection]]:
         """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
         return batch.attitudes(self._output.corrected_by, self._output.propagation_s, self._output.config)

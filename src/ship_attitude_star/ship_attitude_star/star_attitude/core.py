@@ -255,11 +255,11 @@ class StarCore:
         self._advance(outcome)
         return outcome
 
-    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> MotionBatch | None:
-        """Check the INS samples of a block as one batch; see :meth:`InsMotion.evaluate_batch`."""
-        return self._ins.evaluate_batch(block, arrivals_ns, self._config.lag_s)
+    def evaluate_block(self, block: SampleBlock, arrivals_ns: StampArray) -> MotionBatch | None:
+        """Check the INS samples of a block as one batch; see :meth:`InsMotion.evaluate_block`."""
+        return self._ins.evaluate_block(block, arrivals_ns, self._config.lag_s)
 
-    def commit_batch(self, batch: MotionBatch, stop: int) -> None:
+    def commit_block(self, batch: MotionBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``, and solve the exposures that waited for these samples.
 
         The solutions are stored in ``batch.pending_outcomes``.
@@ -267,15 +267,15 @@ class StarCore:
         while batch.committed_count < stop:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
             end, outcome = batch.committed_count + 1 if self._pending else stop, StarOutcome()
-            self._ins.commit_batch(batch, end)
+            self._ins.commit_block(batch, end)
             self._arrivals.advance_to(batch.samples[end - 1].time_ns)
             self._advance(outcome)
             if outcome.solved or outcome.not_joined:
                 batch.pending_outcomes.append((end - 1, outcome))
 
-    def finish_batch(self, batch: MotionBatch) -> StarOutcome | None:
+    def finish_block(self, batch: MotionBatch) -> StarOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without such a sample."""
-        rejection = self._ins.finish_batch(batch)
+        rejection = self._ins.finish_block(batch)
         if batch.checked.last is None:
             return None
         outcome = StarOutcome(rejection)
@@ -283,8 +283,8 @@ class StarCore:
         self._advance(outcome)
         return outcome
 
-    def batch_estimates(self, _turns: MotionBatch) -> list[tuple[slice, StarOutcome]]:
-        """Return no estimates; INS samples give only the outcomes of :meth:`commit_batch`."""
+    def block_estimates(self, _turns: MotionBatch) -> list[tuple[slice, StarOutcome]]:
+        """Return no estimates; INS samples give only the outcomes of :meth:`commit_block`."""
         return []
 
     def add_surroundings(self, given: SkyInput) -> Rejection | None:

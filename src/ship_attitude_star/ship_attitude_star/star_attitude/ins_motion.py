@@ -114,10 +114,10 @@ class InsMotion:
         """Add a sample; return its rejection or a remark, None without either."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
-    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
+    def evaluate_block(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
 
-        No other sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
+        No other sample may be added until the batch is committed (:meth:`commit_block`, :meth:`finish_block`).
 
         Args:
             block: samples with rates, in the order of their stamps.
@@ -142,12 +142,12 @@ class InsMotion:
             return None
         return MotionBatch(samples[: checked.accepted_count], block.rotations_nd[: checked.count], checked)
 
-    def commit_batch(self, batch: MotionBatch, stop: int) -> None:
+    def commit_block(self, batch: MotionBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         self.track.extend(batch.samples[batch.committed_count : stop])
         batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
 
-    def finish_batch(self, batch: MotionBatch) -> Rejection | None:
+    def finish_block(self, batch: MotionBatch) -> Rejection | None:
         """Finish a batch with the sample that needs separate handling, if any; the result is as for :meth:`add`."""
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)

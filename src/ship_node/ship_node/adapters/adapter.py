@@ -23,7 +23,7 @@ from ship_node.messages.inputs_outputs import (
     InputTopic,
     OutputMessage,
     OutputTopic,
-    ReadBatch,
+    ReadBlock,
     StampArray,
 )
 from ship_node.saved_files.saved_document import DISK, Files
@@ -105,8 +105,8 @@ class OverloadReport:
         return DiagnosticStatus("overload", Level.ERROR, self.behind.text(self._node), values)
 
 
-class EvaluatedBatch(Protocol):
-    """Batch of samples that a core has evaluated and not yet committed.
+class EvaluatedBlock(Protocol):
+    """Block of samples that a core has evaluated and not yet committed.
 
     Attributes:
         checked: result of the INS check.
@@ -117,25 +117,25 @@ class EvaluatedBatch(Protocol):
     pending_outcomes: list[tuple[int, Any]]
 
 
-Evaluated = TypeVar("Evaluated", bound=EvaluatedBatch)
+Evaluated = TypeVar("Evaluated", bound=EvaluatedBlock)
 
 
-class BatchCore(Protocol[Evaluated]):
-    """Interface of a core that evaluates batches of samples before it commits them."""
+class BlockCore(Protocol[Evaluated]):
+    """Interface of a core that evaluates blocks of samples before it commits them."""
 
-    def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Evaluated | None:
+    def evaluate_block(self, samples: Any, arrivals_ns: StampArray) -> Evaluated | None:
         """Evaluate the leading samples that need no special treatment; return None if the first sample needs it."""
         ...
 
-    def commit_batch(self, batch: Evaluated, stop: int) -> None:
+    def commit_block(self, block: Evaluated, stop: int, /) -> None:
         """Commit the evaluated samples before index ``stop``."""
         ...
 
-    def finish_batch(self, batch: Evaluated) -> Any:
-        """Finish a committed batch; return the outcome of the sample that needs special treatment, or None."""
+    def finish_block(self, block: Evaluated, /) -> Any:
+        """Finish a committed block; return the outcome of the sample that needs special treatment, or None."""
         ...
 
-    def batch_estimates(self, batch: Evaluated) -> list[tuple[slice, Any]]:
+    def block_estimates(self, block: Evaluated, /) -> list[tuple[slice, Any]]:
         """Return slices of samples, each with its estimates from one state, or with their rejection."""
         ...
 
@@ -162,8 +162,8 @@ class BlockFeed(NamedTuple):
         core: core that processes the samples.
     """
 
-    read: Callable[[CdrRows, StampArray], ReadBatch]
-    core: BatchCore[Any]
+    read: Callable[[CdrRows, StampArray], ReadBlock]
+    core: BlockCore[Any]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ship_estimation.rejection_rules import Rejection
-from ship_node.adapters.adapter import TICK_PERIOD_NS, BlockFeed, EvaluatedBatch, Feed
+from ship_node.adapters.adapter import TICK_PERIOD_NS, BlockFeed, EvaluatedBlock, Feed
 from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.inputs_outputs import (
     Arrival,
@@ -22,7 +22,7 @@ from ship_node.messages.inputs_outputs import (
     OutputBlock,
     OutputMessage,
     PlacedMessages,
-    ReadBatch,
+    ReadBlock,
     StampArray,
 )
 
@@ -56,7 +56,7 @@ class _Estimates(NamedTuple):
 
 
 @dataclass(slots=True)
-class _EvaluatedBlock:
+class _CurrentBlock:
     """Messages of a block that were read and evaluated, and are committed in order with the other arrivals.
 
     Attributes:
@@ -71,10 +71,10 @@ class _EvaluatedBlock:
 
     feed: Feed
     block_feed: BlockFeed
-    reading: ReadBatch
+    reading: ReadBlock
     receive_ns: StampArray
     places: StampArray
-    evaluated: EvaluatedBatch
+    evaluated: EvaluatedBlock
     arrived_count: int = 0
 
 
@@ -95,7 +95,7 @@ class BatchPass:
             for key, block in batch.blocks.items()
             if (feed := adapter.feeds[block.topic]).read_rows is not None
         }
-        self._evaluated: _EvaluatedBlock | None = None
+        self._evaluated: _CurrentBlock | None = None
         self._backoff = self._order = 0
         self._outputs = BatchOutputs()
         self._estimates: list[_Estimates] = []
@@ -171,7 +171,7 @@ class BatchPass:
 
     # -- blocks ---------------------------------------------------------------------------------------------
 
-    def _evaluate(self, block: Block, number: int) -> _EvaluatedBlock | None:
+    def _evaluate(self, block: Block, number: int) -> _CurrentBlock | None:
         """Evaluate the messages of a block from an index on; return None if the first must be processed alone."""
         adapter, feed = self._adapter, self._adapter.feeds[block.topic]
         if feed.block is None or adapter.is_off(block.topic) or adapter.time_steps.time_base.is_step_pending:
@@ -188,7 +188,7 @@ class BatchPass:
             self._backoff = _BACKOFF_MESSAGES
         return found
 
-    def _evaluate_rows(self, feed: Feed, block_feed: BlockFeed, block: Block, some: slice) -> _EvaluatedBlock | None:
+    def _evaluate_rows(self, feed: Feed, block_feed: BlockFeed, block: Block, some: slice) -> _CurrentBlock | None:
         adapter, topic, receive_ns = self._adapter, block.topic, block.receive_ns[some]
         reading = block_feed.read(block.messages.subset(some), receive_ns)
         samples, time_base = reading.samples, adapter.time_steps.time_base
@@ -197,12 +197,12 @@ class BatchPass:
         if count:
             unmoved = samples.subset(slice(count))
             count = adapter.duplicates.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
-        evaluated = block_feed.core.evaluate_batch(samples.subset(slice(count)), receive_ns[:count]) if count else None
+        evaluated = block_feed.core.evaluate_block(samples.subset(slice(count)), receive_ns[:count]) if count else None
         if evaluated is None:
             return None
         count = evaluated.checked.count
-        time_base.add_batch(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
-        return _EvaluatedBlock(feed, block_feed, reading, receive_ns[:count], block.places[some], evaluated)
+        time_base.add_block(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
+        return _CurrentBlock(feed, block_feed, reading, receive_ns[:count], block.places[some], evaluated)
 
     def _commit_arrived(self) -> None:
         """Commit the messages of the block that have arrived, before another input is processed."""
@@ -210,28 +210,28 @@ class BatchPass:
         if block is None:
             return
         evaluated = block.evaluated
-        block.block_feed.core.commit_batch(evaluated, min(block.arrived_count, evaluated.checked.accepted_count))
+        block.block_feed.core.commit_block(evaluated, min(block.arrived_count, evaluated.checked.accepted_count))
         outcomes, evaluated.pending_outcomes[:] = list(evaluated.pending_outcomes), []
         for number, outcome in outcomes:
             now_ns = int(block.receive_ns[number])
             self._publish(int(block.places[number]), self._adapter.report_outcome(outcome, now_ns, now_ns))
 
-    def _finish(self, block: _EvaluatedBlock) -> None:
+    def _finish(self, block: _CurrentBlock) -> None:
         """Finish a block whose messages are all committed; publish its remaining outputs."""
         adapter, feed, core = self._adapter, block.feed, block.block_feed.core
         receive_ns, reading, count = block.receive_ns, block.reading, block.evaluated.checked.accepted_count
         samples = reading.samples.subset(slice(len(receive_ns)))
-        adapter.duplicates.add_batch(feed.input.topic, samples.times_ns, samples.rotations_nd)
+        adapter.duplicates.add_block(feed.input.topic, samples.times_ns, samples.rotations_nd)
         if count:
             adapter.record_usable(feed, None, int(receive_ns[count - 1]))
             times_ns = samples.times_ns[:count]
-            adapter.health.record_batch(feed.input.topic, receive_ns[:count], times_ns, reading.covariance_known)
+            adapter.health.record_block(feed.input.topic, receive_ns[:count], times_ns, reading.covariance_known)
         parts = [
             part
-            for some, found in core.batch_estimates(block.evaluated)
+            for some, found in core.block_estimates(block.evaluated)
             for part in self._estimate_parts(some, found, reading.samples.times_ns)
         ]
-        last = core.finish_batch(block.evaluated)
+        last = core.finish_block(block.evaluated)
         if last is not None:
             now_ns = int(receive_ns[count])
             message = ReadMessage(reading.samples.sample(count), reading.covariance_known)

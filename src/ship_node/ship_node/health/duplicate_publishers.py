@@ -160,11 +160,11 @@ class DuplicatePublishers:
         return streams is not None and streams.add(time_ns, self._quantities[topic].quantity(value))
 
     def count_before_change(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> int:
-        """Return the number of leading attitudes of a batch that change no text."""
+        """Return the number of leading attitudes of a block that change no text."""
         return self._streams[topic].count_before_change(times_ns, rotations_nd.reshape(-1, 9))
 
-    def add_batch(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
-        """Add the attitudes of a batch, which change no text."""
+    def add_block(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
+        """Add the attitudes of a block, which change no text."""
         self._streams[topic].add_all(times_ns, rotations_nd.reshape(-1, 9))
 
 

@@ -76,8 +76,8 @@ class InputRecord:
             self._intervals_ns.append(waiting_ns - self.last_arrival_ns)
         self.last_arrival_ns = waiting_ns
 
-    def add_batch(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
-        """Count a batch of used messages as :meth:`add_arrival` and :meth:`add_accepted` count single messages.
+    def add_block(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
+        """Count a block of used messages as :meth:`add_arrival` and :meth:`add_accepted` count single messages.
 
         Args:
             arrivals_ns: receive times, equal by both clocks, shape (N,).
@@ -228,10 +228,10 @@ class InputRecords:
         elif is_used:
             self.record_accepted(topic, reading.value.time_ns, receive_ns)
 
-    def record_batch(
+    def record_block(
         self, topic: str, receive_ns: np.ndarray, stamps_ns: np.ndarray, covariance_known: bool
     ) -> None:
-        """Record a batch of messages that were all used, as :meth:`record_input` does for each.
+        """Record a block of messages that were all used, as :meth:`record_input` does for each.
 
         Args:
             topic: the input topic.
@@ -242,7 +242,7 @@ class InputRecords:
         self._now(int(receive_ns[0]))
         self._now(int(receive_ns[-1]))
         record = self.records[topic]
-        record.add_batch(receive_ns, stamps_ns, self._max_age_ns)
+        record.add_block(receive_ns, stamps_ns, self._max_age_ns)
         if not covariance_known:
             record.reasons[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
             record.note_counts[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)

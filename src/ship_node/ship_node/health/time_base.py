@@ -219,7 +219,7 @@ class TimeBase:
             level_ns = offset_ns
         return len(stamps_ns)
 
-    def add_batch(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
+    def add_block(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
         """Add messages without a step (:meth:`count_without_step`), given their number and the last message's times."""
         clock = self._clocks[topic]
         clock.period_ns = (arrival_ns - clock.arrival_ns) / count

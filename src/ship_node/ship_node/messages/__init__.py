@@ -1,1 +1,1 @@
-"""Conversion between messages and numbers: checks of fields, batches of messages, messages of every node."""
+"""Conversion between messages and numbers: checks of fields, blocks and batches of messages, messages of every node."""

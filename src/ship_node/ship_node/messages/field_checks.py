@@ -1,9 +1,9 @@
-"""Checks of the fields of messages before any of them reaches a filter: of one message, and of a batch as arrays.
+"""Checks of the fields of messages before any of them reaches a filter: of one message, and of a block as arrays.
 
 The packages' readers are built from these checks. A failed check of one message raises :class:`MessageRejected`. Values
 are returned in the form that cores use.
 
-Each check of a batch returns, for every message, True only if the check of one message accepts the message without
+Each check of a block returns, for every message, True only if the check of one message accepts the message without
 remark; the values are then the same, bit for bit. The other messages are read one by one and may still be used. A
 message with NaN in a checked value is not valid, because NaN is within no limit.
 """

@@ -111,7 +111,7 @@ class Batch(NamedTuple):
         return cls([Arrival(receive_ns, receive_ns if waiting_ns is None else waiting_ns, topic, message)])
 
 
-class ReadBatch(NamedTuple):
+class ReadBlock(NamedTuple):
     """Leading messages of a block that were read and passed all checks.
 
     Attributes:

@@ -1,6 +1,6 @@
 """Readers of the sensor messages that both estimators use: INS (sensor_msgs/Imu) and ship_msgs/RtkBaseline.
 
-The messages of the INS are read one by one or as a batch.
+The messages of the INS are read one by one or as a block.
 """
 
 from typing import Any, Protocol
@@ -28,7 +28,7 @@ from ship_node.messages.field_checks import (
     stamp_ns,
     stamps,
 )
-from ship_node.messages.inputs_outputs import ReadBatch, StampArray
+from ship_node.messages.inputs_outputs import ReadBlock, StampArray
 
 SIGMA_MISMATCH_RATIO = 1.5
 """Ratio of the sigma stated by an INS to the configured sigma, above which the stated sigma is reported."""
@@ -75,8 +75,8 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
     return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
 
 
-def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBatch:
-    """Return the leading messages of a batch that :func:`ins_sample` accepts.
+def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBlock:
+    """Return the leading messages of a block that :func:`ins_sample` accepts.
 
     These messages all have angular rates and the same covariance. Each sample equals the result of :func:`ins_sample`
     bit for bit.
@@ -103,7 +103,7 @@ def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     count = len(valid) if valid.all() else int(np.argmin(valid))
     rotations_nd = _rotations_nd(quaternions[:count], config)
     samples = SampleBlock(times_ns[:count], rotations_nd, _rates_d(rates_ros[:count], config))
-    return ReadBatch(samples, covariance is not None)
+    return ReadBlock(samples, covariance is not None)
 
 
 def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:
