@@ -189,9 +189,8 @@ class NmeaNode:
 
     def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
         """Call a function periodically, by a steady clock; reports of exceptions contain ``name``."""
-        self.node.create_timer(
-            period_s, partial(self._call, name, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.node.create_timer(period_s, partial(self._call, name, function), clock=clock)
 
     def spin(self, stop: Callable[[], bool]) -> None:
         """Handle callbacks until ``stop()`` is true or the context ends."""

@@ -58,12 +58,8 @@ def check_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
         )
     elif reach == "OFF" and not environment.get(_STATIC_PEERS):
         advice = f"export {_DISCOVERY_RANGE}=SUBNET, or name the others in {_STATIC_PEERS}"
-        yield CheckLine(
-            _DOMAIN,
-            Result.FAIL,
-            f"{_DISCOVERY_RANGE} is OFF without {_STATIC_PEERS}: no other node is discovered",
-            advice,
-        )
+        found = f"{_DISCOVERY_RANGE} is OFF without {_STATIC_PEERS}: no other node is discovered"
+        yield CheckLine(_DOMAIN, Result.FAIL, found, advice)
     else:
         yield CheckLine(_DOMAIN, Result.OK, f"range of discovery: {reach or 'SUBNET'}")
 
@@ -251,11 +247,8 @@ def _evaluate_input(
         found = f"{publishers} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not observed.count:
-        return (
-            missing_result,
-            f"{publishers} publishes it, but no message arrived",
-            "switch the device on; for a slow device use a longer --listen",
-        )
+        advice = "switch the device on; for a slow device use a longer --listen"
+        return missing_result, f"{publishers} publishes it, but no message arrived", advice
     found = f"{observed.rate_hz:.3g} Hz from {publishers}" if observed.count > 1 else f"one message from {publishers}"
     least_hz = limits.input_limits(source_of_topic(topic)).rate_hz
     if not observed.rate_hz >= least_hz:
@@ -268,11 +261,8 @@ def _evaluate_input(
         if source_of_topic(topic) not in _NOT_TIME_ORDERED and not observed.age_s <= lags_s.get(topic, MAX_AGE_S):
             return Result.FAIL, f"{found}: later than lag_s", "check transmission delays, or increase lag_s"
     if len(observed.publishers) > 1:
-        return (
-            Result.WARN,
-            f"{found}: {len(observed.publishers)} publishers",
-            "end all publishers of this topic but one",
-        )
+        advice = "end all publishers of this topic but one"
+        return Result.WARN, f"{found}: {len(observed.publishers)} publishers", advice
     return Result.OK, found, ""
 
 

@@ -268,10 +268,8 @@ class Source:
         if not now_ns - self._published_ns <= limit_ns:
             others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
             why = wrong or f"received: {_names(report.unused, report.used) or 'no usable sentences'}{others}"
-            return (
-                Level.ERROR,
-                f"lines arrive, but no {topics} for {(now_ns - self._published_ns) / NS_PER_S:.0f} s: {why}",
-            )
+            silent_s = (now_ns - self._published_ns) / NS_PER_S
+            return Level.ERROR, f"lines arrive, but no {topics} for {silent_s:.0f} s: {why}"
         if now_ns - self._dropped_ns <= WARNING_NS:
             return Level.ERROR, f"overflow: input faster than processing; {self._dropped} lines were dropped"
         if now_ns - self._clock_problem_ns <= WARNING_NS:

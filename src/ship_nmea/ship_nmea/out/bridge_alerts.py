@@ -227,9 +227,8 @@ class BridgeAlerts:
         """Return the diagnostic status, with the counts of sent alerts and of commands."""
         values = {name: str(count) for name, count in sorted(self._counts.items())}
         if is_played(self._runtime):
-            return DiagnosticStatus(
-                "alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYBACK_TEXT}", values
-            )
+            text = f"no alert is sent, heartbeat status V: {PLAYBACK_TEXT}"
+            return DiagnosticStatus("alerts", Level.WARN, text, values)
         if not self._has_publisher():
             text = f"no publisher of {ALERTS.topic}: no list is sent, heartbeat status V"
             return DiagnosticStatus("alerts", Level.WARN, text, values)

@@ -196,9 +196,9 @@ class TcpOutlet(Outlet):
         text = f"{len(self._clients)} clients"
         if self._skipped:
             text += f", {self._skipped} sentences skipped for clients that did not read"
-        return text + (
-            f", {self._disconnected} clients disconnected{self._host_limit_note}" if self._disconnected else ""
-        )
+        if self._disconnected:
+            text += f", {self._disconnected} clients disconnected{self._host_limit_note}"
+        return text
 
     def _accept(self) -> None:
         assert self._server is not None

@@ -185,11 +185,7 @@ class NodeAdapter(InputProcessing):
         return ServiceResult(True, done)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Apply live parameters, dotted name → value.
-
-        Raises:
-            ParameterError: a change is invalid; then no parameter is changed.
-        """
+        """See :meth:`ship_node.adapters.adapter.Adapter.set_parameters`."""
         config = with_changes(self.config, changes)
         self.off_topics = disabled_topics(self.feeds.values(), config.sources_off, self.required_sources)
         self.config = config
@@ -217,10 +213,8 @@ class NodeAdapter(InputProcessing):
         """Return remarks on the saved document: on the start from it, and on obstacles to saving."""
         if self.saved is None:
             return []
-        return [
-            *self.saved.messages,
-            *filter(None, dict.fromkeys([self.saved.unreadable_reason, self.saved.autosave_problem])),
-        ]
+        obstacles = dict.fromkeys([self.saved.unreadable_reason, self.saved.autosave_problem])
+        return [*self.saved.messages, *filter(None, obstacles)]
 
     def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Return, once a second while the node is behind, the reason and the INVALID output."""

@@ -16,6 +16,7 @@ from ship_estimation.integrity.protection_levels import alert_limit_text
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
 from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC
 from ship_node.adapters.adapter import Feed
 from ship_node.adapters.input_processing import PRESENCE_REASONS
@@ -23,13 +24,13 @@ from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.inputs_outputs import OutputMessage
 
-_ADOPTION_SHOWN_NS = 60_000_000_000
+_ADOPTION_SHOWN_NS = 60 * SECOND_NS
 """Time for which an adoption is reported as new, by the timeout clock, ns."""
 
 _Remedy = Callable[[Mapping[str, float]], str]
 """Returns the advice for the operator about sources that have moved, from source → shift, rad."""
 
-_DECISION_PERIOD_NS = 1_000_000_000
+_DECISION_PERIOD_NS = SECOND_NS
 """Period of the decisions by the timeout clock, ns."""
 
 _RECOVERY = "recovery"
@@ -161,9 +162,8 @@ class RecoveringAdapter(NodeAdapter):
     @property
     def idle_until_ns(self) -> int:
         """See :class:`NodeAdapter`."""
-        return min(
-            super().idle_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS
-        )
+        decision_ns = 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS
+        return min(super().idle_until_ns, decision_ns)
 
     def call_cores(self, call: Callable[[Any], None]) -> None:
         """See :class:`NodeAdapter`; also calls the second estimator, whose exceptions are stored."""

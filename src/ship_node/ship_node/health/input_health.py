@@ -211,12 +211,8 @@ def _rejection_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
     if last is None or record.last_rejection_ns is None:
         return []
     if record.consecutive_future_stamps >= FUTURE_STAMPS_ERROR:
-        return [
-            (
-                Level.ERROR,
-                f"clock offset: {record.consecutive_future_stamps} stamps in a row in the future; {last.text}",
-            )
-        ]
+        text = f"clock offset: {record.consecutive_future_stamps} stamps in a row in the future; {last.text}"
+        return [(Level.ERROR, text)]
     if record.consecutive_rejections >= REJECTIONS_WARN:
         level = Level.ERROR if record.consecutive_rejections >= REJECTIONS_ERROR else Level.WARN
         return [(level, f"{record.consecutive_rejections} rejected in a row, last {last.reason.word}: {last.text}")]

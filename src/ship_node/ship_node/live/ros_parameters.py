@@ -138,14 +138,11 @@ class NodeParameters:
         try:
             if isinstance(requested.get(USE_SIM_TIME), bool):
                 # The node times before and after the change would be years apart.
-                raise ParameterError(
-                    f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start",
-                    USE_SIM_TIME,
-                )
+                reason = "cannot be changed while the node runs: set it at the start"
+                raise ParameterError(f"parameter '{USE_SIM_TIME}' {reason}", USE_SIM_TIME)
             # The suite's own check comes first: its text contains the unit.
-            with_changes(
-                self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)}
-            )
+            own = {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)}
+            with_changes(self.config, own)
             result = apply(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))

@@ -81,10 +81,8 @@ def read_node_parameters(source: Path | str, node: str) -> ParameterFile:
     fitting = _matching_sections(sections, node)
     if not fitting:
         _refuse_similar_sections(name, sections, node)
-        expected = f"expected '{in_any_namespace(_base_name(node))}' or '/**'"
-        raise BadInput(
-            f"no section for node '{_base_name(node)}': {expected}, found {_section_names(sections)}", file=name
-        )
+        expected = f"expected '{in_any_namespace(_base_name(node))}' or '/**', found {_section_names(sections)}"
+        raise BadInput(f"no section for node '{_base_name(node)}': {expected}", file=name)
     exact = sorted({section.node for section in fitting if "*" not in section.node})
     if len(exact) > 1:
         reason = f"sections {' and '.join(exact)} both fit node '{_base_name(node)}': keep one in this file"

@@ -197,17 +197,15 @@ class SavedStart(Generic[Prior]):
             reason = str(error)
             if number is not None and number not in _CONTENT_ERRORS:
                 self._is_file_kept = True
-                self.unreadable_reason = (
-                    f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
-                )
+                advice = "not saved automatically until readable; ~/save_alignment replaces it"
+                self.unreadable_reason = f"{reason}; {advice}"
                 return None, None
         try:
             self.unreadable_reason = f"{reason}; set aside as {self._files.set_aside(path)}"
         except OSError as error:
             self._is_file_kept = True
-            self.unreadable_reason = (
-                f"{reason}; it cannot be renamed ({error.strerror}): remove the file, so that a new one can be saved"
-            )
+            advice = "remove the file, so that a new one can be saved"
+            self.unreadable_reason = f"{reason}; it cannot be renamed ({error.strerror}): {advice}"
         return None, None
 
     def _write(self, path: Path, content: Prior) -> None:
