@@ -1,7 +1,8 @@
 """Report of the core's results by an adapter: decisions, failures, estimates, protection levels, diagnoses.
 
 The innovations of a node's sources are diagnosed for its diagnostics. Decisions are collected as they come and
-evaluated once per diagnostics period, so that no measurement waits for statistics.
+evaluated once per diagnostics period, so that no measurement waits for statistics. The results of a node that is behind
+its inputs are not published; the overload is reported instead.
 """
 
 from abc import ABC, abstractmethod
@@ -25,7 +26,7 @@ from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_node.adapters.adapter import Feed, OverloadReport
+from ship_node.adapters.adapter import Feed, Overload
 from ship_node.adapters.batch_pass import BatchPass
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages import common_messages
@@ -91,6 +92,47 @@ def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:
         values |= {f"bias {axis} (sigma)": f"{value:+.2f}" for axis, value in diagnosis.bias_sigma.items()}
         values |= {f"correlation {axis}": f"{value:+.2f}" for axis, value in diagnosis.correlation.items()}
     return DiagnosticStatus(f"verdict {source}", level, diagnosis.text, values)
+
+
+class OverloadReport:
+    """Report of the overload of a node, once a second.
+
+    Args:
+        node: name of the node.
+
+    Attributes:
+        behind: overload state; None if the node keeps up.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self.behind: Overload | None = None
+        self._next_ns = 0
+
+    def change(self, change: Overload, waiting_ns: int) -> str:
+        """Set the overload state; return the reason for which messages were dropped."""
+        reason = (change if change.behind_s else self.behind or change).text(self._node)
+        self.behind = change if change.behind_s else None
+        self._next_ns = waiting_ns
+        return reason
+
+    def text_due(self, waiting_ns: int) -> str:
+        """Return, once a second while the node is behind, the text for the user; otherwise an empty text."""
+        if self.behind is None or waiting_ns < self._next_ns:
+            return ""
+        self._next_ns = waiting_ns + SECOND_NS
+        return self.behind.text(self._node)
+
+    def status(self) -> DiagnosticStatus:
+        """Return the diagnostic status of the overload."""
+        if self.behind is None:
+            return DiagnosticStatus("overload", Level.OK, "keeps up with its inputs")
+        values = {
+            "behind [s]": f"{self.behind.behind_s:.1f}",
+            "cores": str(self.behind.cores),
+            "load": f"{self.behind.load:.1f}",
+        }
+        return DiagnosticStatus("overload", Level.ERROR, self.behind.text(self._node), values)
 
 
 class ResultReport(ABC):

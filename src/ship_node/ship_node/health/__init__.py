@@ -1,1 +1,1 @@
-"""Health of a node's inputs: statistics, duplicate publishers, steps of the time base, overload."""
+"""Health of a node's inputs: statistics, duplicate publishers, steps of the time base."""

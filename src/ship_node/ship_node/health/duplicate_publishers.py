@@ -74,6 +74,7 @@ ATTITUDE = StreamQuantity(
 )
 """Attitude; the minimum distance, 30″, is six times the noise of a coarse system."""
 
+
 def _normalised_residual(decision: Any) -> FloatArray:
     """Return the innovation in standard deviations of the measurement noise, which is at least 0.1″."""
     in_sigmas: FloatArray = decision.residual / np.sqrt(np.maximum(decision.noise.diagonal(), (0.1 * ARCSEC) ** 2))

@@ -1,5 +1,5 @@
-"""Parameters of a node: reading and checking of a parameter file, and the list for ``--help``.
+"""Parameters of a node: parameter files, and the ports, devices and files that a node's parameters occupy.
 
-Parameter files are read and written by :mod:`ship_bags.parameter_yaml`. From this package the folder imports only
-:mod:`~ship_node.adapters` and :mod:`~ship_node.messages`; the folder does not import ROS.
+Parameter files are read and written by :mod:`ship_bags.parameter_yaml`. The folder imports no other folder of this
+package and no ROS.
 """
