@@ -47,7 +47,6 @@ def _call(parsed: argparse.Namespace) -> int:
 
 
 def _fields(kind: str) -> dict[str, str]:
-    """Return name → type of the fields of a request."""
     return dict(_KINDS[kind].Request.get_fields_and_field_types())
 
 

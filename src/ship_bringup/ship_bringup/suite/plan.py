@@ -203,7 +203,6 @@ def _namespace_arguments(options: SuiteOptions) -> tuple[str, ...]:
 
 
 def _monitor_programs(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
-    """Return the programs of page and alerts."""
     limits = () if options.limits is None else ("--limits", str(options.limits))
     where = ("--namespace", options.namespace) if options.namespace else ()
     page = (*executable("ship_monitor", "monitor"), *where, *limits, *options.monitor_arguments)

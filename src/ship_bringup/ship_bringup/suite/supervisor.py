@@ -317,7 +317,6 @@ class Supervisor:
         return may_be_more
 
     def _handle_end(self, entry: SupervisedProgram, process: Process) -> None:
-        """Handle the end of a process, requested or not."""
         while not process.is_output_complete and self._read(entry, process):
             pass
         self._unregister(process)
@@ -328,7 +327,6 @@ class Supervisor:
             self._handle_unrequested_end(entry, code, ran_s, ran_s if process.heartbeat_age.has_heartbeat else 0.0)
 
     def _handle_unrequested_end(self, entry: SupervisedProgram, code: int, ran_s: float, worked_s: float) -> None:
-        """Handle an end that the suite did not request."""
         text = f"{entry.program.name} ended after {ran_s:.1f} s: {end_text(code)}"
         if entry.program.role is Role.PLAYER:
             self._exit_code = exit_code_of(code)

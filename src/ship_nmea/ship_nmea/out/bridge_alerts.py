@@ -172,7 +172,6 @@ def _title(id_: str) -> str:
 
 
 def _length_without_number(word: str) -> int:
-    """Return the length of a word without the number at its end."""
     return len(word.rstrip(string.digits))
 
 

@@ -152,7 +152,6 @@ class BatchPass:
         self._publish(place, self._adapter.process_message(arrival, reading))
 
     def _add_block_message(self, place: int, arrival: Arrival, key: int) -> None:
-        """Process the next message of a block."""
         block, number = self._batch.blocks[key], self._next[key]
         self._next[key] += 1
         if self._evaluated is None:
@@ -288,7 +287,6 @@ class BatchPass:
                 self._order += 2  # one for the messages published before the output, one for the output
 
     def _publish_pending(self) -> None:
-        """Publish the outputs that were deferred."""
         self.compute_pending()
         if not self._computed:
             return

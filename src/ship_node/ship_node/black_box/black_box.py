@@ -196,7 +196,6 @@ def _writer(path: Path) -> BagWriter:
 
 
 def _unusable_path_error(path: str, reason: str) -> BadInput:
-    """Return the error about a path where no black box can be written."""
     name = BLACK_BOX_PARAMETER
     return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)
 
@@ -345,7 +344,6 @@ class BlackBox:
             self._run_write(self._write_all)
 
     def _write_all(self) -> None:
-        """Write the waiting entries to the disk."""
         count = len(self._queue)
         for _ in range(count):
             entry = self._queue.popleft()

@@ -206,7 +206,6 @@ def _message(factory: MessageFactory, state: _InputState, now_ns: int) -> Any:
 
 
 def _rejection_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
-    """Return issues from rejected messages."""
     last = record.last_rejection
     if last is None or record.last_rejection_ns is None:
         return []
@@ -230,7 +229,6 @@ def _latency_text(latency_s: float) -> str:
 
 
 def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
-    """Return the issue of a timeout."""
     if record.last_arrival_ns is None or record.input.is_occasional:
         return []
     elapsed_ns = waiting_ns - record.last_arrival_ns

@@ -195,7 +195,6 @@ class LiveNode:
         self._calls.overload(current_overload(waited_ns, self._inbox.take_overload_cuts()), now_ns, waiting_ns)
 
     def _check_publishers(self, topic: str) -> None:
-        """Report to the adapter whether two publishers send on a topic."""
         now_ns, waiting_ns = self._clock.times()
         text = self._inputs.check_publishers(topic, bool(now_ns))
         if text is not None:

@@ -214,7 +214,6 @@ def _declare_part_size(node: Node) -> int:
 
 
 def _declare(node: Node, name: str, value: Any, description: ParameterDescription) -> None:
-    """Declare a parameter of the configuration."""
     descriptor = _descriptor(description)
     kind = _LISTS.get(typing.get_args(description.kind)[:1]) if value == [] else None
     if kind is None:
