@@ -6,7 +6,8 @@ import socket
 
 import pytest
 
-from ship_node.parameters.machine_resources import ResourceKind, conflicting_pairs, path_resource, port_resource
+from ship_estimation.parameters.schema import ParameterError
+from ship_node.parameters.machine_resources import ResourceKind, path_resource, port_resource, refuse_conflicts
 from ship_testing.nmea_in_peer import free_port
 
 ADDRESSES = "", "0.0.0.0", "127.0.0.1", "127.0.0.2", "239.192.0.4", "239.192.0.5"
@@ -51,6 +52,6 @@ def test_resources_of_different_kind_or_name_do_not_conflict():
         path_resource("d", "/dev/ttyUSB0"),
         path_resource("e", "/dev/ttyUSB1"),
     ]
-    assert list(conflicting_pairs(places)) == []
-    again = path_resource("f", "/dev//./ttyUSB1")
-    assert list(conflicting_pairs([*places, again])) == [(places[-1], again)]
+    refuse_conflicts(places)
+    with pytest.raises(ParameterError, match=r"parameter 'f' = '/dev/ttyUSB1': 'e' has path /dev/ttyUSB1 already"):
+        refuse_conflicts([*places, path_resource("f", "/dev//./ttyUSB1")])

@@ -77,7 +77,7 @@ class BlackBoxFiles:
 
     Attributes:
         path: path of the first file.
-        last_path: path of the file being written.
+        writer: writer of the last file. After a failed write, ``truncate`` keeps the file up to its last flush.
         count: number of entries written, in all files; each entry has its number.
 
     Args:
@@ -94,29 +94,20 @@ class BlackBoxFiles:
         self._head, self._part_bytes = head, part_bytes
         self._types = {topic.topic: topic.type_name for topic in head.topics}
         self._id, self._part = secrets.token_hex(8), 1
-        self._writer = _open_first(path, head.node)
-        self.path = self.last_path = self._writer.path
-        self._write_header(self._writer)
-
-    @property
-    def flushed_bytes(self) -> int:
-        """Length of the last file at its last flush."""
-        return self._writer.flushed_bytes
+        self.writer = _open_first(path, head.node)
+        self.path = self.writer.path
+        self._write_header(self.writer)
 
     def write(self, topic: str, data: bytes, time_ns: int, waiting_ns: int) -> None:
         """Add an entry; the entries of all topics are numbered together, so that a gap shows a missing entry."""
         self.count += 1
-        self._writer.write_raw(topic, self._types[topic], data, time_ns, waiting_ns, self.count)
-
-    def attach(self, name: str, content: bytes) -> None:
-        """Attach a file that the node read or wrote."""
-        self._writer.add_attachment(name, content, "application/octet-stream")
+        self.writer.write_raw(topic, self._types[topic], data, time_ns, waiting_ns, self.count)
 
     def flush(self) -> None:
         """Write everything to the disk, and begin a new file if the last one is full."""
-        self._writer.flush()
-        if self._part_bytes and self._writer.flushed_bytes >= self._part_bytes:
-            full = self._writer
+        self.writer.flush()
+        if self._part_bytes and self.writer.flushed_bytes >= self._part_bytes:
+            full = self.writer
             self.open_next()
             full.close()
 
@@ -138,15 +129,11 @@ class BlackBoxFiles:
             writer.truncate()
             path.unlink(missing_ok=True)
             raise
-        self._writer, self.last_path = writer, path
-
-    def truncate(self) -> None:
-        """Give up the last file after a failed write; the file stays valid up to its last flush."""
-        self._writer.truncate()
+        self.writer = writer
 
     def close(self) -> None:
         """Finish the last file."""
-        self._writer.close()
+        self.writer.close()
 
     def _write_header(self, writer: BagWriter) -> None:
         head = self._head
@@ -300,15 +287,16 @@ class BlackBox:
 
     def status(self) -> DiagnosticStatus:
         """Return the status of the black box."""
+        writer = self._files.writer
         if self._failure:
-            text = f"{self._files.last_path}: writing failed: {self._failure}; a new file is tried every {RETRY_S:g} s"
+            text = f"{writer.path}: writing failed: {self._failure}; a new file is tried every {RETRY_S:g} s"
             return DiagnosticStatus("black box", Level.ERROR, text)
-        values = {"bytes": str(self._files.flushed_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
+        values = {"bytes": str(writer.flushed_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
         if self._lost:
             why = "the disk was slow or full, or /clock was missing"
-            text = f"{self._files.last_path}: {self._lost} entries lost: {why}"
+            text = f"{writer.path}: {self._lost} entries lost: {why}"
             return DiagnosticStatus("black box", Level.ERROR, text, values)
-        return DiagnosticStatus("black box", Level.OK, f"writing {self._files.last_path}", values)
+        return DiagnosticStatus("black box", Level.OK, f"writing {writer.path}", values)
 
     def close(self) -> None:
         """Write the remaining entries and finish the file; a second call does nothing."""
@@ -349,7 +337,7 @@ class BlackBox:
             entry = self._queue.popleft()
             self._unflushed += 1
             if isinstance(entry, _Attachment):
-                self._files.attach(entry.name, entry.content)
+                self._files.writer.add_attachment(entry.name, entry.content, "application/octet-stream")
             else:
                 self._bytes_written += len(entry.data)
                 self._write_loss(entry)
@@ -377,10 +365,10 @@ class BlackBox:
         except Exception as error:
             self._failure = error.strerror if isinstance(error, OSError) and error.strerror else repr(error)
             self._retry_s = time.monotonic() + RETRY_S
-            self._files.truncate()
+            self._files.writer.truncate()
             self._drop_pending()
             self._on_failure(
-                f"black box {self._files.last_path}: writing failed: {self._failure}; it is complete up to the last "
+                f"black box {self._files.writer.path}: writing failed: {self._failure}; it is complete up to the last "
                 f"flush, and a new file is tried every {RETRY_S:g} s"
             )
 
@@ -394,7 +382,7 @@ class BlackBox:
             self._retry_s = time.monotonic() + RETRY_S
             return False
         self._failure = ""
-        self._on_failure(f"black box continues in {self._files.last_path}: {self._lost_by_failure} entries were lost")
+        self._on_failure(f"black box continues in {self._files.writer.path}: {self._lost_by_failure} entries were lost")
         return True
 
     def _drop_pending(self) -> None:

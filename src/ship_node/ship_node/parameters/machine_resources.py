@@ -2,7 +2,7 @@
 
 import ipaddress
 import os.path
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from itertools import combinations
@@ -92,17 +92,13 @@ def path_resource(parameter: str, path: str) -> MachineResource:
     return MachineResource(parameter, ResourceKind.PATH, os.path.normpath(path))
 
 
-def conflicting_pairs(places: Iterable[MachineResource]) -> Iterator[tuple[MachineResource, MachineResource]]:
-    """Yield the pairs of resources that cannot be used together, in order."""
-    return ((one, other) for one, other in combinations(places, 2) if one.conflicts_with(other))
-
-
 def refuse_conflicts(places: Iterable[MachineResource]) -> None:
     """Refuse conflicting resources of one node.
 
     Raises:
         ParameterError: two resources conflict; the text names both parameters.
     """
-    for one, other in conflicting_pairs(places):
-        reason = f"parameter '{other.parameter}' = {other.name!r}: '{one.parameter}' has {one} already"
-        raise ParameterError(f"{reason}: expected a {one.kind.value} of its own", other.parameter, value=other.name)
+    for one, other in combinations(places, 2):
+        if one.conflicts_with(other):
+            reason = f"parameter '{other.parameter}' = {other.name!r}: '{one.parameter}' has {one} already"
+            raise ParameterError(f"{reason}: expected a {one.kind.value} of its own", other.parameter, value=other.name)
