@@ -2,8 +2,8 @@
 
 Data flow of a sample: scenario file → :mod:`scenario` → true motion and true sky (:mod:`ship`, :mod:`stars`) → devices
 (:mod:`ship.attitude_device`, :mod:`stars.star_sightings`, :mod:`theodolite.devices`) → :class:`run.SimulatedRun`,
-arrays only → :mod:`messages`, with :mod:`faults` → bag. The suite file of the scenario (:mod:`suite`) is attached to
-the same bag.
+arrays only → :mod:`messages`, with :mod:`faults` → bag. The suite file of the scenario (:mod:`suite_file`) is attached
+to the same bag. All devices draw their random numbers by :mod:`random_draws`.
 
 The devices obey the equations of docs/explanation/filter.md, on which the estimators are built:
 

@@ -75,9 +75,7 @@ def suite_yaml(scenario: Scenario) -> str:
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``ship_attitude`` as nested mapping."""
-    configuration: dict[str, Any] = {
-        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)}
-    }
+    configuration: dict[str, Any] = {"ins": _ins(scenario, _INS)}
     if scenario.ins.model == SCHULER:
         configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
     if scenario.gravity.told != "none":
@@ -135,7 +133,7 @@ def _gravity(scenario: Scenario) -> dict[str, Any]:
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``star_attitude``, for the sensors that give single stars."""
     return {
-        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS_FOR_STAR_ATTITUDE), **_rates(scenario)},
+        "ins": _ins(scenario, _INS_FOR_STAR_ATTITUDE),
         "star_sensors": {
             key: {
                 "frame_id": star_frame(key),
@@ -154,7 +152,7 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``optical_axis`` as nested mapping."""
     theodolite = scenario.theodolite
     configuration = {
-        "encoder": {**_select_parameters(theodolite.encoder, ("sigma_arcsec",)), "frame_id": MOUNT_FRAME},
+        "encoder": {"sigma_arcsec": theodolite.encoder.sigma_arcsec, "frame_id": MOUNT_FRAME},
         "axes": _of_schema(theodolite.axes, AxesConfig),
         "deformation": asdict(theodolite.deformation),
         "lever": asdict(theodolite.lever),
@@ -166,12 +164,11 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
         "air": asdict(theodolite.air),
         "ship_antenna": asdict(theodolite.ship_antenna),
         "ship": _ship(scenario),
-        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)},
+        "ins": _ins(scenario, _INS),
     }
     if scenario.targets:
-        configuration["main_detector"] = {
-            **_of_schema(theodolite.main_detector, MainDetectorOptics), "frame_id": MAIN_DETECTOR_FRAME
-        }  # fmt: skip
+        optics = _of_schema(theodolite.main_detector, MainDetectorOptics)
+        configuration["main_detector"] = {**optics, "frame_id": MAIN_DETECTOR_FRAME}
     if scenario.telescopes:
         configuration["telescopes"] = {
             key: {
@@ -180,17 +177,18 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
                 "camera": _of_schema(camera.camera, CameraConfig),
             }
             for key, camera in scenario.telescopes.items()
-        }  # fmt: skip
+        }
         configuration["sky"] = _sky(scenario, [camera.magnitude_limit for camera in scenario.telescopes.values()])
     if scenario.beacons:
         configuration["beacons"] = {key: _beacon(key, beacon) for key, beacon in scenario.beacons.items()}
     return configuration
 
 
-def _rates(scenario: Scenario) -> dict[str, Any]:
-    """Return the parameters of the INS's rates that are not zero; empty by default."""
-    parameters = _select_parameters(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
-    return {name: value for name, value in parameters.items() if value}
+def _ins(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the named parameters of the INS, and those of its rates that are not zero."""
+    rates = _select_parameters(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
+    known_rates = {name: value for name, value in rates.items() if value}
+    return {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, names), **known_rates}
 
 
 def _select_parameters(device: object, names: tuple[str, ...]) -> dict[str, Any]:
@@ -249,9 +247,8 @@ def _ship(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of the ship's attitude: its source, or the errors of a simulated ``ship/attitude``."""
     if scenario.fused_attitude.written:
         fused = scenario.fused_attitude
-        return {
-            "frame_id": DECK_FRAME, "slow_time_s": fused.time_s, "white_sigma_arcsec": fused.white_sigma_arcsec
-        }  # fmt: skip
+        sigmas = {"slow_time_s": fused.time_s, "white_sigma_arcsec": fused.white_sigma_arcsec}
+        return {"frame_id": DECK_FRAME, **sigmas}
     return {"source": "ship/attitude" if scenario.star_sensors else "ins/imu"}
 
 
@@ -260,8 +257,5 @@ def _beacon(beacon_id: str, beacon: Beacon) -> dict[str, Any]:
     return {
         "light": asdict(beacon.light),
         "rtk": {**_of_schema(beacon.rtk, BaselineErrors), **ids},
-        "imu": {
-            **_of_schema(beacon.imu, DroneAttitudeErrors),
-            "frame_id": beacon_frame(beacon_id),
-        },
+        "imu": {**_of_schema(beacon.imu, DroneAttitudeErrors), "frame_id": beacon_frame(beacon_id)},
     }

@@ -1,5 +1,5 @@
 """Faults between a device and the suite: missing, late and wrong messages, described in a scenario or a file.
 
 The folder changes existing messages, from a simulation or from a bag. It imports ``scenario/``, the random streams of
-``draws/``, cameras and the star catalogue.
+``random_draws``, cameras and the star catalogue.
 """

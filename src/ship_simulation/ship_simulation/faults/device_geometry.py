@@ -43,8 +43,15 @@ from ship_simulation.scenario.names import (
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import CameraConfig
 
-_TURNS = ("knock", "drift")
-_SPOTS = ("false_stars", "false_lights")
+_NEEDS_CAMERA = ("knock", "drift", "false_stars", "false_lights")
+"""Kinds of faults that change stars or lights by means of their camera."""
+
+_WITH_STARS = {"star_sensors": "star/{}/observations".format, "telescopes": mount_stars_topic}
+"""Parameter group of devices that give single stars → function from the id of a device to the topic of its stars."""
+
+_TELESCOPE = ("focal_length_m", "principal_x_m", "principal_z_m")
+_ANGLES = {STAR: ("azimuth", "elevation", "roll"), SHIP_ATTITUDE: ("heading", "pitch", "roll")}
+_FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class Optics:
 
     def missing_camera_reason(self, fault: Fault, type_name: str) -> str:
         """Return a text on a camera that a fault needs but the suite file does not describe; else an empty text."""
-        if fault.kind not in (*_TURNS, *_SPOTS):
+        if fault.kind not in _NEEDS_CAMERA:
             return ""
         if type_name == OBSERVATIONS and fault.topic not in self.stars:
             return f"no star sensor or telescope of the suite file has a camera for {fault.topic}"
@@ -86,19 +93,9 @@ def optics_of_suite(text: str) -> Optics:
                 if isinstance(sensor, dict) and sensor.get("camera"):
                     stars[topic_of(id_)] = _star_camera(f"{group}.{id_}.camera", sensor["camera"])
         if isinstance(values.get("telescope"), dict) and "focal_length_m" in values["telescope"]:
-            telescope = telescope_camera(**{key: values["telescope"].get(key, 0.0) for key in _TELESCOPE})
+            focal_length_m, *principal_m = (values["telescope"].get(key, 0.0) for key in _TELESCOPE)
+            telescope = Camera(focal_length_m, 0.0, np.array(principal_m))
     return Optics(stars, telescope)
-
-
-_WITH_STARS = {"star_sensors": "star/{}/observations".format, "telescopes": mount_stars_topic}
-"""Parameter group of devices that give single stars → function from the id of a device to the topic of its stars."""
-
-_TELESCOPE = ("focal_length_m", "principal_x_m", "principal_z_m")
-
-
-def telescope_camera(focal_length_m: float, principal_x_m: float, principal_z_m: float) -> Camera:
-    """Return the camera of the calibration telescope."""
-    return Camera(focal_length_m, 0.0, np.array([principal_x_m, principal_z_m]))
 
 
 def _star_camera(prefix: str, values: Mapping[str, Any]) -> StarCamera:
@@ -106,10 +103,6 @@ def _star_camera(prefix: str, values: Mapping[str, Any]) -> StarCamera:
         return build(CameraConfig, values, f"{prefix}.").camera(prefix)
     except ParameterError as problem:
         raise BadInput(f"suite file: {problem}", parameters=problem.parameters, value=problem.value) from problem
-
-
-_ANGLES = {STAR: ("azimuth", "elevation", "roll"), SHIP_ATTITUDE: ("heading", "pitch", "roll")}
-_FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, optics: Optics) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_stamp, stamp_fields
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import ARCSEC, FloatArray, wrap_two_pi
+from ship_geometry.rotations import ARCSEC, wrap_two_pi
 from ship_simulation.faults.device_geometry import Optics, convert_axes, turn_in_device, turn_in_horizon
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import (
@@ -154,41 +154,23 @@ def _change_covariance(value_fault: ValueFault, message: Any, since_s: float) ->
         setattr(message, name, faulty)
 
 
-def _exchange_axes(value_fault: ValueFault, message: Any, since_s: float) -> None:
-    convert_axes(message, value_fault.type_name, value_fault.fault.axes)
-
-
 def _turn_in_horizon(value_fault: ValueFault, message: Any, since_s: float) -> None:
     fault = value_fault.fault
     turn_n = ARCSEC * np.array([fault.north_arcsec, fault.up_arcsec, fault.east_arcsec])
     turn_in_horizon(message, value_fault.type_name, turn_n)
 
 
-def _turn_in_device(value_fault: ValueFault, message: Any, since_s: float) -> None:
+def _turn_device(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    """Rotate a device in its frame or offset the encoders: by the fault's angles, or by its rates times the time."""
     fault = value_fault.fault
-    _turn(value_fault, message, ARCSEC * np.array([fault.forward_arcsec, fault.up_arcsec, fault.right_arcsec]))
-
-
-def _drift(value_fault: ValueFault, message: Any, since_s: float) -> None:
-    fault, minutes = value_fault.fault, since_s / _MINUTE_S
+    unit, factor = ("arcsec_per_min", since_s / _MINUTE_S) if fault.kind == "drift" else ("arcsec", 1.0)
     if value_fault.type_name == ENCODER:
-        _offset_encoders(message, fault.azimuth_arcsec_per_min * minutes, fault.elevation_arcsec_per_min * minutes)
-        return
-    rates = [fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min]
-    _turn(value_fault, message, ARCSEC * minutes * np.array(rates))
-
-
-def _turn(value_fault: ValueFault, message: Any, turn: FloatArray) -> None:
-    turn_in_device(message, value_fault.type_name, turn, value_fault.fault.topic, value_fault.optics)
-
-
-def _slip_encoders(value_fault: ValueFault, message: Any, since_s: float) -> None:
-    _offset_encoders(message, value_fault.fault.azimuth_arcsec, value_fault.fault.elevation_arcsec)
-
-
-def _offset_encoders(message: Any, azimuth_arcsec: float, elevation_arcsec: float) -> None:
-    message.azimuth = float(wrap_two_pi(message.azimuth + azimuth_arcsec * ARCSEC))
-    message.elevation += elevation_arcsec * ARCSEC
+        azimuth_arcsec, elevation_arcsec = (getattr(fault, f"{axis}_{unit}") for axis in ("azimuth", "elevation"))
+        message.azimuth = float(wrap_two_pi(message.azimuth + azimuth_arcsec * factor * ARCSEC))
+        message.elevation += elevation_arcsec * factor * ARCSEC
+    else:
+        turn = ARCSEC * factor * np.array([getattr(fault, f"{axis}_{unit}") for axis in ("forward", "up", "right")])
+        turn_in_device(message, value_fault.type_name, turn, fault.topic, value_fault.optics)
 
 
 def _shift_position(value_fault: ValueFault, message: Any, since_s: float) -> None:
@@ -279,12 +261,12 @@ _VALUE_FAULTS: dict[str, Callable[[ValueFault, Any, float], None]] = {
     "rate_in_degrees": _convert_units,
     "angles_in_degrees": _convert_units,
     "units": _convert_units,
-    "axes": _exchange_axes,
+    "axes": lambda value_fault, message, _: convert_axes(message, value_fault.type_name, value_fault.fault.axes),
     "bias": _turn_in_horizon,
     "position_off": _shift_position,
-    "knock": _turn_in_device,
-    "drift": _drift,
-    "slip": _slip_encoders,
+    "knock": _turn_device,
+    "drift": _turn_device,
+    "slip": _turn_device,
     "wrong_fix": _shift_baseline,
     "false_stars": _add_false_stars,
     "false_lights": _add_false_lights,

@@ -10,8 +10,9 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation
+from ship_geometry.mount.image import Camera
 from ship_geometry.rotations import wrap_pi
-from ship_simulation.faults.device_geometry import Optics, telescope_camera
+from ship_simulation.faults.device_geometry import Optics
 from ship_simulation.faults.faults import WATERMARK, Delivery, apply_faults
 from ship_simulation.messages.ship_messages import (
     Maker,
@@ -74,7 +75,7 @@ def generate_messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> 
     topics: dict[str, _Topic] = {}
     pending: dict[str, list[LogEntry]] = {}
     for run in runs:
-        streams = dict(_truths(run, factory))
+        streams = {topic: _log_at_stamp(topic, stamped) for topic, stamped in _truths(run, factory)}
         for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
             if topic not in topics:
                 topics[topic] = _Topic(run, topic)
@@ -96,21 +97,19 @@ def _merge_by_log_time(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[Lo
     return heapq.merge(*streams.values(), key=lambda entry: entry[2])
 
 
-def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, Iterator[LogEntry]]]:
-    """Yield topic and messages of the truth."""
-    yield TRUTH_ALIGNMENT, _log_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory))
-    yield TRUTH_ATTITUDE, _log_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory))
+def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, Iterator[tuple[int, Any]]]]:
+    """Yield each topic of the truth with stamps and messages."""
+    yield TRUTH_ALIGNMENT, truth_alignments(run, factory)
+    yield TRUTH_ATTITUDE, truth_attitudes(run, factory)
     if not run.scenario.gravity.is_level:
-        yield TRUTH_DEFLECTION, _log_at_stamp(TRUTH_DEFLECTION, truth_deflections(run, factory))
+        yield TRUTH_DEFLECTION, truth_deflections(run, factory)
     if run.theodolite is not None:
         encoder = run.scenario.theodolite.encoder
         ends = run.stretch.contains_last(encoder.rate_hz, encoder.phase_s)
-        calibrations = true_calibrations(run.theodolite, run.start_ns, ends, factory)
-        yield TRUTH_CALIBRATION, _log_at_stamp(TRUTH_CALIBRATION, calibrations)
+        yield TRUTH_CALIBRATION, true_calibrations(run.theodolite, run.start_ns, ends, factory)
         if run.scenario.targets:
-            directions = true_directions(run.theodolite.targets, factory)
-            yield TRUTH_DIRECTION, _log_at_stamp(TRUTH_DIRECTION, directions)
-        yield TRUTH_POINTING, _log_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory))
+            yield TRUTH_DIRECTION, true_directions(run.theodolite.targets, factory)
+        yield TRUTH_POINTING, true_pointings(run.theodolite, factory)
 
 
 def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
@@ -218,16 +217,9 @@ def _optics_of_scenario(scenario: Scenario) -> Optics:
         if sensor.output == "observations"
     }
     stars |= {mount_stars_topic(key): one.camera.camera(key) for key, one in scenario.telescopes.items()}
-    telescope_config = scenario.theodolite.telescope
-    aboard = scenario.theodolite.aboard
-    telescope = (
-        telescope_camera(
-            telescope_config.focal_length_m, telescope_config.principal_x_m, telescope_config.principal_z_m
-        )
-        if aboard
-        else None
-    )
-    return Optics(stars, telescope)
+    telescope = scenario.theodolite.telescope
+    camera = Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m)
+    return Optics(stars, camera if scenario.theodolite.aboard else None)
 
 
 def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
@@ -257,17 +249,15 @@ def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tup
     units = ["s" if name.endswith("time_offset") else "rad" for name in names]
     for sample in chosen.tolist():
         time_ns = int(run.ins.time_ns[sample])
-        yield (
-            time_ns,
-            factory.make(
-                "ship_msgs/msg/AlignmentState",
-                header=make_header(factory, time_ns, DECK_FRAME),
-                names=names,
-                values=np.array([*run.truth.ins.attitude_error_n[sample], *constant.values()]),
-                covariance=np.zeros(len(names) ** 2),
-                units=units,
-            ),
+        message = factory.make(
+            "ship_msgs/msg/AlignmentState",
+            header=make_header(factory, time_ns, DECK_FRAME),
+            names=names,
+            values=np.array([*run.truth.ins.attitude_error_n[sample], *constant.values()]),
+            covariance=np.zeros(len(names) ** 2),
+            units=units,
         )
+        yield time_ns, message
 
 
 def _constant_values(run: SimulatedRun) -> dict[str, float]:

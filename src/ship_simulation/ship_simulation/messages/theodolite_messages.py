@@ -51,13 +51,11 @@ from ship_simulation.theodolite.devices import (
 )
 from ship_simulation.theodolite.run import TheodoliteRun
 
-_UNKNOWN = float("nan")
-_EXACT_RATE = np.zeros(9)
-
 MAIN_FRAME, HORIZON_FRAME = "theodolite_main", "horizon"
 
 _TWO_LIGHTS, _ONE_LIGHT, _ENCODER = 0, 1, 2
 _EXACT = np.zeros(9)
+"""Covariance of a quantity without error."""
 
 CALIBRATION_NAMES = (
     *NAMES,
@@ -155,7 +153,7 @@ def baseline_maker(rover_id: str, samples: BaselineSamples, factory: MessageFact
             enu=make_vector(factory, enu_m[value]),
             covariance=covariances[value],
             fix=int(samples.fix[value]),
-            age_s=_UNKNOWN,
+            age_s=float("nan"),
             satellites=0,
         )
 
@@ -170,7 +168,7 @@ def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) 
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), beacon_frame(beacon_id))
-        return make_imu(factory, header, quaternions[value], covariance, rates[value], _EXACT_RATE)
+        return make_imu(factory, header, quaternions[value], covariance, rates[value], _EXACT)
 
     return make
 
@@ -202,22 +200,20 @@ def true_directions(samples: TargetSamples, factory: MessageFactory) -> Iterator
     azimuth, elevation = np.mod(np.arctan2(east, north), 2.0 * np.pi), np.arctan2(up, np.hypot(north, east))
     directions, positions = samples.direction_n @ ENU_FROM_HORIZON.T, samples.position_n @ ENU_FROM_HORIZON.T
     for row, time_ns in enumerate(samples.time_ns.tolist()):
-        yield (
-            time_ns,
-            factory.make(
-                "ship_msgs/msg/TargetDirection",
-                header=make_header(factory, time_ns, HORIZON_FRAME),
-                target_id=samples.target_ids[samples.target[row]],
-                azimuth=float(azimuth[row]),
-                elevation=float(elevation[row]),
-                covariance=np.zeros(4),
-                direction=make_vector(factory, directions[row].tolist()),
-                direction_covariance=_EXACT,
-                position=make_vector(factory, positions[row].tolist()),
-                position_covariance=_EXACT,
-                status=0,
-            ),
+        message = factory.make(
+            "ship_msgs/msg/TargetDirection",
+            header=make_header(factory, time_ns, HORIZON_FRAME),
+            target_id=samples.target_ids[samples.target[row]],
+            azimuth=float(azimuth[row]),
+            elevation=float(elevation[row]),
+            covariance=np.zeros(4),
+            direction=make_vector(factory, directions[row].tolist()),
+            direction_covariance=_EXACT,
+            position=make_vector(factory, positions[row].tolist()),
+            position_covariance=_EXACT,
+            status=0,
         )
+        yield time_ns, message
 
 
 def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
@@ -227,22 +223,20 @@ def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tupl
     telescope = angle_rows(truth.rotation_nt)
     for row, time_ns in enumerate(map(int, run.encoder.time_ns[truth.encoder_index])):
         count = int(truth.beacon_count[row])
-        yield (
-            time_ns,
-            factory.make(
-                "ship_msgs/msg/OpticalAxisPointing",
-                header=make_header(factory, time_ns, MAIN_FRAME),
-                **dict(zip(("azimuth", "elevation", "image_rotation"), main[row], strict=True)),
-                covariance=_EXACT,
-                rotation_covariance=_EXACT,
-                telescope_azimuth=telescope[row][0],
-                telescope_elevation=telescope[row][1],
-                telescope_rotation=telescope[row][2],
-                mode=_TWO_LIGHTS if count >= 2 else _ONE_LIGHT if count else _ENCODER,
-                status=0,
-                light_count=count,
-            ),
+        message = factory.make(
+            "ship_msgs/msg/OpticalAxisPointing",
+            header=make_header(factory, time_ns, MAIN_FRAME),
+            **dict(zip(("azimuth", "elevation", "image_rotation"), main[row], strict=True)),
+            covariance=_EXACT,
+            rotation_covariance=_EXACT,
+            telescope_azimuth=telescope[row][0],
+            telescope_elevation=telescope[row][1],
+            telescope_rotation=telescope[row][2],
+            mode=_TWO_LIGHTS if count >= 2 else _ONE_LIGHT if count else _ENCODER,
+            status=0,
+            light_count=count,
         )
+        yield time_ns, message
 
 
 def true_calibrations(
@@ -257,17 +251,15 @@ def true_calibrations(
     names += [f"telescopes.{id_}.{angle}" for id_ in truth.star_parallelism for angle in _CAMERA_ANGLES]
     for row in first_in_each_second(time_ns, start_ns, ends).tolist():
         stamp_ns = int(time_ns[row])
-        yield (
-            stamp_ns,
-            factory.make(
-                "ship_msgs/msg/TheodoliteCalibration",
-                header=make_header(factory, stamp_ns, MOUNT_FRAME),
-                names=names,
-                values=np.array([*constant, *truth.mount.deformation_d[row], *of_cameras]),
-                covariance=np.zeros(len(names) ** 2),
-                units=["m" if name == "focal_length" else "rad" for name in names],
-                unobservable=[],
-                sighting_count=0,
-                residual_rms=float("nan"),
-            ),
+        message = factory.make(
+            "ship_msgs/msg/TheodoliteCalibration",
+            header=make_header(factory, stamp_ns, MOUNT_FRAME),
+            names=names,
+            values=np.array([*constant, *truth.mount.deformation_d[row], *of_cameras]),
+            covariance=np.zeros(len(names) ** 2),
+            units=["m" if name == "focal_length" else "rad" for name in names],
+            unobservable=[],
+            sighting_count=0,
+            residual_rms=float("nan"),
         )
+        yield stamp_ns, message

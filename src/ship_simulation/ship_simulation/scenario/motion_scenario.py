@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ship_estimation.parameters.fields import mapping_of, parameter, section
+from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 
 ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
 SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}
@@ -14,7 +15,8 @@ RATE: dict[str, Any] = {"unit": "Hz", "minimum": 0.01, "maximum": 1000.0}
 TIME: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1e6}
 DELAY: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 60.0}
 
-_ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
+EXPOSURE: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": LONGEST_EXPOSURE_S}
+
 _GAIN: dict[str, Any] = {"doc": "angle per slope of a long wave", "minimum": 0.0, "maximum": 10.0}
 _PERIOD: dict[str, Any] = {"doc": "natural period", "unit": "s", "minimum": 0.5, "maximum": 100.0}
 _DAMPING: dict[str, Any] = {"doc": "damping ratio", "minimum": 0.01, "maximum": 5.0}
@@ -42,7 +44,7 @@ class Wave:
 class AngleMotion:
     """One angle of the ship: its mean and its sinusoids."""
 
-    mean_deg: float = parameter(0.0, doc="mean", **_ANGLE)
+    mean_deg: float = parameter(0.0, doc="mean", **ANGLE)
     waves: dict[str, Wave] = mapping_of("sinusoids by name")
 
 
@@ -50,7 +52,7 @@ class AngleMotion:
 class Turn:
     """A turn of the ship at constant rate, with linear ramps of the rate at both ends."""
 
-    start_s: float = parameter(0.0, doc="begin of the turn", unit="s", minimum=0.0, maximum=1e6)
+    start_s: float = parameter(0.0, doc="begin of the turn", **TIME)
     angle_deg: float = parameter(
         0.0, doc="change of heading, to starboard positive", unit="deg", minimum=-36_000.0, maximum=36_000.0
     )
@@ -67,7 +69,7 @@ class Sea:
         9.7, doc="period at the peak of the spectrum", unit="s", minimum=1.0, maximum=30.0
     )
     direction_deg: float = parameter(
-        135.0, doc="direction to which the waves travel: 0 bow, 90 starboard, 180 stern", **_ANGLE
+        135.0, doc="direction to which the waves travel: 0 bow, 90 starboard, 180 stern", **ANGLE
     )
     component_count: int = parameter(100, doc="number of wave components", minimum=10, maximum=2000)
     heading_gain: float = parameter(2.0, **_GAIN)

@@ -27,13 +27,13 @@ from ship_estimation.parameters.theodolite_devices import MainAxisInCamera
 from ship_geometry.air.refraction import MODELS
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.motion_scenario import (
     ANGLE,
     CORRELATION,
     DEFLECTION,
     DELAY,
+    EXPOSURE,
     RATE,
     SIGMA,
     TIME,
@@ -112,9 +112,7 @@ class StarImaging:
     exposure_s: float = parameter(
         0.0,
         doc="length of an exposure: stars are streaks, centroids the mean of the path; 0: points, length not stated",
-        unit="s",
-        minimum=0.0,
-        maximum=LONGEST_EXPOSURE_S,
+        **EXPOSURE,
     )
     identified: bool = parameter(True, doc="true: the sensor identifies the stars")
     direction_given: bool = parameter(False, doc="identify stars by their directions, not by HIP numbers")

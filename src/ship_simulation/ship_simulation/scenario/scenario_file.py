@@ -22,8 +22,8 @@ from ship_geometry.earth.time_scales import DAY_NS, SECOND_NS
 from ship_simulation.scenario.fault import Fault, size_problems
 from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion, Outage
 from ship_simulation.scenario.names import FIRST_VALUE, TELESCOPE_ID, is_applicable, simulated_topics
-from ship_simulation.scenario.scenario import Scenario, StarImaging, StarSensor, StarTelescope, start_time_ns
-from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_COURSE, Beacon, Course, Target
+from ship_simulation.scenario.scenario import Scenario, StarImaging, StarSensor, start_time_ns
+from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_COURSE, Beacon, Course
 from ship_stars.sky.deck_masks import check_field_not_covered, sensor_masks
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d{1,6}|\*)\])?")
@@ -308,9 +308,12 @@ def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterat
     if scenario.targets and scenario.theodolite.main_detector.focal_length_m == 0.0:
         yield _parameter_error("theodolite.main_detector.focal_length_m", "must be given where there are targets")
     for target_id, target in scenario.targets.items():
-        yield from _target_problems(f"targets.{target_id}", target, given["targets"][target_id].get("course", {}))
+        key, course = f"targets.{target_id}", given["targets"][target_id].get("course", {})
+        yield from _course_problems(f"{key}.course", target.course, course)
+        yield from _windows_problems(f"{key}.hidden", target.hidden)
     for camera_id, camera in scenario.telescopes.items():
-        yield from _telescope_problems(f"telescopes.{camera_id}", camera)
+        yield from _imaging_problems(f"telescopes.{camera_id}", camera)
+        yield from _windows_problems(f"telescopes.{camera_id}.outages", camera.outages)
     if TELESCOPE_ID in scenario.telescopes:
         text = "is reserved for the telescope for lights: choose another id for a star camera"
         yield _parameter_error(f"telescopes.{TELESCOPE_ID}", text)
@@ -322,16 +325,6 @@ def _beacon_problems(key: str, beacon: Beacon, flight: Mapping[str, Any]) -> Ite
     windows |= {"rtk.no_solution_times": beacon.rtk.no_solution_times, "rtk.outages": beacon.rtk.outages}
     for group, named in windows.items():
         yield from _windows_problems(f"{key}.{group}", named)
-
-
-def _target_problems(key: str, target: Target, course: Mapping[str, Any]) -> Iterator[ParameterError]:
-    yield from _course_problems(f"{key}.course", target.course, course)
-    yield from _windows_problems(f"{key}.hidden", target.hidden)
-
-
-def _telescope_problems(key: str, camera: StarTelescope) -> Iterator[ParameterError]:
-    yield from _imaging_problems(key, camera)
-    yield from _windows_problems(f"{key}.outages", camera.outages)
 
 
 def _course_problems(key: str, course: Course, given: Mapping[str, Any]) -> Iterator[ParameterError]:
@@ -346,9 +339,6 @@ def _course_problems(key: str, course: Course, given: Mapping[str, Any]) -> Iter
 
 def _windows_problems(key: str, windows: Mapping[str, Outage]) -> Iterator[ParameterError]:
     for name, window in windows.items():
-        yield from _window_problems(f"{key}.{name}", window.start_s, window.end_s)
-
-
-def _window_problems(key: str, start_s: float, end_s: float) -> Iterator[ParameterError]:
-    if end_s <= start_s:
-        yield _parameter_error(f"{key}.end_s", f"= {end_s} s must be after start_s = {start_s} s")
+        if window.end_s <= window.start_s:
+            text = f"= {window.end_s} s must be after start_s = {window.start_s} s"
+            yield _parameter_error(f"{key}.{name}.end_s", text)

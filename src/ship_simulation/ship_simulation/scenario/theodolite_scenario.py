@@ -20,11 +20,11 @@ from ship_estimation.parameters.theodolite_devices import (
     ShipAntennaConfig,
     TelescopeOptics,
 )
-from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 from ship_simulation.scenario.motion_scenario import (
     ANGLE,
     CORRELATION,
     DELAY,
+    EXPOSURE,
     MIN_CORRELATION_S,
     RATE,
     SIGMA,
@@ -91,9 +91,7 @@ class Telescope(TelescopeOptics):
     exposure_s: float = parameter(
         0.0,
         doc="length of an exposure: lights are streaks, points the mean of the path; 0: points, not stated",
-        unit="s",
-        minimum=0.0,
-        maximum=LONGEST_EXPOSURE_S,
+        **EXPOSURE,
     )
     focal_length_m: float = changed_parameter(TelescopeOptics, "focal_length_m", default=0.1, minimum=0.01)
     sigma_m: float = changed_parameter(TelescopeOptics, "sigma_m", default=6.5e-7)
@@ -111,11 +109,7 @@ class MainDetector(MainDetectorOptics):
     latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     exposure_s: float = parameter(
-        0.0,
-        doc="length of an exposure: a target's point is the mean of its path; 0: not stated",
-        unit="s",
-        minimum=0.0,
-        maximum=LONGEST_EXPOSURE_S,
+        0.0, doc="length of an exposure: a target's point is the mean of its path; 0: not stated", **EXPOSURE
     )
     width_m: float = parameter(0.02, doc="width of the detector", unit="m", minimum=1e-4, maximum=1.0)
     height_m: float = parameter(0.02, doc="height of the detector", unit="m", minimum=1e-4, maximum=1.0)

@@ -1,4 +1,4 @@
 """The ship's true motion and track, and the devices on board that measure attitude or position.
 
-The folder imports ``draws/`` and ``scenario/``, and neither ``stars/`` nor ``theodolite/``.
+The folder imports ``random_draws`` and ``scenario/``, and neither ``stars/`` nor ``theodolite/``.
 """

@@ -6,7 +6,7 @@ fused from INS and stars.
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -240,7 +240,13 @@ def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: StarSensorM
     samples = _samples(
         f"star.{sensor_id}", draws, motion.time_ns, motion.rotation_nv, config.noise_sigma_s, common_sigma, config
     )
-    return _select_samples(samples, is_outside(motion.since_start_s, config.outages))
+    keep = is_outside(motion.since_start_s, config.outages)
+    return replace(
+        samples,
+        time_ns=samples.time_ns[keep],
+        log_time_ns=samples.log_time_ns[keep],
+        rotation_nv=samples.rotation_nv[keep],
+    )
 
 
 def simulate_reference(
@@ -310,28 +316,14 @@ def _samples(
     )
 
 
-def _select_samples(samples: DeviceSamples, keep: np.ndarray) -> DeviceSamples:
-    return DeviceSamples(
-        samples.time_ns[keep], samples.log_time_ns[keep], samples.rotation_nv[keep], samples.noise_v, samples.common_n
-    )
-
-
 @dataclass(frozen=True)
-class FusedSamples:
-    """The samples of ``ship/attitude``.
+class FusedSamples(InsSamples):
+    """The samples of ``ship/attitude``: attitude and angular velocity as estimated, in the fields of the INS's samples.
 
     Attributes:
-        time_ns: stamps, increasing, shape (n,).
-        log_time_ns: arrival times, shape (n,).
-        rotation_nd: horizon from deck as estimated, shape (n, 3, 3).
-        rate_d: angular velocity (bow, up, starboard), rad/s, shape (n, 3).
         covariance_n: covariance of the total error as a rotation vector (North, Up, East), rad², shape (3, 3).
     """
 
-    time_ns: np.ndarray
-    log_time_ns: np.ndarray
-    rotation_nd: FloatArray
-    rate_d: FloatArray
     covariance_n: FloatArray
 
 

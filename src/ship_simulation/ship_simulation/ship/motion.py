@@ -83,11 +83,6 @@ def wave_components(
     return angular_frequency, np.sqrt(2.0 * variance) * np.exp(1j * phase)
 
 
-def ship_phasors(angular_frequency: FloatArray, elevation: np.ndarray, responses: Sequence[Response]) -> np.ndarray:
-    """Return the complex amplitude of (heading, pitch, roll) for each wave, rad, shape (n, 3)."""
-    return np.stack([elevation * response.transfer(angular_frequency) for response in responses], axis=-1)
-
-
 _HEADING = 0
 """Index of the heading in (heading, pitch, roll)."""
 
@@ -292,8 +287,10 @@ def sea_responses(sea: Sea) -> tuple[Response, Response, Response]:
 
 
 def _sea_components(sea: Sea, rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
+    """Return each wave's frequency, rad/s, (n,), and complex amplitude of (heading, pitch, roll), rad, (n, 3)."""
     frequency, elevation = wave_components(sea.significant_height_m, sea.modal_period_s, sea.component_count, rng)
-    return frequency, ship_phasors(frequency, elevation, sea_responses(sea))
+    phasors = [elevation * response.transfer(frequency) for response in sea_responses(sea)]
+    return frequency, np.stack(phasors, axis=-1)
 
 
 @functools.lru_cache(maxsize=4)

@@ -61,13 +61,7 @@ class BaselineSamples:
 
     def select(self, which: np.ndarray) -> "BaselineSamples":
         """Return the selected samples."""
-        return BaselineSamples(
-            self.time_ns[which],
-            self.log_time_ns[which],
-            self.baseline_n[which],
-            self.covariance_n[which],
-            self.fix[which],
-        )
+        return BaselineSamples(*(getattr(self, field)[which] for field in vars(self)))
 
 
 def simulate_solutions(
@@ -84,8 +78,12 @@ def simulate_solutions(
         draws: random draws of the run.
     """
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
-    bias = _correlated_error(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
-    float_error = _correlated_error(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
+    bias = draws.correlated_error(
+        name + ".bias", stretch.duration_s, np.full(3, config.bias_sigma_m), config.bias_time_s
+    )
+    float_error = draws.correlated_error(
+        name + ".float", stretch.duration_s, np.full(3, config.float_sigma_m), config.float_time_s
+    )
     is_float = ~is_outside(t_s, config.float_times)
     white_n = config.sigma_m * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
     error_n = white_n + bias.values_at(t_s) + is_float[:, None] * float_error.values_at(t_s)
@@ -94,15 +92,14 @@ def simulate_solutions(
     unsolved = ~is_outside(t_s, config.no_solution_times)
     blank = np.where(unsolved, np.nan, 1.0)
     arrival = draws.stream(name + ".arrival")
-    log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
-    sent = is_outside(t_s, config.outages)
-    return BaselineSamples(
-        time_ns=time_ns[sent],
-        log_time_ns=log_time_ns[sent],
-        baseline_n=(blank[:, None] * (true_n + error_n))[sent],
-        covariance_n=((blank * variance)[:, None, None] * np.eye(3))[sent],
-        fix=np.where(unsolved, NONE, np.where(is_float, FLOAT, FIXED))[sent],
+    samples = BaselineSamples(
+        time_ns=time_ns,
+        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
+        baseline_n=blank[:, None] * (true_n + error_n),
+        covariance_n=(blank * variance)[:, None, None] * np.eye(3),
+        fix=np.where(unsolved, NONE, np.where(is_float, FLOAT, FIXED)),
     )
+    return samples.select(is_outside(t_s, config.outages))
 
 
 def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> BaselineSamples:
@@ -113,10 +110,6 @@ def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretc
     vector_d = config.vector_d + surveyed_off_d
     true_n = carrier.attitude((time_ns - stretch.start_ns) / SECOND_NS) @ vector_d
     return simulate_solutions(name + ".rtk", config.rtk, time_ns, true_n, stretch, draws)
-
-
-def _correlated_error(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> CorrelatedError:
-    return draws.correlated_error(name, stretch.duration_s, np.full(3, sigma_m), time_s)
 
 
 @dataclass(frozen=True)
@@ -347,8 +340,12 @@ def simulate_targets(
     noise = np.stack(drawn, axis=1) if drawn else np.empty((time_ns.size, 0, 3))
     times = exposure_times(config.exposure_s)
     camera, rotation_error = _true_detector(config, draws.seed)
+    rotation = reported_rotation + rotation_error
+    rotation_mv = rotation_from_angles(np.zeros_like(rotation), np.zeros_like(rotation), rotation)
+    # Points on the plane of the detector, NaN behind the tube.
     path_m = np.array([
-        _points(camera, scene, targets, t_s + t, reported_rotation + rotation_error) for t in times.since_middle_s
+        camera.points(_directions_n(scene, targets, t_s + t) @ scene.mount(t_s + t).rotation_nm @ rotation_mv)
+        for t in times.since_middle_s
     ])  # fmt: skip
     # The effect of streaks on the centroid is part of sigma_m, the only error that the main detector states.
     point_m = centroids(times, path_m, np.inf, config.sigma_m, noise[..., :2])
@@ -380,14 +377,6 @@ def _true_detector(config: MainDetector, seed: int) -> tuple[Camera, float]:
     principal_point_m = config.principal_point_m + config.principal_sigma_m * np.array([x, z])
     focal_length_m = config.focal_length_m + config.focal_length_sigma_m * focal
     return Camera(focal_length_m, 0.0, principal_point_m), config.rotation_sigma_arcsec * ARCSEC * rotation
-
-
-def _points(
-    camera: Camera, scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray, rotation: FloatArray
-) -> FloatArray:
-    """Return true points of the targets on the plane of the detector, m, shape (k, N, 2); NaN behind the tube."""
-    rotation_mv = rotation_from_angles(np.zeros_like(rotation), np.zeros_like(rotation), rotation)
-    return camera.points(_directions_n(scene, targets, t_s) @ scene.mount(t_s).rotation_nm @ rotation_mv)
 
 
 def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray) -> FloatArray:

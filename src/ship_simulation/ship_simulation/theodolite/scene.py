@@ -27,7 +27,6 @@ from ship_simulation.scenario.theodolite_scenario import (
     Hover,
     Orbit,
     Programme,
-    SurveyError,
     Target,
     Theodolite,
     Waypoint,
@@ -180,7 +179,7 @@ class TrueTheodolite:
 
 def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
     """Return the true constants: the known constants plus drawn errors. ``lens_m`` also contains ``lens_untold``."""
-    telescope = config.telescope
+    telescope, off = config.telescope, config.telescope.lens_untold
     angle_errors = random_stream(seed, "theodolite.parallelism").standard_normal(3)
     focal_error = random_stream(seed, "theodolite.focal_length").standard_normal()
     return TrueTheodolite(
@@ -188,13 +187,8 @@ def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
         parallelism=telescope.parallelism + telescope.parallelism_sigma * angle_errors,
         focal_length_m=telescope.focal_length_m + telescope.focal_length_sigma_m * focal_error,
         lever_d=draw_lever(config.lever, "theodolite.lever", seed),
-        lens_m=draw_lever(telescope.lens, "theodolite.lens", seed) + survey_error(telescope.lens_untold),
+        lens_m=draw_lever(telescope.lens, "theodolite.lens", seed) + np.array([off.forward_m, off.up_m, off.right_m]),
     )
-
-
-def survey_error(vector: SurveyError) -> FloatArray:
-    """Return the error of the survey of a vector, m, shape (3,)."""
-    return np.array([vector.forward_m, vector.up_m, vector.right_m])
 
 
 def draw_lever(lever: LeverConfig, name: str, seed: int) -> FloatArray:
@@ -342,10 +336,7 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
             attitude=sway_motion(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
             lever_b=draw_lever(beacon.light, f"beacon.{key}.light", seed),
             refraction=draws.correlated_error(
-                f"beacon.{key}.refraction",
-                duration_s,
-                np.array([config.air.light_sigma]),
-                config.air.time_s,
+                f"beacon.{key}.refraction", duration_s, np.array([config.air.light_sigma]), config.air.time_s
             ),
         )
         for key, beacon in sorted(scenario.beacons.items())
