@@ -69,7 +69,8 @@ def simulated_noise_session(
     core, pairs, run = ShipAttitudeCore(session_config(config)), StarComparisons(), simulate(of, seed)
     source: Any = _WithFixes(run) if with_fixes else run
     for outcome in attitude_outcomes(core, source, set()):
-        pairs.add_decisions(core, outcome.decisions)
+        for decision in outcome.decisions:
+            pairs.add_decision(core, decision)
     return noise_session("voyage", config, core, pairs, [])
 
 

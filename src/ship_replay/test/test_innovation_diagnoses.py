@@ -24,7 +24,7 @@ def diagnoses(name: str, change: Callable[[str, Any], None]) -> dict[str, list[t
     statuses: dict[str, list[tuple[int, str]]] = {}
     with read_bag(BAGS / name) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), None, "")
-        topics = {name_in_bag: relative for relative, name_in_bag in match_inputs(bag, chain, "").items()}
+        topics = match_inputs(bag, chain, "")
         due_ns = bag.start_ns
         for record in bag.records(topics):
             if record.log_time_ns > bag.start_ns + MINUTE_NS:

@@ -20,6 +20,19 @@ from ship_simulation.scenario.fault import Fault, kind_rows
 from ship_simulation.scenario.scenario_file import load_faults
 from ship_simulation.simulate_command import parse_seed
 
+FAULTS_ATTACHMENT = "faults.yaml"
+"""Name of the attachment that contains the file of faults."""
+
+_BAG_RECORD = "rosbag2"
+"""Name of the metadata record in which rosbag2 describes the file. This record is not valid in another file."""
+
+_DESCRIPTION = """\
+Adds faults to a bag: a simulated one, or a recording (.mcap file or rosbag2 folder). The fault file contains a group
+`faults` as a scenario does: by name, each with topic, kind, start_s, end_s and the sizes of its kind, with units in the
+names. Times start at the bag's first message. Unaffected messages stay unchanged, to the byte; the truth (truth/*) is
+never changed; attachments are copied. The same bag, faults and seed give the same bytes.
+"""
+
 
 def injectable_topics(bag: Bag, namespace: str = "") -> dict[str, str]:
     """Return relative topic → type of the topics that faults may affect: all but the truth."""
@@ -174,20 +187,6 @@ def _deliveries(bag: Bag, name: str) -> Iterator[Delivery]:
             except BadInput:
                 message, stamp_ns = None, None
             yield Delivery(message, record.log_time_ns, stamp_ns, order, record.data)
-
-
-FAULTS_ATTACHMENT = "faults.yaml"
-"""Name of the attachment that contains the file of faults."""
-
-_BAG_RECORD = "rosbag2"
-"""Name of the metadata record in which rosbag2 describes the file. This record is not valid in another file."""
-
-_DESCRIPTION = """\
-Adds faults to a bag: a simulated one, or a recording (.mcap file or rosbag2 folder). The fault file contains a group
-`faults` as a scenario does: by name, each with topic, kind, start_s, end_s and the sizes of its kind, with units in the
-names. Times start at the bag's first message. Unaffected messages stay unchanged, to the byte; the truth (truth/*) is
-never changed; attachments are copied. The same bag, faults and seed give the same bytes.
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

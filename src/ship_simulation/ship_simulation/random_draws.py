@@ -32,6 +32,14 @@ TRUTH_RATE_HZ = 10.0
 _MIN_NODES, _NODES_PER_SECOND = 7, 5.0
 """Number of quadrature nodes of an exposure: minimum, and additional nodes per second."""
 
+STRETCH_S = 20
+"""Length of a stretch when a bag is written, s. A stretch has some thousand samples, enough for full speed."""
+
+_HISTORY_S = 10.0
+"""Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
+
+_NORMALS_PER_BATCH = 4096
+
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
     """Return the generator of one component; its numbers do not depend on the other components of a run."""
@@ -188,15 +196,6 @@ def centroids(times: ExposureTimes, path: FloatArray, psf_sigma: float, sigma: f
         noise = ((vector * np.sqrt(value)[..., None, :]) @ np.swapaxes(vector, -1, -2) @ noise[..., None])[..., 0]
     centroid: FloatArray = mean + sigma * noise
     return centroid
-
-
-STRETCH_S = 20
-"""Length of a stretch when a bag is written, s. A stretch has some thousand samples, enough for full speed."""
-
-_HISTORY_S = 10.0
-"""Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
-
-_NORMALS_PER_BATCH = 4096
 
 
 @dataclass(frozen=True)

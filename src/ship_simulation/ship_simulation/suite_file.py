@@ -106,7 +106,6 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def _ship_baseline(baseline: ShipBaseline) -> dict[str, Any]:
-    """Return the parameters of the two antennas on board."""
     ids = {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": SECOND_ANTENNA_ID}
     rtk = {
         "noise_sigma_m": baseline.rtk.sigma_m,
@@ -220,7 +219,6 @@ def _masks(sensor: StarSensor) -> dict[str, Any]:
 
 
 def _sky_of_ship(scenario: Scenario) -> dict[str, Any]:
-    """Return the sky parameters for the star sensors."""
     looking = [sensor for sensor in scenario.star_sensors.values() if sensor.output != "horizon_attitude"]
     return _sky(scenario, [sensor.magnitude_limit for sensor in looking])
 

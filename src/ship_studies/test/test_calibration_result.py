@@ -49,7 +49,7 @@ def test_at_constant_heading_only_the_turn_of_all_is_unobserved() -> None:
     # 1 / sqrt(2 / 20² + 1 / 10²) and 1 / sqrt(2 / 20² + 1 / 72²): prior and INS, by hand.
     assert [combo.axis for combo in combos] == list(DECK_AXES)
     assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([8.165, 13.877, 8.165], abs=1e-3)
-    assert [combo.ratio for combo in combos] == pytest.approx([1.0] * 3, abs=1e-3)
+    assert [combo.sigma / combo.sigma_before for combo in combos] == pytest.approx([1.0] * 3, abs=1e-3)
     assert {combo.observability for combo in combos} == {"no"}
     # The common rotation is 13.9" about the deck's up axis: 13.9" / sqrt 2 about each sensor's forward and up axes.
     assert combos[1].rotation_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)

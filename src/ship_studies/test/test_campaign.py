@@ -413,7 +413,7 @@ class TestPooled:
         assert pool.errors[0].channels[0].rms_arcsec > 0.0
 
     def test_the_worst_come_first(self, results):
-        assert [(each.item.seed, each.ratio) for each in worst_items(results)] == [(1, 1.5), (2, 1.0)]
+        assert [(item.seed, ratio) for item, *_, ratio in worst_items(results)] == [(1, 1.5), (2, 1.0)]
 
     def test_the_order_of_completion_has_no_effect(self, results):
         assert csv_table(results[::-1]) == csv_table(results)

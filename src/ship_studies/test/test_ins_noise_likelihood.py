@@ -20,7 +20,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_studies.ins_noise.processes import GaussMarkovModel, SchulerModel
 from ship_studies.ins_noise.session import NoiseSession, mean_location
-from ship_studies.ins_noise.star_record import log_likelihoods, star_record
+from ship_studies.ins_noise.star_record import EpochFilter, star_record
 from ship_testing.noise_sessions import STILL, scenario, simulated_noise_session
 
 CORRELATED = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
@@ -105,7 +105,7 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
 
     expected = joint_density(session, of_ins, white)
     # Parameter sets that are evaluated together do not affect each other.
-    found = log_likelihoods(record, model.steps(np.vstack([values, 1.3 * values]), record.times_s))
+    found = EpochFilter(record, model.steps(np.vstack([values, 1.3 * values]), record.times_s)).log_likelihoods()
     np.testing.assert_allclose(found[0], expected, rtol=0.0, atol=1e-6)
     assert abs(found[1] - expected) > 0.1
 
@@ -165,7 +165,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     assert [parameter.name.split("_")[0].split(".")[-1] for parameter in model.parameters] == [
         *("tilt", "heading", "velocity", "gyro", "angle", "accelerometer", "velocity", "white")
     ]
-    found = log_likelihoods(record, model.steps(np.array([sensors]), record.times_s))
+    found = EpochFilter(record, model.steps(np.array([sensors]), record.times_s)).log_likelihoods()
     np.testing.assert_allclose(found[0], joint_density(session, of_ins, sensors.white), rtol=0.0, atol=1e-5)
 
 

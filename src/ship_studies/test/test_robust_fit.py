@@ -11,7 +11,7 @@ from ship_geometry.mount.axes import NAMES, AxisErrors, direction_change
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_studies.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from ship_studies.axis_fit.robust_fit import PRIOR_SIGMAS, _root_of_inverse, fit, rms, sizes
-from ship_studies.axis_fit.sightings import SharedError, Sightings, correlated_map, coverage, directions, right_and_up
+from ship_studies.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, random_angles, simulate_sightings
 
 SEEDS = 200
@@ -65,7 +65,10 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
         *(SharedError(f"hull.{axis}", 600.0, turned[..., axis]) for axis in range(3)),
         SharedError("lever", np.inf, 8.0 * ARCSEC * np.array([[1.0, 0.3]] * count)),
     )
-    moves = np.concatenate([correlated_map((error,), time_s, count) for error in slow], axis=-1)
+    labels = ("",) * count
+    moves = np.concatenate(
+        [Sightings(labels, *angles, direction_d, time_s, (error,)).correlated_map() for error in slow], axis=-1
+    )
     ratios, nees, known = [], [], []
     for _ in range(seeds):
         clean = simulate_sightings(rng, ERRORS, angles, 2.0)

@@ -149,7 +149,7 @@ class LiveRun:
         self._suite_path.write_text(text, encoding="utf-8")
         config: Any = load_config(adapter_class.config_type, self._suite_path, adapter_class.node_name)
         adapter = adapter_class(config, RosbagsFactory())
-        self._inputs = list(match_inputs(bag, adapter, namespace="").values())
+        self._inputs = list(match_inputs(bag, adapter, namespace=""))
         names = relative_topics(bag.topics)
         self._truth = [name for relative, name in names.items() if relative.startswith(TRUTH_PREFIX)]
         self.played_topics = [*self._inputs, *self._truth]

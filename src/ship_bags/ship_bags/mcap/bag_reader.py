@@ -6,7 +6,7 @@ in time are merged. Damaged records are skipped and listed in ``Bag.problems``.
 
 import re
 from bisect import bisect_left
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -372,6 +372,10 @@ def _rename_topics(path: Path, files: list[BagFile]) -> None:
     lines = [f"has no topic '{name}' to rename" for name in unmatched]
     lines += [f"topic '{topic}' is not read: {first[relative_topic(topic)]} has its name" for topic in sorted(covered)]
     files[0].problems += [f"{path.name}: {line}" for line in lines]
+
+
+ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+"""Function that wraps the iteration over a bag in a progress bar, such as :func:`with_bag_progress`."""
 
 
 def with_bag_progress(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator[BagRecord]:

@@ -220,7 +220,7 @@ def _player_program(suite_file: Path, path: Path, chain: AdapterChain, options: 
         played = match_inputs(bag, chain, namespace)
         found = relative_topics(bag.topics, namespace)
     on_ship = ship_names(suite_file)
-    targets = {name: on_ship.get(relative, relative) for relative, name in played.items()}
+    targets = {name: on_ship.get(relative, relative) for name, relative in played.items()}
     targets |= {name: relative for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
     recorded = {bag.recorded_names.get(name, name): target for name, target in targets.items()}
     remaps = [f"{name}:={resolve_topic(target, options.namespace)}" for name, target in recorded.items()]

@@ -1,7 +1,6 @@
 """``stanford``: errors against protection levels over one or more runs, as a figure, a table and JSON."""
 
 import argparse
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,8 @@ from ship_bags.output_files import add_force_option, check_file, write_atomicall
 from ship_bags.topic_names import add_bag_name_options
 from ship_node.pages.console_tables import console_table, table_console
 from ship_replay.evaluation.stanford import Epochs, Region, read_epochs
+from ship_replay.evaluation.statistics import json_text
+from ship_replay.evaluation.tables import value_text
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE
 
 _LIMITED = {"alert_limit": SHIP_ATTITUDE, "pointing_alert_limit": POINTING}
@@ -67,8 +68,7 @@ def _run(options: argparse.Namespace) -> int:
     table_console().print(stanford_table(found))
     if options.json is not None:
         values = {f"{part.orientation.label}.{name}": v for part in found for name, v in part.statistics().items()}
-        known = {name: value if math.isfinite(value) else None for name, value in values.items()}
-        write_atomically(options.json, json.dumps(known, indent=1) + "\n")
+        write_atomically(options.json, json_text(values))
     if options.figure is not None:
         _draw(found, len(options.bags), options.figure)
     all_counts = [counts for part in found for counts in part.counts().values()]
@@ -101,8 +101,8 @@ def stanford_table(found: Sequence[Epochs]) -> Table:
                 channel,
                 *(str(counts[region]) for region in Region),
                 f"{100.0 * values[f'{channel}.availability']:.2f} %",
-                _text(values[f"{channel}.median_level_arcsec"]),
-                _text(values[f"{channel}.worst_error_over_level"]),
+                value_text(values[f"{channel}.median_level_arcsec"]),
+                value_text(values[f"{channel}.worst_error_over_level"]),
             ]
             for number, (channel, counts) in enumerate(part.counts().items())
         ])
@@ -118,7 +118,3 @@ def _draw(found: Sequence[Epochs], bag_count: int, path: Path) -> None:
 
     title = f"Error against protection level, {bag_count} voyage{'s' if bag_count > 1 else ''}"
     save_figure(stanford_figure(found, title), path)
-
-
-def _text(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2f}"

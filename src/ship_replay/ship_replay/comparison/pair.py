@@ -35,6 +35,9 @@ _INS = "ins/imu"
 _HEALTH = "input_health"
 _DIGEST_BYTES = 8
 
+_SIMULATION, _INJECTION = "simulation", "injection"
+"""Names of the metadata records with the seed of a simulated voyage and of injected faults."""
+
 
 @dataclass(frozen=True)
 class OutputSeries:
@@ -205,10 +208,6 @@ def span(published: PublishedOutputs) -> tuple[int, int] | None:
 def overlap_s(a: tuple[int, int], b: tuple[int, int]) -> float:
     """Return the length of the intersection of two spans, s; negative if they do not overlap."""
     return (min(a[1], b[1]) - max(a[0], b[0])) / NS_PER_S
-
-
-_SIMULATION, _INJECTION = "simulation", "injection"
-"""Names of the metadata records with the seed of a simulated voyage and of injected faults."""
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,24 @@ _A, _B = ("#0b3c6f", "-"), ("#d55e00", "--")
 
 _PALE = "#cfdceb"
 
+PAIR_SECTIONS = (
+    ("verdict", "Summary"),
+    ("states", "States"),
+    ("difference", "Output differences"),
+    ("errors", "Errors with their ±3σ"),
+    ("budget", "Error budget"),
+    ("consistency", "NIS and NEES"),
+    ("alignment", "Alignment at the end"),
+    ("alerts", "Alerts in one run only"),
+    ("events", "Events in one run only"),
+    ("refusals", "Rejections by reason"),
+    ("configuration", "Configuration"),
+    ("provenance", "Versions and hashes"),
+)
+"""Ids and titles of the sections, in order."""
+
+_DATE_TIME = "%Y-%m-%d %H:%M:%S"
+
 
 def states_svg(pair: Pair) -> str:
     """Return the figure of both runs: the safety states, then one row per angle with its 95 % accuracy.
@@ -206,25 +224,6 @@ def _set_limits(axes: Axes, parts: Sequence[FloatArray]) -> None:
     sizes = [np.percentile(np.abs(part[np.isfinite(part)]), 99.0) for part in parts if np.isfinite(part).any()]
     high = 1.25 * max(sizes, default=0.0)
     axes.set_ylim(-high if high > 0.0 else -1.0, high if high > 0.0 else 1.0)
-
-
-PAIR_SECTIONS = (
-    ("verdict", "Summary"),
-    ("states", "States"),
-    ("difference", "Output differences"),
-    ("errors", "Errors with their ±3σ"),
-    ("budget", "Error budget"),
-    ("consistency", "NIS and NEES"),
-    ("alignment", "Alignment at the end"),
-    ("alerts", "Alerts in one run only"),
-    ("events", "Events in one run only"),
-    ("refusals", "Rejections by reason"),
-    ("configuration", "Configuration"),
-    ("provenance", "Versions and hashes"),
-)
-"""Ids and titles of the sections, in order."""
-
-_DATE_TIME = "%Y-%m-%d %H:%M:%S"
 
 
 def pair_page(pair: Pair) -> str:

@@ -58,6 +58,16 @@ _EXPLANATIONS = (
 )
 """Pattern of a warning, why the warning matters, what to do."""
 
+_EQUAL_WITHIN = 0.02
+"""Relative difference of RMS errors below which neither run counts as better."""
+
+_LAST_BITS_ARCSEC = 1e-6
+"""Maximum difference of an angle that is ascribed to rounding on another machine or with another library, arcsec."""
+
+_MOST_NAMED = 3
+_ON_SKY = "_cos_elevation"
+_NEVER_NS = 1 << 63
+
 
 @dataclass(frozen=True)
 class PairWarning:
@@ -95,17 +105,6 @@ def _with_explanation(text: str) -> PairWarning:
 def _commit_sentences(pair: Pair) -> list[str]:
     a, b = (recording.metadata.get(COMMIT_RECORD, {}).get("commit", "") for recording in pair.recordings)
     return [f"A and B were made by different commits of the suite: {a} and {b}."] if a and b and a != b else []
-
-
-_EQUAL_WITHIN = 0.02
-"""Relative difference of RMS errors below which neither run counts as better."""
-
-_LAST_BITS_ARCSEC = 1e-6
-"""Maximum difference of an angle that is ascribed to rounding on another machine or with another library, arcsec."""
-
-_MOST_NAMED = 3
-_ON_SKY = "_cos_elevation"
-_NEVER_NS = 1 << 63
 
 
 def pair_summary(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[ParameterDifference]) -> list[str]:

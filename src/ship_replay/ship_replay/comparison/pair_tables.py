@@ -6,7 +6,6 @@ Configurations are compared line by line as written, and parameter by parameter.
 import difflib
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -16,19 +15,35 @@ import numpy as np
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.parameters.schema import flatten
-from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_geometry.rotations import ARCSEC
 from ship_replay.comparison.pair import OutputDifference, Pair
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.offline.replay import ADAPTERS
 from ship_replay.report.consistency import SigmaFit, consistency
 from ship_replay.report.recording import RecordedHistory
-from ship_replay.report.tables import number, rounded_to_sigma, shown_scale, shown_value, utc
+from ship_replay.report.tables import (
+    estimate_change,
+    estimate_texts,
+    number,
+    rejection_cells,
+    rejections_by_key,
+    shown_scale,
+    utc,
+)
 from ship_watch.history.history import BudgetPoint, ParameterEstimate
 from ship_watch.orientations import channel_name
 
 _NODES = {kind.node_name: kind.config_type for kind in ADAPTERS}
-_TEXTS = (".yaml", ".yml")
+
+SAME_TIME_NS = 2 * NS_PER_S
+"""Maximum time difference of events that count as the same, ns."""
+
+DIFFERENT_SIGMAS = 3.0
+"""Difference of two estimates above which the difference is marked, in units of the root sum square of their sigmas."""
+
+_DIGITS = re.compile(r"[\d.]+")
+_PART = TypeVar("_PART")
 
 
 @dataclass(frozen=True)
@@ -44,17 +59,9 @@ class ParameterDifference:
     b: str
 
 
-def attached_texts(recording: RecordedHistory) -> dict[str, str]:
-    """Return name → text of the configurations attached to a bag."""
-    return {
-        name: data.decode(errors="replace") for name, data in sorted(recording.attachments.items())
-        if name.endswith(_TEXTS)
-    }
-
-
 def text_differences(a: RecordedHistory, b: RecordedHistory) -> dict[str, list[str]]:
     """Return name of an attached configuration → lines of its unified diff from A to B; no lines if both are equal."""
-    texts_a, texts_b = attached_texts(a), attached_texts(b)
+    texts_a, texts_b = a.attached_texts, b.attached_texts
     return {
         name: list(
             difflib.unified_diff(
@@ -104,16 +111,6 @@ def _text(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(_text(entry) for entry in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-SAME_TIME_NS = 2 * NS_PER_S
-"""Maximum time difference of events that count as the same, ns."""
-
-DIFFERENT_SIGMAS = 3.0
-"""Difference of two estimates above which the difference is marked, in units of the root sum square of their sigmas."""
-
-_DIGITS = re.compile(r"[\d.]+")
-_PART = TypeVar("_PART")
 
 
 @dataclass(frozen=True)
@@ -272,15 +269,13 @@ def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 def rejection_rows_of_both(pair: Pair) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: counts in A and in B. Rejections come before notes."""
-    a, b = (_rejection_counts(recording) for recording in pair.recordings)
-    return [
-        {
-            "source": key[1], "by": key[2], "reason": key[3] + (" (note: used)" if key[0] else ""),
-            "a": f"{a[key]}", "b": f"{b[key]}", "more": f"{b[key] - a[key]:+d}".replace("-", "−") if b[key] != a[key]
-            else "",
-        }
-        for key in sorted(a.keys() | b.keys())
-    ]
+    a, b = (rejections_by_key(recording) for recording in pair.recordings)
+    rows = []
+    for key in sorted(a.keys() | b.keys()):
+        of_a, of_b = (sum(one.count for one in of_run.get(key, ())) for of_run in (a, b))
+        more = f"{of_b - of_a:+d}".replace("-", "−") if of_b != of_a else ""
+        rows.append({**rejection_cells(key), "a": f"{of_a}", "b": f"{of_b}", "more": more})
+    return rows
 
 
 def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None:
@@ -329,10 +324,9 @@ def _alignment_row(
     scale, unit = shown_scale(either)
     row = {"name": either.name, "unit": unit, "apart": "", "differs": "", "note": ""}
     for side, shown in (("a", a), ("b", b)):
-        row[side] = "–" if shown is None else rounded_to_sigma(shown_value(shown) / scale, shown.sigma / scale)
-        row[f"{side}_sigma"] = "" if shown is None else number(shown.sigma / scale)
+        row[side], row[f"{side}_sigma"] = ("–", "") if shown is None else estimate_texts(shown, scale)
     if a is not None and b is not None:
-        difference = float(wrap_pi(b.value - a.value)) if a.unit == "rad" else b.value - a.value
+        difference = estimate_change(a, b)
         sigma = math.hypot(a.sigma, b.sigma)
         if difference == 0.0:
             row["apart"] = "equal"
@@ -342,13 +336,6 @@ def _alignment_row(
         unseen = [letter for letter, shown in (("A", a), ("B", b)) if not shown.is_observable]
         row["note"] = f"not observable in {' and '.join(unseen)}" if unseen else ""
     return row
-
-
-def _rejection_counts(recording: RecordedHistory) -> Counter[tuple[bool, str, str, str]]:
-    counts: Counter[tuple[bool, str, str, str]] = Counter()
-    for refusal in recording.rejections:
-        counts[refusal.is_note, refusal.source, refusal.by, refusal.reason] += refusal.count
-    return counts
 
 
 def _without_counterpart(

@@ -1,7 +1,5 @@
 """Evaluation of one run: innovations, last estimates and, if the truth is known, errors."""
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,7 @@ from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.messages.field_checks import MessageRejected
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, attitude_sources
-from ship_replay.evaluation.statistics import AttitudeErrors, InnovationCollector, SourceInnovations
+from ship_replay.evaluation.statistics import AttitudeErrors, InnovationCollector, SourceInnovations, json_text
 from ship_replay.evaluation.targets import TARGET_DIRECTION, TARGET_TRUTH, TargetDirections, TargetErrors
 from ship_replay.offline.adapter_chain import attachment_error
 from ship_watch.orientations import ORIENTATIONS
@@ -103,8 +101,7 @@ class Evaluation:
 
     def json_text(self) -> str:
         """Return all quantities as JSON; null where a value is undefined."""
-        values = {name: value if math.isfinite(value) else None for name, value in self.quantities().items()}
-        return json.dumps(values, indent=1) + "\n"
+        return json_text(self.quantities())
 
 
 class MalformedMessages:

@@ -29,6 +29,13 @@ _STEPS_S = (
 _GAP_PERIODS = 3.0
 """Number of periods without a value above which a line is interrupted."""
 
+_STYLE = {**COMMON_STYLE, "font.size": 12, "axes.titlesize": 14, "grid.color": "0.85", "legend.fontsize": 11}
+_BAND_COLOUR = "#bcd4ea"
+_LINE_COLOUR = "#0b3c6f"
+# Readable in print and with colour blindness (Okabe and Ito).
+_OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
+_MARGIN = 1.3
+
 
 class UtcTicks(Locator):
     """Ticks at round UTC times, on an axis of seconds since a start time.
@@ -102,14 +109,6 @@ def with_gaps(
         np.concatenate([values, np.full((len(gaps_ns), *values.shape[1:]), np.nan)])[order] for values in columns
     ]
     return times[order], tuple(extended)
-
-
-_STYLE = {**COMMON_STYLE, "font.size": 12, "axes.titlesize": 14, "grid.color": "0.85", "legend.fontsize": 11}
-_BAND_COLOUR = "#bcd4ea"
-_LINE_COLOUR = "#0b3c6f"
-# Readable in print and with colour blindness (Okabe and Ito).
-_OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
-_MARGIN = 1.3
 
 
 def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
@@ -215,7 +214,6 @@ def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -
 
 
 def _legend_below(axes: Axes, with_points: bool) -> None:
-    """Place the legend below the axes."""
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3, markerscale=5 if with_points else 1)
 
 

@@ -24,6 +24,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_node.messages.field_checks import MessageRejected
 from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
+from ship_replay.offline.outputs import TRUTH_GAP_NS
 from ship_stars.camera.config import JOINT, MountingConfig
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.config import OpticalAxisConfig
@@ -32,15 +33,13 @@ from theodolite_calib.messages.output_messages import SMOOTHED_POINTING_TOPIC
 JOINT_SOLUTION = f"star/{JOINT}/solution"
 """Topic of the deck's attitude from the stars of all sensors."""
 
-_TRUTH_GAP_NS = 1_000_000_000
-
 
 class Truth:
     """True attitudes of the deck or of the main optical axis; between two stamps the attitude can be interpolated."""
 
     def __init__(self, orientation: Orientation) -> None:
         self.orientation = orientation
-        self._track = AttitudeTrack(_TRUTH_GAP_NS)
+        self._track = AttitudeTrack(TRUTH_GAP_NS)
         self._rotations: dict[int, FloatArray] = {}
         self._has_rates = True
 

@@ -7,7 +7,7 @@ of the three angles of an epoch falls into one region of a Stanford diagram (:cl
 import bisect
 import enum
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.bag_reader import Bag, ProgressWrapper, read_bag
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import relative_topics
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.evaluation.sources import Truth
 from ship_watch.orientations import ORIENTATIONS, Orientation
-
-ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class Region(enum.IntEnum):
@@ -159,7 +157,7 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, progress:
         else:
             outputs.append((ns_from_stamp(message.header.stamp), int(message.status), orientation.angles_of(message)))
     rows = [
-        (status, _error_arcsec(orientation, angles, truth_nd), *levels.at(time_ns))
+        (status, np.abs(orientation.errors_arcsec(angles, truth_nd)), *levels.at(time_ns))
         for time_ns, status, angles in outputs
         if (truth_nd := truth.rotation_at(time_ns)) is not None
     ]
@@ -167,11 +165,6 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, progress:
         return None
     status, errors, level, limits = (np.array(part) for part in zip(*rows, strict=True))
     return Epochs(orientation, errors, level, limits, np.isin(status, (Status.VALID, Status.COASTING)))
-
-
-def _error_arcsec(orientation: Orientation, angles: FloatArray, truth_nd: FloatArray) -> FloatArray:
-    """Return the absolute error of each angle, shape (3,); NaN for an INVALID output."""
-    return np.abs(orientation.errors_arcsec(angles, truth_nd))
 
 
 class _PublishedLevels:
@@ -205,11 +198,6 @@ class _PublishedLevels:
 
 
 def _concatenate(parts: Sequence[Epochs]) -> Epochs:
-    """Concatenate the epochs of several bags."""
-    return Epochs(
-        parts[0].orientation,
-        np.concatenate([part.error_arcsec for part in parts]),
-        np.concatenate([part.level_arcsec for part in parts]),
-        np.concatenate([part.limit_arcsec for part in parts]),
-        np.concatenate([part.is_usable for part in parts]),
-    )
+    names = ("error_arcsec", "level_arcsec", "limit_arcsec", "is_usable")
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **columns)

@@ -173,5 +173,4 @@ def _name_regions(
 
 
 def _with_digit_groups(count: int) -> str:
-    """Return a number in groups of three digits."""
     return f"{count:,}".replace(",", "\u202f")

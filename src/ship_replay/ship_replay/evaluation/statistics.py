@@ -4,7 +4,10 @@ An error is estimate minus truth of the three channels of an orientation. The no
 the small rotation vector in the horizon frame and its covariance (ship_geometry's glossary).
 """
 
+import json
+import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -69,10 +72,10 @@ class AttitudeErrors:
         values: dict[str, float] = {"samples": float(len(self.time_ns))}
         for axis, name in enumerate(self.channels):
             error, sigma = self.error_arcsec[:, axis], self.sigma_arcsec[:, axis]
-            values[f"{name}.rms_arcsec"] = _root_mean_square(error)
+            values[f"{name}.rms_arcsec"] = root_mean_square(error)
             values[f"{name}.bias_arcsec"] = float(np.mean(error))
-            values[f"{name}.sigma_arcsec"] = _root_mean_square(sigma)
-            values[f"{name}.rms_over_sigma"] = _root_mean_square(error / sigma)
+            values[f"{name}.sigma_arcsec"] = root_mean_square(sigma)
+            values[f"{name}.rms_over_sigma"] = root_mean_square(error / sigma)
         values["nees_mean"] = float(np.mean(self.nees))
         return values
 
@@ -80,6 +83,16 @@ class AttitudeErrors:
         """Return the equivalent number of independent errors among those with NEES, see :func:`independent_count`."""
         known = np.isfinite(self.nees)
         return independent_count((self.error_arcsec / self.sigma_arcsec)[known])
+
+
+def json_values(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return quantities for JSON, with None in place of NaN and infinity."""
+    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
+
+
+def json_text(values: Mapping[str, float]) -> str:
+    """Return quantities as JSON; null where a value is undefined."""
+    return json.dumps(json_values(values), indent=1) + "\n"
 
 
 def independent_count(normalised: FloatArray) -> float:
@@ -154,7 +167,8 @@ def _is_covariance(matrices: FloatArray) -> np.ndarray:
     return positive
 
 
-def _root_mean_square(values: FloatArray) -> float:
+def root_mean_square(values: FloatArray | list[float]) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

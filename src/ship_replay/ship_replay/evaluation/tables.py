@@ -42,12 +42,12 @@ def attitude_table(evaluation: Evaluation) -> Table:
     groups = []
     for errors in evaluation.errors:
         values = errors.statistics()
-        of_source = _text(values["nees_mean"]), f"{values['samples']:.0f}"
+        of_source = value_text(values["nees_mean"]), f"{values['samples']:.0f}"
         groups.append([
             [
                 errors.label if name == errors.channels[0] else "",
                 name,
-                *(_text(values[f"{name}.{what}"]) for what in STATISTICS),
+                *(value_text(values[f"{name}.{what}"]) for what in STATISTICS),
                 *(of_source if name == errors.channels[0] else ()),
             ]
             for name in errors.channels
@@ -65,9 +65,9 @@ def target_table(evaluation: Evaluation) -> Table:
         placed = [f"position.{name}" for name in ("rms_m", "sigma_m", "nees_mean")]
         rows.append([
             target_id,
-            *(_text(values[name]) for name in shown),
+            *(value_text(values[name]) for name in shown),
             f"{values['samples']:.0f}",
-            *(_text(values.get(name, math.nan)) for name in placed),
+            *(value_text(values.get(name, math.nan)) for name in placed),
             f"{values.get('position.samples', 0.0):.0f}",
         ])
     direction = ">direction RMS (arcsec)", ">predicted σ", ">NEES (2)", ">samples"
@@ -93,7 +93,8 @@ def innovation_table(evaluation: Evaluation) -> Table:
         ]
         names = [name for name in innovations.components() if f"{name}.std_arcsec" in values]
         rows = [
-            ["", name, *(_text(values[f"{name}.{what}_arcsec"]) for what in ("mean", "std", "sigma"))] for name in names
+            ["", name, *(value_text(values[f"{name}.{what}_arcsec"]) for what in ("mean", "std", "sigma"))]
+            for name in names
         ] or [["", "-", "-", "-", "-"]]
         rows[0] = [source, *rows[0][1:], *per_source]
         groups.append(rows)
@@ -113,5 +114,6 @@ def estimate_table(kind: str, values: list[AlignmentValue]) -> Table:
     return console_table(f"{kind.capitalize()} at the end", ["quantity", ">value", ">σ", "unit"], [rows])
 
 
-def _text(value: float) -> str:
-    return "-" if value != value else f"{value:.2f}"
+def value_text(value: float) -> str:
+    """Return a value with two decimals; a dash for NaN."""
+    return "-" if math.isnan(value) else f"{value:.2f}"

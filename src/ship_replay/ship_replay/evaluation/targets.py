@@ -12,6 +12,7 @@ import numpy as np
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.messages.field_checks import covariance_3x3, finite_vector
+from ship_replay.evaluation.statistics import root_mean_square
 
 TARGET_DIRECTION, TARGET_TRUTH = "theodolite/target_direction", "truth/target_direction"
 
@@ -56,17 +57,18 @@ class TargetErrors:
         values = {"samples": float(len(self.time_ns)), "not_claimed": float(len(self.unavailable_ns))}
         if not self.time_ns:
             return values
+        sizes_arcsec = np.linalg.norm(self.direction_error_arcsec, axis=-1)
         values |= {
-            "direction.rms_arcsec": _rms(np.linalg.norm(self.direction_error_arcsec, axis=-1) / np.sqrt(2.0)),
-            "direction.sigma_arcsec": _rms(self.sigma_arcsec),
+            "direction.rms_arcsec": root_mean_square(sizes_arcsec / np.sqrt(2.0)),
+            "direction.sigma_arcsec": root_mean_square(self.sigma_arcsec),
             "direction.nees_mean": float(np.mean(self.nees)),
         }
         has_position = np.isfinite(self.position_error_m)
         if np.any(has_position):
             values |= {
                 "position.samples": float(np.sum(has_position)),
-                "position.rms_m": _rms(np.array(self.position_error_m)[has_position]),
-                "position.sigma_m": _rms(np.array(self.position_sigma_m)[has_position]),
+                "position.rms_m": root_mean_square(np.array(self.position_error_m)[has_position]),
+                "position.sigma_m": root_mean_square(np.array(self.position_sigma_m)[has_position]),
                 "position.nees_mean": float(np.mean(np.array(self.position_nees)[has_position])),
             }
         return values
@@ -112,11 +114,13 @@ class TargetDirections:
         if truth is None or message.status == message.INVALID:
             return
         direction = finite_vector(message.direction, "direction")
-        direction_covariance = _covariance(message.direction_covariance, "direction_covariance")
+        known = covariance_3x3(message.direction_covariance, "direction_covariance")
+        direction_covariance = _UNKNOWN if known is None else known
         place, place_covariance = _vector(message.position), _UNKNOWN
         if not np.all(np.isnan(place)):
             place = finite_vector(message.position, "position")
-            place_covariance = _covariance(message.position_covariance, "position_covariance")
+            known = covariance_3x3(message.position_covariance, "position_covariance")
+            place_covariance = _UNKNOWN if known is None else known
         self._available.add((message.target_id, time_ns))
         across = np.linalg.svd(_vector(truth.direction)[None])[2][1:]
         error = across @ (direction - _vector(truth.direction))
@@ -132,16 +136,6 @@ class TargetDirections:
         errors.position_nees.append(_square(off_m, place_covariance))
 
 
-def _covariance(values: Any, what: str) -> FloatArray:
-    """Return a covariance, shape (3, 3); NaN if not given.
-
-    Raises:
-        MessageRejected: the values are not a valid covariance.
-    """
-    covariance = covariance_3x3(values, what)
-    return _UNKNOWN if covariance is None else covariance
-
-
 def _vector(of: Any) -> FloatArray:
     return np.array([of.x, of.y, of.z])
 
@@ -151,7 +145,3 @@ def _square(error: FloatArray, covariance: FloatArray) -> float:
     if not np.all(np.isfinite(covariance)) or not np.linalg.eigvalsh(covariance)[0] > 0.0:
         return float("nan")
     return float(error @ np.linalg.solve(covariance, error))
-
-
-def _rms(values: FloatArray | list[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -18,6 +18,12 @@ from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_node.messages.inputs_outputs import OutputBlock, StampArray
 from ship_watch.orientations import Orientation
 
+TRUTH_GAP_NS = 1_000_000_000
+"""Maximum time between two samples of the truth for which the truth is interpolated, ns."""
+
+_MAX_TRUTH_DELAY_NS = 2_000_000_000
+"""Maximum delay of the truth after an output, ns; after this time an error message is written without errors."""
+
 
 class MessageSink(Protocol):
     """Receiver of a replay's messages, for example a bag writer."""
@@ -129,11 +135,6 @@ class OrderedOutput:
         return self._topics.setdefault((topic, type_name), len(self._topics))
 
 
-_TRUTH_GAP_NS = 1_000_000_000
-_MAX_TRUTH_DELAY_NS = 2_000_000_000
-"""Maximum delay of the truth after an output, ns; after this time an error message is written without errors."""
-
-
 class TruthErrors:
     """Buffer of error messages until the truth at their stamps is known.
 
@@ -142,7 +143,7 @@ class TruthErrors:
 
     def __init__(self, orientation: Orientation) -> None:
         self.orientation = orientation
-        self._truth = AttitudeTrack(_TRUTH_GAP_NS)
+        self._truth = AttitudeTrack(TRUTH_GAP_NS)
         self._attitudes: dict[int, FloatArray] = {}
         self._pending: deque[tuple[int, Any]] = deque()
 
@@ -191,9 +192,6 @@ class TruthErrors:
                 for channel, error in zip(self.orientation.channels, errors_arcsec.tolist(), strict=True):
                     setattr(message, f"error_{channel}", error)
             ready.append((log_time_ns, message))
-            self._drop_before(stamp_ns)
+            self._truth.drop_before(stamp_ns)
+            self._attitudes = {time: value for time, value in self._attitudes.items() if time >= stamp_ns}
         return ready
-
-    def _drop_before(self, stamp_ns: int) -> None:
-        self._truth.drop_before(stamp_ns)
-        self._attitudes = {time: value for time, value in self._attitudes.items() if time >= stamp_ns}

@@ -6,14 +6,14 @@ messages are processed one by one or in batches.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.bag_reader import Bag, ProgressWrapper, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import ADDITIONAL_FIELD, RosbagsFactory
 from ship_bags.stamps import NS_PER_S
@@ -30,9 +30,6 @@ from theodolite_calib.adapters.triangulation_adapter import TriangulationAdapter
 
 ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter)
 """Adapters of these nodes. The first node, the main node, also runs if the configuration names no node."""
-
-
-ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 def replay(
@@ -68,23 +65,22 @@ def replay(
         factory = RosbagsFactory()
         config_text = suite_text(bag, config_path)
         chain, left_out = suite_chain(bag, adapter_classes, factory, config_path, namespace)
-        input_names = match_inputs(bag, chain, namespace)
-        names = input_names | truth_topic_names(bag, namespace)
-        summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
+        inputs, truth = match_inputs(bag, chain, namespace), truth_topic_names(bag, namespace)
+        names, found = inputs | truth, set(inputs.values())
+        summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in found])
         with BagWriter(out_path) as writer:
             write_head(writer, bag, chain.outputs, config_text)
-            run = ReplayRun(chain, writer, summary, names, 1 if one_by_one else LARGEST_BATCH)
-            relative_names = {name: relative for relative, name in names.items()}
-            records = progress(bag.records(relative_names), bag)
+            run = ReplayRun(chain, writer, summary, truth.values(), 1 if one_by_one else LARGEST_BATCH)
+            records = progress(bag.records(names), bag)
             if by_stamps:
-                records = sort_by_stamp(records, median_delay_ns(bag_path, relative_names))
+                records = sort_by_stamp(records, median_delay_ns(bag_path, names))
             for record in records:
-                run.process_message(relative_names[record.topic], record)
+                run.process_message(names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
                 problem_text = "".join(f"; {problem}" for problem in bag.problems)
-                looked_for = sorted(relative_names) or sorted({topic.topic for topic in chain.inputs})
+                looked_for = sorted(names) or sorted({topic.topic for topic in chain.inputs})
                 text = f"no message of {', '.join(looked_for)} could be read{problem_text}"
-                if not relative_names:
+                if not names:
                     text += "; if the topics are in a namespace, give it by --namespace"
                 raise BadInput(text, file=bag_path)
             run.finish()
@@ -115,17 +111,17 @@ def _summarise_node(
                 target[name] = {reason.word: count for reason, count in reasons.items()}
 
 
-def median_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
-    """Return the median of log time minus stamp over all messages, ns."""
+def median_delay_ns(bag_path: Path, topics: Collection[str]) -> int:
+    """Return the median of log time minus stamp over all messages of some topics, ns."""
     times = LogDelays()
     with read_bag(bag_path) as bag:
-        for record in bag.records(relative_names):
+        for record in bag.records(topics):
             times.add(record.topic, record)
     return times.median_ns()
 
 
 def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> dict[str, str]:
-    """Return relative name → name in the bag, for the adapter's input topics that the bag contains.
+    """Return name in the bag → relative name, for the adapter's input topics that the bag contains.
 
     Raises:
         BadInput: a required topic is missing, a topic has another type, or the message definition of an input
@@ -154,18 +150,18 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
         differences = [line for line in bag.differences.get(type_name, []) if not line.endswith(ADDITIONAL_FIELD)]
         if topic.topic in found and differences:
             raise BadInput(f"topic '{found[topic.topic]}': {'; '.join(differences)}", file=bag.path)
-    return {topic.topic: found[topic.topic] for topic in adapter.inputs if topic.topic in found}
+    return {found[topic.topic]: topic.topic for topic in adapter.inputs if topic.topic in found}
 
 
 def truth_topic_names(bag: Bag, namespace: str) -> dict[str, str]:
-    """Return relative name → name in the bag, for the truth topics.
+    """Return name in the bag → relative name, for the truth topics.
 
     Raises:
         BadInput: the message definition of a truth topic differs, so it cannot be copied.
     """
     found = relative_topics(bag.topics, namespace)
-    names = {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
-    for name in names.values():
+    names = {name: relative for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
+    for name in names:
         if bag.topics[name] in bag.differences:
             lines = "; ".join(bag.differences[bag.topics[name]])
             raise BadInput(f"topic '{name}' cannot be copied, its message definition differs: {lines}", file=bag.path)

@@ -6,7 +6,7 @@ changes neither the outputs nor their order.
 """
 
 from collections import defaultdict
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +43,18 @@ from ship_watch.orientations import ORIENTATIONS
 
 _MIN_BLOCK = 3
 """Minimum number of messages of one topic for a block; fewer messages are decoded."""
+
+LARGEST_BATCH = 1000
+"""Maximum number of messages and ticks in a batch."""
+
+_MAX_TICK_GAP_NS = 600 * NS_PER_S
+"""Maximum time after a message for which ticks are generated, ns.
+
+By then every timeout of the nodes has expired. The limit avoids hours of ticks after a wrong log time, from a damaged
+file or a wrong clock.
+"""
+
+_LAST_INDEX = 1 << 62
 
 
 class ReplayEvent(NamedTuple):
@@ -140,19 +152,6 @@ def _template(record: BagRecord) -> CdrTemplate | None:
         return CdrTemplate.of_message(record.type_name, lambda name: definition_in(record.store, name), record.data)
     except (ValueError, TypeError):
         return None
-
-
-LARGEST_BATCH = 1000
-"""Maximum number of messages and ticks in a batch."""
-
-_MAX_TICK_GAP_NS = 600 * NS_PER_S
-"""Maximum time after a message for which ticks are generated, ns.
-
-By then every timeout of the nodes has expired. The limit avoids hours of ticks after a wrong log time, from a damaged
-file or a wrong clock.
-"""
-
-_LAST_INDEX = 1 << 62
 
 
 class ReplayRun:
@@ -325,6 +324,30 @@ class ReplayRun:
             history = self._summary.status_histories.get(self._status_topics.get(status.name, ""))
             if history is not None:
                 history.add_diagnostic(status.message)
+
+
+def process_records(
+    chain: AdapterChain,
+    records: Iterable[BagRecord],
+    names: Mapping[str, str],
+    sink: MessageSink,
+    batch_size: int = LARGEST_BATCH,
+) -> ReplaySummary:
+    """Process inputs of a chain of adapters, without the truth; return their counts.
+
+    Args:
+        chain: chain of adapters.
+        records: the inputs, in order of log time.
+        names: topic of a record → relative topic.
+        sink: sink that receives the outputs.
+        batch_size: see :class:`ReplayRun`.
+    """
+    summary = ReplaySummary()
+    run = ReplayRun(chain, sink, summary, (), batch_size)
+    for record in records:
+        run.process_message(names[record.topic], record)
+    run.finish()
+    return summary
 
 
 def _statuses(

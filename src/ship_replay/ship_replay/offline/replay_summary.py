@@ -35,6 +35,9 @@ _MAX_SPANS = 12
 _MAX_DIAGNOSTICS = 4
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
+INTEGRITY_TOPICS = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
+"""Topic of an output → topic of its protection levels and excluded sources."""
+
 
 @dataclass(frozen=True)
 class Span:
@@ -131,11 +134,13 @@ class StatusHistory:
             return [f"status of {topic}: no output"]
         start_ns, total_ns = spans[0].start_ns, spans[-1].end_ns - spans[0].start_ns
         lines = [f"status of {topic} from {utc_text(start_ns)}, {total_ns / NS_PER_S:.1f} s:"]
-        for word in sorted(counts, key=_status_rank):
+        known = [word for word in STATUS_NAMES if word in counts]
+        for word in [*known, *(word for word in counts if word not in STATUS_NAMES)]:
             duration_ns = sum(span.end_ns - span.start_ns for span in spans if span.status == word)
             share = duration_ns / total_ns if total_ns else counts[word] / counts.total()
             lines.append(f"  {word:9} {share:6.1%} of the time, {counts[word]} of {counts.total()} outputs")
-        shown = sorted(sorted(spans, key=lambda span: span.start_ns - span.end_ns)[:_MAX_SPANS], key=_span_start)
+        longest = sorted(spans, key=lambda span: span.start_ns - span.end_ns)[:_MAX_SPANS]
+        shown = sorted(longest, key=lambda span: span.start_ns)
         for span in shown if len(spans) > 1 else ():
             from_s, until_s = ((time_ns - start_ns) / NS_PER_S for time_ns in (span.start_ns, span.end_ns))
             lines.append(f"  {from_s:9.1f} s to {until_s:9.1f} s  {span.status:9} {span.count} outputs")
@@ -196,18 +201,6 @@ def most_frequent_rejection(health: Any) -> tuple[str, int]:
     counts.pop(_ACCEPTED_WITH_NOTE, None)
     reason = max(counts, key=lambda name: counts[name], default="")
     return reason, counts.get(reason, 0)
-
-
-def _status_rank(word: str) -> int:
-    return STATUS_NAMES.index(word) if word in STATUS_NAMES else len(STATUS_NAMES)
-
-
-def _span_start(span: Span) -> int:
-    return span.start_ns
-
-
-INTEGRITY_TOPICS = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
-"""Topic of an output → topic of its protection levels and excluded sources."""
 
 
 @dataclass
@@ -292,6 +285,10 @@ class ReplaySummary:
     problems: list[str] = field(default_factory=list)
     duration_s: float = 0.0
     elapsed_s: float = 0.0
+
+    def unread_lines(self) -> list[str]:
+        """Return a line for each topic with messages that do not match their type."""
+        return [f"topic '{topic}': {count} messages cannot be read" for topic, count in self.undecodable.items()]
 
     def status_lines(self) -> list[str]:
         """Return each output's status history, with the exclusions and reinstatements of sources below it."""

@@ -29,7 +29,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.bag_reader import Bag, BagRecord, ProgressWrapper, read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
@@ -43,9 +43,8 @@ from ship_node.saved_files.saved_document import DISK, READ_ONLY, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import sort_by_stamp
 from ship_replay.offline.outputs import DecodingSink
-from ship_replay.offline.replay import ProgressWrapper, match_inputs, median_delay_ns, truth_topic_names, write_head
-from ship_replay.offline.replay_run import ReplayRun
-from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.replay import match_inputs, median_delay_ns, truth_topic_names, write_head
+from ship_replay.offline.replay_run import process_records
 from ship_stars.attitude_samples import AttitudeEstimate
 from ship_stars.sky.sky_model import SkyModel
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
@@ -203,13 +202,13 @@ def smooth(
         if ship is None and axis is None:
             text = "the configuration has no section of ship_attitude or optical_axis: there is nothing to smooth"
             raise BadInput(text, file=bag_path if config_path is None else config_path)
-        names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+        names = match_inputs(bag, chain, namespace)
 
         def records_of(some_names: Mapping[str, str]) -> Iterator[BagRecord]:
             records = progress(bag.records(some_names), bag)
             return sort_by_stamp(records, median_delay_ns(bag_path, names)) if by_stamps else records
 
-        _feed(chain, records_of(names), names, real_time)
+        process_records(chain, records_of(names), names, real_time, batch_size=1)
         summary = SmoothSummary([*left_out, *bag.problems])
         attitudes: Iterable[BagRecord] = []
         pointings: Iterable[BagRecord] = []
@@ -226,7 +225,8 @@ def smooth(
             session = AdapterChain([again])
             of_session = {name: relative for name, relative in names.items() if relative in session.input_topics[0]}
             records = heapq.merge(records_of(of_session), attitudes, key=attrgetter("log_time_ns"))
-            _feed(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _RealTimeOutputs())
+            input_names = of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}
+            process_records(session, records, input_names, _RealTimeOutputs(), batch_size=1)
             angles = ("azimuth cos elevation", "elevation", "image rotation")
             summary.outputs.append(SmoothedOutput(SMOOTHED_POINTING_TOPIC, POINTING_TYPE, angles))
             pointings = _smoothed_pointings(again.core, real_time.pointings, factory, summary.outputs[-1])
@@ -239,18 +239,8 @@ def smooth(
         return summary
 
 
-def _feed(
-    chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], sink: _RealTimeOutputs
-) -> None:
-    """Process the inputs one by one, under their relative names."""
-    run = ReplayRun(chain, sink, ReplaySummary(), truth_topics=(), batch_size=1)
-    for record in records:
-        run.process_message(relative_names[record.topic], record)
-    run.finish()
-
-
 def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
-    names = {name: relative for relative, name in truth_topic_names(bag, namespace).items()}
+    names = truth_topic_names(bag, namespace)
     for record in bag.records(names) if names else ():
         yield replace(record, topic=names[record.topic])
 

@@ -17,7 +17,7 @@ import numpy as np
 from ship_bags.topic_names import likely_namespace, remap_advice
 from ship_node.adapters.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded_limits
-from ship_replay.preflight.check_config import BagCheck, CheckedNode
+from ship_replay.preflight.check_config import INS_TOPIC, BagCheck, CheckedNode
 
 MOST_SHARE = 0.7
 """Share of a core above which a node may fall behind at times."""
@@ -38,6 +38,11 @@ _REFERENCE_S = 14e-6
 """Duration of the test computation on the reference computer, s."""
 
 _MEASURED_S, _SLICES = 0.2, 10
+
+_SENSOR_TOPIC = re.compile(
+    r"(?P<group>star|reference)/(?P<name>[^/]+)/(horizon_attitude|inertial_attitude|observations|solution|imu)"
+)
+_GROUPS = {"star": "star_sensors", "reference": "references"}
 
 
 @dataclass(frozen=True)
@@ -147,13 +152,6 @@ def _rate_hz(topic: str, rates_hz: Mapping[str, float]) -> float:
     return rates_hz.get(made_of, 0.0)
 
 
-_INS_TOPIC = "ins/imu"
-_SENSOR_TOPIC = re.compile(
-    r"(?P<group>star|reference)/(?P<name>[^/]+)/(horizon_attitude|inertial_attitude|observations|solution|imu)"
-)
-_GROUPS = {"star": "star_sensors", "reference": "references"}
-
-
 def check_bag(check: BagCheck) -> None:
     """Check a configuration against the topics of a bag: presence, type, definition, frame_id, unconfigured sensors."""
     published = {topic.topic for node in check.nodes for topic in node.adapter.outputs}
@@ -192,7 +190,6 @@ def _check_presence(check: BagCheck, present: Collection[str]) -> None:
 
 
 def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
-    """Check the inputs of a node in a bag."""
     bag, errors = check.bag, check.findings.errors
     readable: dict[str, str] = {}
     for topic in node.adapter.inputs:
@@ -229,7 +226,7 @@ def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) 
 
 def _frame_id(config: Any, topic: str) -> str:
     """Return the configured frame_id of an input topic; empty if any frame_id is accepted."""
-    if topic == _INS_TOPIC:
+    if topic == INS_TOPIC:
         return str(config.ins.frame_id)
     group, *rest = topic.split("/")
     return str(getattr(config, _GROUPS[group])[rest[0]].frame_id) if group in _GROUPS else ""

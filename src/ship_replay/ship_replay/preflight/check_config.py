@@ -36,6 +36,9 @@ _NODE_SPECIFIC_SKY_PARAMETERS = ("magnitude_limit", "refraction_time_s", "positi
 """Sky parameters that may differ between nodes: which stars a node identifies, and time constants of its filter."""
 
 
+INS_TOPIC = "ins/imu"
+
+
 @dataclass
 class Findings:
     """Findings of the checks.

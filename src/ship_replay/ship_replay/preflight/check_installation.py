@@ -189,7 +189,8 @@ def _installation(residual: _InstallationResidual, bag: Bag) -> Iterator[tuple[b
 def _pixel_count(residuals: Sequence[_InstallationResidual], config: Any, bag: Bag) -> Iterator[tuple[bool, str, str]]:
     """Yield a warning for each camera whose pixels seem to be counted from 1."""
     ins = config.ins
-    cameras = [residual for residual in residuals if _has_expected_axes(residual.mounting)]
+    # A mirrored image is reported by itself.
+    cameras = [one for one in residuals if (camera := one.mounting.camera) and camera.axes is EXPECTED_AXES]
     ins_sigma_d = ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec])
     for number in cameras_counting_from_one([_camera_turn(residual) for residual in cameras], np.diag(ins_sigma_d**2)):
         mounting = cameras[number].mounting
@@ -199,11 +200,6 @@ def _pixel_count(residuals: Sequence[_InstallationResidual], config: Any, bag: B
             "pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v"
         )
         yield False, name, text
-
-
-def _has_expected_axes(mounting: MeasuredMounting) -> bool:
-    """True if the device is a camera, and its image is not mirrored."""
-    return mounting.camera is not None and mounting.camera.axes is EXPECTED_AXES
 
 
 def _camera_turn(residual: _InstallationResidual) -> CameraTurn:

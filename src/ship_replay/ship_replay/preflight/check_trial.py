@@ -3,7 +3,7 @@
 A wrong sigma is found from the innovations of a source, or from the rates of the INS.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,16 +24,48 @@ from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.outputs import NullSink
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary, low_use_text, most_frequent_rejection
-from ship_replay.preflight.check_config import BagCheck, CheckedNode
+from ship_replay.preflight.check_config import INS_TOPIC, BagCheck, CheckedNode
 
 CONTRADICTED_FACTOR = 1.5
 """Ratio of measured to stated sigma, or its inverse, from which on the data contradict the sigma."""
 
-_INS_TOPIC = "ins/imu"
 _LEAST_FACTOR = 0.01
 _FEWEST_STEPS, _LONGEST_STEP_S = 200, 0.15
 _RATE_SIGMAS = 5.0
 _OUTLIER, _MAX_CORRELATED_SHARE = 8.0, 0.2
+
+TRIAL_S = 600.0
+"""Length of the part of a bag that is replayed, s: ten minutes of data take half a minute."""
+
+_FEWEST = 10
+_CONFIGURATION_REASONS = [
+    Reason.ATTITUDE_CONFLICT.word,
+    Reason.BAD_QUATERNION.word,
+    Reason.EXCLUDED.word,
+    Reason.FRAME.word,
+    Reason.GATE.word,
+    Reason.LIGHT_CONFLICT.word,
+    Reason.UNITS.word,
+    Reason.UNKNOWN_SENSOR.word,
+]
+"""Rejection reasons that indicate a wrong configuration if they affect a whole input."""
+
+_WEATHER_REASONS = [
+    reason.word for reason in (Reason.TOO_FEW_STARS, Reason.BELOW_HORIZON, Reason.DUPLICATE, Reason.OFF)
+]
+"""Rejection reasons that indicate no fault even if they affect most of an input."""
+
+_ADVICE = {
+    Reason.FUTURE.word: "set the device's clock to UTC (GPS time is 18 s ahead), or let its driver use the computer's "
+    "clock",
+    Reason.LATE.word: "set the device's clock, or raise lag_s to its delay",
+    Reason.GAP.word: "samples of ins/imu around it are missing or rejected: check ins/imu first",
+    Reason.NO_FIX.word: "provide position fixes on gnss/fix at least every sky.fix_max_age_s, stamped in UTC",
+    Reason.UNIDENTIFIED.word: "check the camera's focal length, the installation angles, gnss/fix and the stamps (UTC)",
+    Reason.JUMP.word: "such jumps are impossible on a ship: check the receiver or instrument first",
+    Reason.NOT_FIXED.word: "the receiver has no fixed solution: check its corrections, or set least_fix",
+}
+"""Advice by rejection reason."""
 
 
 class InsNoise(NamedTuple):
@@ -57,7 +89,7 @@ def check_sigmas(check: BagCheck, until_ns: int) -> None:
         until_ns: log time up to which the nodes have processed the bag.
     """
     for node in check.nodes:
-        rests_on_ins = isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)) and _INS_TOPIC in check.usable
+        rests_on_ins = isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)) and INS_TOPIC in check.usable
         # Innovations are not checked if the INS noise is wrong, because all depend on the INS.
         if rests_on_ins and _check_ins_noise(check, node, until_ns):
             continue
@@ -125,7 +157,7 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     correlated errors.
     """
     times, rotations, rates = [], [], []
-    for record in check.bag.records({check.topic_names[_INS_TOPIC]}):
+    for record in check.bag.records({check.topic_names[INS_TOPIC]}):
         if record.log_time_ns > until_ns:
             break
         try:
@@ -148,7 +180,7 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
         stated = _value(node.config, name)
         # A rate sigma configured as zero is unknown, and estimated from the samples.
         if stated > 0.0 and value >= CONTRADICTED_FACTOR * stated:
-            text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{_INS_TOPIC}'"
+            text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{INS_TOPIC}'"
             against = "attitudes scatter against their own rates" if "white" in name else "rates scatter"
             measured_text = f"{against} by {value:.2g} {unit}, 1 sigma: set the parameter to this value"
             check.report(False, f"{text} in {check.bag.path}: {measured_text}")
@@ -195,37 +227,6 @@ def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> I
     )
 
 
-TRIAL_S = 600.0
-"""Length of the part of a bag that is replayed, s: ten minutes of data take half a minute."""
-
-_FEWEST = 10
-_CONFIGURATION_REASONS = (
-    Reason.ATTITUDE_CONFLICT,
-    Reason.BAD_QUATERNION,
-    Reason.EXCLUDED,
-    Reason.FRAME,
-    Reason.GATE,
-    Reason.LIGHT_CONFLICT,
-    Reason.UNITS,
-    Reason.UNKNOWN_SENSOR,
-)
-"""Rejection reasons that indicate a wrong configuration if they affect a whole input."""
-
-_WEATHER_REASONS = (Reason.TOO_FEW_STARS, Reason.BELOW_HORIZON, Reason.DUPLICATE, Reason.OFF)
-"""Rejection reasons that indicate no fault even if they affect most of an input."""
-
-_ADVICE = {
-    Reason.FUTURE: "set the device's clock to UTC (GPS time is 18 s ahead), or let its driver use the computer's clock",
-    Reason.LATE: "set the device's clock, or raise lag_s to its delay",
-    Reason.GAP: "samples of ins/imu around it are missing or rejected: check ins/imu first",
-    Reason.NO_FIX: "provide position fixes on gnss/fix at least every sky.fix_max_age_s, stamped in UTC",
-    Reason.UNIDENTIFIED: "check the camera's focal length, the installation angles, gnss/fix and the stamps (UTC)",
-    Reason.JUMP: "such jumps are impossible on a ship: check the receiver or instrument first",
-    Reason.NOT_FIXED: "the receiver has no fixed solution: check its corrections, or set least_fix",
-}
-"""Advice by rejection reason."""
-
-
 def check_trial(check: BagCheck) -> None:
     """Replay the beginning of a bag through the nodes; report wrong sigmas and inputs that are hardly used.
 
@@ -264,9 +265,9 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
             continue
         word = most_frequent_rejection(health)[0]
         line_text = f"{check.bag.path}: {span}{node.adapter.node_name}: {line}"
-        if not health.accepted and word in _reason_names(_CONFIGURATION_REASONS):
+        if not health.accepted and word in _CONFIGURATION_REASONS:
             check.findings.errors.append(line_text)
-        elif 2 * health.rejected <= health.received or word in _reason_names(_WEATHER_REASONS):
+        elif 2 * health.rejected <= health.received or word in _WEATHER_REASONS:
             check.findings.warnings.append(line_text)
         else:
             share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
@@ -275,12 +276,7 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
             )
 
 
-def _reason_names(reasons: Sequence[Reason]) -> Iterator[str]:
-    return (reason.word for reason in reasons)
-
-
 def _reason_and_advice(last: Any, word: str) -> str:
     """Return the advice for a reason, after the text of the last rejection if it has this reason."""
     node_text = f": {shorten(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
-    advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
-    return f"{node_text}; {advice}" if advice else node_text
+    return f"{node_text}; {_ADVICE[word]}" if word in _ADVICE else node_text

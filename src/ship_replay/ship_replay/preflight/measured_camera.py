@@ -36,6 +36,14 @@ _PRIOR_SIGMA = 60.0 * ARCSEC
 """Sigma added to the predicted attitude about each axis, rad: displacement of a star 3° off axis if the focal length is
 wrong by 0.5 %."""
 
+_FEWEST_MAGNITUDES = 5
+
+_MIN_STAR_SHARE = 0.5
+"""Image axes are accepted if at least this share of the stars is consistent with one attitude per exposure."""
+
+_AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
+"""Text for mirrored axes that the stars alone cannot distinguish: they differ only by a rotation of the camera."""
+
 
 class ImageAxes(NamedTuple):
     """Directions of the axes u and v in a camera's image.
@@ -145,15 +153,6 @@ def _angle_ratio(exposures: list[StarExposure], sky_model: SkyModel) -> float | 
         # A star too low for an apparent place gives a NaN angle, which is not used.
         ratios += (measured[true > _LEAST_PAIR_ANGLE] / true[true > _LEAST_PAIR_ANGLE]).tolist()
     return float(np.median(ratios)) if len(ratios) >= _FEWEST_PAIRS else None
-
-
-_FEWEST_MAGNITUDES = 5
-
-_MIN_STAR_SHARE = 0.5
-"""Image axes are accepted if at least this share of the stars is consistent with one attitude per exposure."""
-
-_AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
-"""Text for mirrored axes that the stars alone cannot distinguish: they differ only by a rotation of the camera."""
 
 
 class MagnitudeOffset(NamedTuple):

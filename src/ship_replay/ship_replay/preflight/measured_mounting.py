@@ -8,7 +8,7 @@ only used to identify these stars and the axes of a mirrored image.
 import functools
 from bisect import bisect_left
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,32 +40,32 @@ from theodolite_calib.samples.samples import EncoderSample
 ENCODER_TOPIC = "theodolite/encoder"
 _FULL_TURN = 2.0 * np.pi
 
+_EPOCHS = 30
+"""Number of times of the bag at which a device is compared with the INS."""
 
-@dataclass
+_INS_TOPIC = "ins/imu"
+
+
 class AttitudeTracks:
     """Samples of a bag that predict the attitude of a camera.
 
-    Attributes:
+    Args:
         config: configuration of the node.
         ship_topic: topic of the ship's attitude.
+
+    Attributes:
+        topics: topics of the samples.
         ship: attitudes of the ship.
         encoder: readings of the theodolite's encoders.
     """
 
-    config: Any
-    ship_topic: str
-    ship: AttitudeTrack = field(init=False)
-    encoder: VectorTrack[EncoderSample] = field(init=False)
-
-    def __post_init__(self) -> None:
-        on_mount = isinstance(self.config, OpticalAxisConfig)
-        self.ship = AttitudeTrack(round(self.config.ins.max_gap_s * NS_PER_S))
-        self.encoder = VectorTrack(round(self.config.encoder.max_gap_s * NS_PER_S) if on_mount else 1, _FULL_TURN)
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Topics of the samples."""
-        return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
+    def __init__(self, config: Any, ship_topic: str) -> None:
+        on_mount = isinstance(config, OpticalAxisConfig)
+        self.config, self.ship_topic = config, ship_topic
+        self.topics = (ship_topic, ENCODER_TOPIC) if on_mount else (ship_topic,)
+        self.ship = AttitudeTrack(round(config.ins.max_gap_s * NS_PER_S))
+        encoder_gap_ns = round(config.encoder.max_gap_s * NS_PER_S) if on_mount else 1
+        self.encoder: VectorTrack[EncoderSample] = VectorTrack(encoder_gap_ns, _FULL_TURN)
 
     def predicted_attitude(self, device: Any, time_ns: int) -> StarPrior | None:
         """Return the attitude of a camera (horizon from sensor) with its error covariance; None if unknown."""
@@ -95,11 +95,6 @@ def offset_ns(device: Any) -> int:
     """Return the time offset of a device, ns: data are valid at their stamp plus this offset."""
     return round(getattr(device, "time_offset_s", 0.0) * NS_PER_S)
 
-
-_EPOCHS = 30
-"""Number of times of the bag at which a device is compared with the INS."""
-
-_INS_TOPIC = "ins/imu"
 
 Device = StarSensorConfig | MountingConfig | ReferenceConfig | StarCameraConfig
 Config = ShipAttitudeConfig | StarAttitudeConfig | OpticalAxisConfig

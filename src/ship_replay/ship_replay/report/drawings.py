@@ -205,8 +205,8 @@ def rejections_svg(recording: RecordedHistory, colours: Mapping[str, str]) -> st
 
 def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start_ns: int) -> None:
     """Draw the states of an angle as bars at the height of a row, in seconds since `start_ns`."""
-    for word, spans in _spans(words).items():
-        fill, hatch = STATE_STYLES[word]
+    for word, (fill, hatch) in STATE_STYLES.items():
+        spans = _runs([second for second, state in words if state is word])
         bars = [(start - start_ns / NS_PER_S, length) for start, length in spans]
         axes.broken_barh(bars, (row - 0.4, 0.8), facecolor=fill, hatch=hatch, edgecolor="white", lw=0)
 
@@ -331,12 +331,8 @@ def _draw_budget(
     axes.legend(handles[::-1], texts[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
 
 
-def _spans(words: Sequence[tuple[int, Safety]]) -> Mapping[Safety, list[tuple[int, int]]]:
-    """Return safety state → (first second, length in s) of each uninterrupted series of seconds with this state."""
-    return {word: _runs([second for second, state in words if state is word]) for word in Safety}
-
-
 def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:
+    """Return first second and length in s of each uninterrupted series of seconds."""
     runs: list[tuple[int, int]] = []
     for second in seconds:
         if runs and second == runs[-1][0] + runs[-1][1]:

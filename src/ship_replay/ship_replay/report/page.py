@@ -8,7 +8,7 @@ import math
 import platform
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,6 @@ from ship_replay.report.drawings import (
 )
 from ship_replay.report.recording import RecordedHistory, ReportData
 from ship_replay.report.tables import (
-    EventRow,
     SourceOutage,
     alignment_changes,
     duration,
@@ -55,6 +54,27 @@ _MUCH_CHANGED_SIGMAS = 3.0
 _ADVISED = 2
 _CONSEQUENCE_SUFFIX = ".degraded"
 """Suffix of the id of an alert about an output over its limit; the source that is the cause has a separate alert."""
+
+SECTIONS = (
+    ("verdict", "Summary"),
+    ("status", "Status over time"),
+    ("errors", "Errors with their ±3σ"),
+    ("budget", "Error budget over time"),
+    ("consistency", "NIS and NEES"),
+    ("alignment", "Alignment before and after"),
+    ("alerts", "Alerts"),
+    ("events", "Events"),
+    ("refusals", "Rejections by reason and time"),
+    ("inputs", "Inputs"),
+    ("configuration", "Configuration"),
+    ("provenance", "Versions and hash of the bag"),
+)
+"""Ids and titles of the sections, in order."""
+
+_PACKAGES = (
+    *SUITE_PACKAGES, "ship_attitude_star", "theodolite_calib", "ship_watch", "ship_replay",
+    *LIBRARIES, "scipy", "matplotlib",
+)
 
 
 def summary(recording: RecordedHistory) -> list[str]:
@@ -182,39 +202,18 @@ def _joined_names(names: Sequence[str]) -> str:
     return " and ".join(([", ".join(names[:-1])] if len(names) > 1 else []) + list(names[-1:]))
 
 
-SECTIONS = (
-    ("verdict", "Summary"),
-    ("status", "Status over time"),
-    ("errors", "Errors with their ±3σ"),
-    ("budget", "Error budget over time"),
-    ("consistency", "NIS and NEES"),
-    ("alignment", "Alignment before and after"),
-    ("alerts", "Alerts"),
-    ("events", "Events"),
-    ("refusals", "Rejections by reason and time"),
-    ("inputs", "Inputs"),
-    ("configuration", "Configuration"),
-    ("provenance", "Versions and hash of the bag"),
-)
-"""Ids and titles of the sections, in order."""
-
-_PACKAGES = (
-    *SUITE_PACKAGES, "ship_attitude_star", "theodolite_calib", "ship_watch", "ship_replay",
-    *LIBRARIES, "scipy", "matplotlib",
-)
-
-
 def page(report_data: ReportData) -> str:
     """Return the report of one recording as a single HTML file; the same recording gives the same text."""
     recording, evaluation = report_data.recording, report_data.evaluation
     start_ns = recording.start_utc_ns
     events, colours = event_rows(recording.events), source_colours(recording, evaluation)
-    drawn = _draw_all({
+    drawings: dict[str, Callable[[], Any]] = {
         "status": partial(status_svg, recording, [row.from_ns // NS_PER_S for row in events]),
         "errors": partial(errors_svg, evaluation, colours),
         "refusals": partial(rejections_svg, recording, colours),
         **{topic: partial(budget_svg, topic, points, start_ns) for topic, points in sorted(recording.budgets.items())},
-    })
+    }
+    drawn = {name: draw() for name, draw in with_count(drawings.items(), "drawing", len(drawings))}
     return render(
         Path(__file__).with_name("report.html.j2"),
         sections=SECTIONS,
@@ -223,7 +222,11 @@ def page(report_data: ReportData) -> str:
         **period_texts(start_ns, start_ns + recording.end_ns - recording.start_ns),
         verdict=summary(recording),
         outages=outage_rows(recording),
-        events=[(_linked_time(row) if drawn["status"] else row.when, row.kind, row.text) for row in events],
+        events=[
+            ((row.when, f"#status-{MARK_ID_PREFIX}{row.from_ns // NS_PER_S}") if drawn["status"] else row.when,
+             row.kind, row.text)
+            for row in events
+        ],
         shares=[
             [name, *(f"{100.0 * share[word.name]:.1f} %" for word in Safety),
              f"{round(recording.limits.angle_limit(name) / ARCSEC, 3):g}″"]
@@ -248,11 +251,7 @@ def page(report_data: ReportData) -> str:
             (shown.topic, number(shown.rate_hz), number(shown.latency_s), number(shown.age_s))
             for shown in (recording.last.inputs if recording.last is not None else ())
         ],
-        suite={
-            name: data.decode(errors="replace")
-            for name, data in sorted(recording.attachments.items())
-            if name.endswith((".yaml", ".yml"))
-        },
+        suite=recording.attached_texts,
         provenance=[
             ("bag", recording.path.name), ("SHA-256", recording.sha256), *metadata_texts(recording).items(),
         ],
@@ -276,10 +275,6 @@ def metadata_texts(recording: RecordedHistory) -> dict[str, str]:
     }
 
 
-def _linked_time(row: EventRow) -> tuple[str, str]:
-    return row.when, f"#status-{MARK_ID_PREFIX}{row.from_ns // NS_PER_S}"
-
-
 def _error_rows(evaluation: Evaluation) -> Iterator[list[str]]:
     for series in evaluation.errors:
         values = series.statistics()
@@ -297,11 +292,6 @@ def _consistency_row(fit: SigmaFit) -> list[str]:
     minutes = " / ".join(map(str, fit.minutes.values()))
     numbers = number(fit.mean), number(fit.degrees), number(fit.ratio), str(fit.count)
     return [fit.kind, fit.name, *numbers, independent, minutes, fit.words]
-
-
-def _draw_all(drawings: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
-    """Draw the figures of a page, with progress on stderr."""
-    return {name: draw() for name, draw in with_count(drawings.items(), "drawing", len(drawings))}
 
 
 def versions() -> list[tuple[str, str]]:

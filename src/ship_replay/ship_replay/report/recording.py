@@ -8,7 +8,7 @@ periodically.
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,7 +27,7 @@ from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.digests import content_sha256
 from ship_replay.offline.replay_summary import STATUS_NAMES
 from ship_watch.alerts.alert_conditions import conditions
-from ship_watch.alerts.alerts import AlertChange, AlertList, AlertState
+from ship_watch.alerts.alerts import AlertList, AlertState
 from ship_watch.history.history import BudgetPoint, ParameterEstimate, points_after
 from ship_watch.history.history_recorder import HistoryRecorder
 from ship_watch.orientations import ORIENTATIONS
@@ -52,6 +52,11 @@ _SAMPLE_PERIOD_NS = NS_PER_S // 2
 
 _MIN_READ_PERIOD_NS = NS_PER_S // 5
 """Reading period of topics of which only the newest message matters, ns."""
+
+SHORT_BYTES = 8_000_000
+"""Size up to which a bag is read in less time than another process needs to start, bytes."""
+
+_TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,15 @@ class RecordedHistory:
     def span_ns(self) -> tuple[int, int]:
         """UTC at which the outputs begin, and this time plus the difference of last and first log time, ns."""
         return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
+
+    @property
+    def attached_texts(self) -> dict[str, str]:
+        """Name → text of the configurations attached to the bag."""
+        return {
+            name: data.decode(errors="replace")
+            for name, data in sorted(self.attachments.items())
+            if name.endswith((".yaml", ".yml"))
+        }
 
     def seconds(self, angle: str) -> Counter[Safety]:
         """Return state → number of seconds in which this state was the worst state of an angle."""
@@ -248,9 +262,11 @@ class _RecordingReader:
             recording.events += reversed(fresh)
         if not recording.alerts_are_recorded and state.utc_ns:
             changes = self._alert_states.update(conditions(state, recording.limits), now_ns, state.utc_ns)
+            # Alerts computed here are never acknowledged and would be repeated.
             recording.alerts += [
                 RecordedAlert(state.utc_ns, change.description, change.alert)
-                for change in _without_repetitions(changes)
+                for change in changes
+                if not change.description.startswith("repeated")
             ]
         recording.last = state
         self._collect_history()
@@ -284,10 +300,8 @@ class _RecordingReader:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)
             of_topic = self._recording.status_s.setdefault(topic, {})
             of_topic[word] = of_topic.get(word, 0.0) + stood_s
-        self._last_status[topic] = (
-            now_ns,
-            STATUS_NAMES[message.status] if message.status < len(STATUS_NAMES) else "unknown",
-        )
+        word = STATUS_NAMES[message.status] if message.status < len(STATUS_NAMES) else "unknown"
+        self._last_status[topic] = now_ns, word
 
     def _record_rejection(self, message: Any) -> None:
         if not message.accepted:
@@ -313,7 +327,6 @@ class _RecordingReader:
                 self._recording.rejections.append(by_node)
 
     def _record_alerts(self, state: SuiteState) -> None:
-        """Record the changes of published alerts."""
         alerts = {(alert.id, alert.instance): alert for alert in state.alerts or ()}
         for key, alert in alerts.items():
             if key not in self._last_alerts or self._last_alerts[key].state != alert.state:
@@ -323,17 +336,6 @@ class _RecordingReader:
             RecordedAlert(state.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
         ]
         self._last_alerts = alerts
-
-
-def _without_repetitions(changes: Iterable[AlertChange]) -> list[AlertChange]:
-    """Return the changes without repeated alerts: alerts computed here are never acknowledged and would be repeated."""
-    return [change for change in changes if not change.description.startswith("repeated")]
-
-
-SHORT_BYTES = 8_000_000
-"""Size up to which a bag is read in less time than another process needs to start, bytes."""
-
-_TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 
 
 @dataclass(frozen=True)
@@ -358,8 +360,7 @@ def read_report_data(
     # Reading and evaluation take equally long and are independent.
     with process_pool(1) as others:
         evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
-        recording = read_recording(path, limits, namespace)
-        return ReportData(recording, evaluated.result())
+        return ReportData(read_recording(path, limits, namespace), evaluated.result())
 
 
 @contextlib.contextmanager

@@ -15,9 +15,24 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_replay.report.recording import RecordedHistory
+from ship_replay.report.recording import RecordedHistory, RejectedMeasurement
 from ship_watch.history.history import ParameterEstimate
 from ship_watch.suite_state import ANGLES, Event, Safety
+
+MIN_REPEATED = 6
+"""Minimum number of changes between two states that are combined in one row: there and back, three times."""
+
+MAX_INTERVAL_NS = 60 * NS_PER_S
+"""Maximum time between two changes combined in one row, ns."""
+
+_ORDER = ("IN", "OUT", "SAFE", "CAUTION", "UNSAFE", "VALID", "COASTING", "DEGRADED", "INVALID")
+"""States of each kind, the better state first."""
+
+_CHANGE = re.compile(r"(?:(?P<before>[\w/]+) → )?(?P<after>[\w/]+)(?:, (?P<reason>.*))?$")
+_SOURCE_STATES = ("IN", "OUT")
+
+_NEEDS = "needs "
+"""Prefix of the reason for an outage that is caused by another source."""
 
 
 def duration(seconds: float) -> str:
@@ -47,19 +62,6 @@ def rounded_to_sigma(value: float, sigma: float) -> str:
 def utc(time_ns: int, form: str = "%H:%M:%S") -> str:
     """Return a POSIX time in ns as UTC in whole seconds, by default with hours, minutes and seconds."""
     return datetime.fromtimestamp(time_ns // NS_PER_S, tz=timezone.utc).strftime(form)
-
-
-MIN_REPEATED = 6
-"""Minimum number of changes between two states that are combined in one row: there and back, three times."""
-
-MAX_INTERVAL_NS = 60 * NS_PER_S
-"""Maximum time between two changes combined in one row, ns."""
-
-_ORDER = ("IN", "OUT", "SAFE", "CAUTION", "UNSAFE", "VALID", "COASTING", "DEGRADED", "INVALID")
-"""States of each kind, the better state first."""
-
-_CHANGE = re.compile(r"(?:(?P<before>[\w/]+) → )?(?P<after>[\w/]+)(?:, (?P<reason>.*))?$")
-_SOURCE_STATES = ("IN", "OUT")
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,10 @@ def event_rows(events: Sequence[Event]) -> list[EventRow]:
     places = {id(event): place for place, event in enumerate(events)}
     for of_subject in by_subject.values():
         for run in _runs(of_subject):
-            shown = [_row(run)] if len(run) >= MIN_REPEATED else [_single_row(event) for event in run]
-            rows += [(places[id(event)], row) for event, row in zip(run, shown, strict=False)]
+            if len(run) >= MIN_REPEATED:
+                rows.append((places[id(run[0])], _row(run)))
+            else:
+                rows += [(places[id(e)], EventRow(e.utc_ns, e.utc_ns, e.kind, e.subject, e.text)) for e in run]
     return [row for _, row in sorted(rows, key=lambda entry: (entry[1].from_ns, entry[0]))]
 
 
@@ -144,14 +148,6 @@ def _row(run: Sequence[Event]) -> EventRow:
     times = sum(states_of(event)[1] == worse for event in run)
     text = f"{first.subject} {better} ↔ {worse}{because}, {times} times, longest {worse} {duration(max(stays_s))}"
     return EventRow(first.utc_ns, last.utc_ns, first.kind, first.subject, text, len(run))
-
-
-def _single_row(event: Event) -> EventRow:
-    return EventRow(event.utc_ns, event.utc_ns, event.kind, event.subject, event.text)
-
-
-_NEEDS = "needs "
-"""Prefix of the reason for an outage that is caused by another source."""
 
 
 @dataclass(frozen=True)
@@ -227,41 +223,57 @@ def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[Param
     for shown in after:
         start = first.get(shown.name, shown)
         scale, unit = shown_scale(shown)
-        change = float(wrap_pi(shown.value - start.value)) if shown.unit == "rad" else shown.value - start.value
+        (before_text, before_sigma), (after_text, after_sigma) = (estimate_texts(one, scale) for one in (start, shown))
+        change = estimate_change(start, shown)
         rows.append({
             "name": shown.name,
             "unit": unit,
-            "before": rounded_to_sigma(shown_value(start) / scale, start.sigma / scale),
-            "before_sigma": number(start.sigma / scale),
-            "after": rounded_to_sigma(shown_value(shown) / scale, shown.sigma / scale),
-            "after_sigma": number(shown.sigma / scale),
+            "before": before_text,
+            "before_sigma": before_sigma,
+            "after": after_text,
+            "after_sigma": after_sigma,
             "change": f"{change / start.sigma:+.1f} σ".replace("-", "−") if start.sigma > 0.0 else "",
             "note": "" if shown.is_observable else "not observable",
         })
     return rows
 
 
+def estimate_texts(shown: ParameterEstimate, scale: float) -> tuple[str, str]:
+    """Return value and σ of an estimate, divided by a scale; azimuths around 0 do not jump to 360°."""
+    value = float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
+    return rounded_to_sigma(value / scale, shown.sigma / scale), number(shown.sigma / scale)
+
+
+def estimate_change(first: ParameterEstimate, last: ParameterEstimate) -> float:
+    """Return the difference of two estimates of a parameter, of angles from -pi to pi."""
+    return float(wrap_pi(last.value - first.value)) if last.unit == "rad" else last.value - first.value
+
+
 def rejection_rows(recording: RecordedHistory) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: count, first and last time. Rejections come before notes."""
-    counts: Counter[tuple[bool, str, str, str]] = Counter()
-    times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}
-    for refusal in recording.rejections:
-        key = refusal.is_note, refusal.source, refusal.by, refusal.reason
-        first, last = times.get(key, (refusal.utc_ns, refusal.utc_ns))
-        counts[key] += refusal.count
-        times[key] = min(first, refusal.utc_ns), max(last, refusal.utc_ns)
     return [
-        {
-            "source": key[1], "by": key[2], "reason": key[3] + (" (note: used)" if key[0] else ""),
-            "count": f"{counts[key]}", "first": utc(times[key][0]), "last": utc(times[key][1]),
-        }
-        for key in sorted(counts)
+        {**rejection_cells(key), "count": f"{sum(one.count for one in rejections)}",
+         "first": utc(min(one.utc_ns for one in rejections)), "last": utc(max(one.utc_ns for one in rejections))}
+        for key, rejections in sorted(rejections_by_key(recording).items())
     ]
 
 
-def shown_value(shown: ParameterEstimate) -> float:
-    """Return the value of a parameter; angles from -pi to pi, so that azimuths around 0 do not jump to 360°."""
-    return float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
+RejectionKey = tuple[bool, str, str, str]
+"""True for a note, source, place and reason of rejections."""
+
+
+def rejections_by_key(recording: RecordedHistory) -> dict[RejectionKey, list[RejectedMeasurement]]:
+    """Return the rejections and notes of each source, place and reason."""
+    found: dict[RejectionKey, list[RejectedMeasurement]] = {}
+    for one in recording.rejections:
+        found.setdefault((one.is_note, one.source, one.by, one.reason), []).append(one)
+    return found
+
+
+def rejection_cells(key: RejectionKey) -> dict[str, str]:
+    """Return the first cells of a row of rejections: source, place and reason."""
+    is_note, source, by, reason = key
+    return {"source": source, "by": by, "reason": f"{reason} (note: used)" if is_note else reason}
 
 
 def shown_scale(shown: ParameterEstimate) -> tuple[float, str]:

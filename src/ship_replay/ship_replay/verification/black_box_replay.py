@@ -6,14 +6,14 @@ box.
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord
+from ship_bags.mcap.bag_reader import Bag, BagRecord, ProgressWrapper
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import utc_text
@@ -52,8 +52,6 @@ from ship_replay.verification.verification import (
     message_difference,
     stamp_of,
 )
-
-ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class FileUseMismatch(Exception):
@@ -208,7 +206,6 @@ class _BlackBoxReplay:
             self._result.incomplete_reason = f"the black box ends without a footer, at {utc_text(self._files.time_ns)}"
 
     def _process_entry(self, record: BagRecord) -> None:
-        """Process one entry of the black box."""
         time_ns = self._files.time_ns = record.log_time_ns
         if record.topic == EVENTS_TOPIC:
             self._process_event(event_from_text(record.decode().data), time_ns, record.publish_time_ns)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag
+from ship_bags.mcap.bag_reader import Bag, ProgressWrapper
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp, utc_text
 from ship_bags.topic_names import relative_topics
@@ -23,12 +23,15 @@ from ship_node.adapters.adapter import Adapter
 from ship_node.messages.common_messages import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.outputs import DecodingSink
-from ship_replay.offline.replay import ProgressWrapper, match_inputs
+from ship_replay.offline.replay import match_inputs
 from ship_replay.offline.replay_run import ReplayRun
 from ship_replay.offline.replay_summary import ReplaySummary
 
 Value = str | npt.NDArray[Any]
 """A text, or an array; a number is an array without dimensions."""
+
+UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
+"""Types of messages that are not compared: they also contain the state of the middleware."""
 
 
 def values(message: Any, name: str = "") -> Iterator[tuple[str, Value]]:
@@ -60,10 +63,6 @@ def are_texts(one: object, other: object) -> bool:
         (True, False, False)
     """
     return isinstance(one, str) and isinstance(other, str) and " " in one + other
-
-
-UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
-"""Types of messages that are not compared: they also contain the state of the middleware."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +211,7 @@ def verify_bag(
     """
     # As at sea, each node receives the recorded messages, including messages of other nodes.
     chain, left_out = suite_chain(bag, adapter_classes, RosbagsFactory(), config_path, namespace, linked=False)
-    inputs = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+    inputs = match_inputs(bag, chain, namespace)
     outputs = _recorded_outputs(bag, chain, namespace)
     comparison = _Comparison(set(outputs.values()))
     summary = ReplaySummary()

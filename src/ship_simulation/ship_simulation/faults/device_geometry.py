@@ -166,7 +166,6 @@ def _set_attitude(message: Any, type_name: str, rotation: FloatArray) -> None:
 
 
 def _move(spots: Any, names: tuple[str, str], moved: Callable[[FloatArray], FloatArray]) -> None:
-    """Move the points of spots on a detector."""
     if not spots:
         return
     first, second = names

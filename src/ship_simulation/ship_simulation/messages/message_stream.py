@@ -210,7 +210,6 @@ class _Topic:
 
 
 def _optics_of_scenario(scenario: Scenario) -> Optics:
-    """Return the cameras of a scenario's devices."""
     stars = {
         f"star/{key}/observations": sensor.camera.camera(key)
         for key, sensor in scenario.star_sensors.items()

@@ -49,6 +49,18 @@ BLOCK_ROWS = 4096
 _KEPT_BLOCKS = 2
 """Number of cached blocks. Samples are used in order of arrival, which differs slightly from the order of stamps."""
 
+NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
+"""Covariance that means "not given" in a message."""
+
+_EXACT = np.zeros(9)
+"""Covariance of the truth."""
+
+_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
+"""NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
+
+_STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
+"""StarHorizonAttitude.VALID, StarHorizonAttitude.ANGLES_SINGULAR."""
+
 
 class LazyRows(Generic[Row]):
     """One row per sample, with a cache of the last blocks.
@@ -71,15 +83,6 @@ class LazyRows(Generic[Row]):
 
 
 Maker = Callable[[int, int], Any]
-
-NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
-"""Covariance that means "not given" in a message."""
-
-_EXACT = np.zeros(9)
-"""Covariance of the truth."""
-
-_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
-"""NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
 
 
 def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Maker:
@@ -270,10 +273,6 @@ def _constant_maker(time_ns: np.ndarray, type_name: str, field: str, constant: f
         return factory.make(type_name, header=header, variance=0.0, **{field: constant})
 
     return make
-
-
-_STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
-"""StarHorizonAttitude.VALID, StarHorizonAttitude.ANGLES_SINGULAR."""
 
 
 def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, factory: MessageFactory) -> Maker:

@@ -25,6 +25,8 @@ _RATES = ("forward", "up", "right", "azimuth", "elevation")
 _DRIFT = tuple(f"{name}_arcsec_per_min" for name in _RATES)
 _VECTOR = ("east_m", "north_m", "up_m")
 
+AXES = ("", "exchanged", "ned_frd")
+
 
 class FaultKind(NamedTuple):
     """A kind of fault.
@@ -90,8 +92,6 @@ KINDS = {
     "swap": FaultKind("the identities of the first two lights of the image, or stars of the exposure, are swapped"),
     "wrong_id": FaultKind("the first light of the image, or the rover of a baseline, has an unknown id"),
 }
-
-AXES = ("", "exchanged", "ned_frd")
 
 
 @dataclass(frozen=True)

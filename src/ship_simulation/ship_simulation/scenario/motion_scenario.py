@@ -22,6 +22,13 @@ _PERIOD: dict[str, Any] = {"doc": "natural period", "unit": "s", "minimum": 0.5,
 _DAMPING: dict[str, Any] = {"doc": "damping ratio", "minimum": 0.01, "maximum": 5.0}
 _LENGTH: dict[str, Any] = {"doc": "hull length that averages the slope", "unit": "m", "minimum": 0.0, "maximum": 500.0}
 
+SECTIONS_OF_KIND = {
+    "sinusoids": ("heading", "pitch", "roll", "turn"),
+    "sea_state": ("heading", "pitch", "roll", "turn", "sea"),
+    "recorded": ("recording",),
+}
+"""Kind of carrier → parameter groups that it uses."""
+
 
 @dataclass(frozen=True)
 class Outage:
@@ -107,9 +114,3 @@ class CarrierMotion:
     recording: Recording = section(Recording)
 
 
-SECTIONS_OF_KIND = {
-    "sinusoids": ("heading", "pitch", "roll", "turn"),
-    "sea_state": ("heading", "pitch", "roll", "turn", "sea"),
-    "recorded": ("recording",),
-}
-"""Kind of carrier → parameter groups that it uses."""

@@ -48,6 +48,12 @@ _START_PATTERN = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z"
 
 _FIELD_POINTS = 21
 
+STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
+"""Outputs of a star sensor, which are also the names of its topic under ``star/<id>/``."""
+
+DEFLECTION_CHOICES = ("none", "unknown", "constant", "table", "topic")
+"""Ways in which the suite receives the deflection: the choices of its parameter ``gravity.deflection``."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ins(InsErrorModel, InsCorrelationTimes, InsRateErrors, InsErrors):
@@ -134,10 +140,6 @@ class StarTelescope(MainAxisInCamera, StarImaging):
     """A star camera fixed to the theodolite: known orientation of the main axis in the camera, and imaging."""
 
 
-STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
-"""Outputs of a star sensor, which are also the names of its topic under ``star/<id>/``."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class StarSensor(StarSensorErrors, StarSensorMounting, StarImaging):
     """A star sensor: mounting, output and errors.
@@ -195,10 +197,6 @@ class Position:
     slow_sigma_m: float = parameter(0.0, doc="correlated error of fixes, each axis", unit="m", minimum=0.0, maximum=1e4)
     slow_time_s: float = parameter(600.0, doc="correlation time of that error", **CORRELATION)
     rate_hz: float = parameter(1.0, doc="fixes per second", **RATE)
-
-
-DEFLECTION_CHOICES = ("none", "unknown", "constant", "table", "topic")
-"""Ways in which the suite receives the deflection: the choices of its parameter ``gravity.deflection``."""
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,24 @@ _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d{1,6}|\*)\])?")
 _NO_NUMBERS = ("string", "wstring", "bool")
 _NESTED = {Nodetype.ARRAY, Nodetype.SEQUENCE}
 
+FIELDS_OF_OUTPUTS = {
+    ("horizon_attitude",): ("common_sigma_arcsec", "common_time_s", "star_count"),
+    ("observations",): (
+        "camera",
+        "magnitude_limit",
+        "masks",
+        "most_stars",
+        "exposure_s",
+        "identified",
+        "direction_given",
+        "false_stars",
+        "swapped_probability",
+    ),
+    ("horizon_attitude", "inertial_attitude"): ("sigma_forward_arcsec", "sigma_up_arcsec", "sigma_right_arcsec"),
+    ("observations", "inertial_attitude"): ("sun_limit_deg",),
+}
+"""Outputs of a star sensor → fields that belong only to sensors with one of these outputs."""
+
 
 @dataclass(frozen=True)
 class FaultFile:
@@ -154,25 +172,6 @@ def _base_type(steps: list[tuple[str, str]], type_name: str) -> str:
         else:
             return str(content[0])
     raise ValueError("not the path of a number")
-
-
-FIELDS_OF_OUTPUTS = {
-    ("horizon_attitude",): ("common_sigma_arcsec", "common_time_s", "star_count"),
-    ("observations",): (
-        "camera",
-        "magnitude_limit",
-        "masks",
-        "most_stars",
-        "exposure_s",
-        "identified",
-        "direction_given",
-        "false_stars",
-        "swapped_probability",
-    ),
-    ("horizon_attitude", "inertial_attitude"): ("sigma_forward_arcsec", "sigma_up_arcsec", "sigma_right_arcsec"),
-    ("observations", "inertial_attitude"): ("sun_limit_deg",),
-}
-"""Outputs of a star sensor → fields that belong only to sensors with one of these outputs."""
 
 
 def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:

@@ -41,6 +41,9 @@ _SPEED: dict[str, Any] = {"unit": "m/s", "minimum": -100.0, "maximum": 100.0}
 _SIGMA_M: dict[str, Any] = {"unit": "m", "minimum": 0.0, "maximum": 100.0}
 _SIGMA_DEG: dict[str, Any] = {"unit": "deg", "minimum": 0.0, "maximum": 90.0}
 
+SECTIONS_OF_COURSE = {"escort": "escort", "hover": "hover", "orbit": "orbit", "legs": "waypoints"}
+"""Kind of course → parameter group that it uses."""
+
 
 @dataclass(frozen=True)
 class SurveyError:
@@ -227,10 +230,6 @@ class Flight(Course):
     yaw_deg: float = parameter(0.0, doc="heading of the nose, from North", **ANGLE)
     sway_deg: float = parameter(2.0, doc="amplitude of pitch and of roll", unit="deg", minimum=0.0, maximum=45.0)
     sway_period_s: float = parameter(4.0, doc="period of both", unit="s", minimum=0.1, maximum=1000.0)
-
-
-SECTIONS_OF_COURSE = {"escort": "escort", "hover": "hover", "orbit": "orbit", "legs": "waypoints"}
-"""Kind of course → parameter group that it uses."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,6 +39,18 @@ _GRAVITY = 9.80665
 # to which the hull does not respond.
 _LOWEST, _HIGHEST = 0.5, 4.0
 
+_HEADING = 0
+"""Index of the heading in (heading, pitch, roll)."""
+
+# Number of times for which the wave components are computed at once, to limit the memory of long runs. A product with
+# fewer rows is padded to this number, because the last bits of a product may depend on the number of its rows.
+_ROWS_AT_ONCE = 4096
+
+_IMU = "sensor_msgs/msg/Imu"
+
+RECORDING_MARGIN_S = 1.0
+"""Time from the begin of a recording to simulated time zero, so that time offsets stay within the recording, s."""
+
 
 @dataclass(frozen=True)
 class Response:
@@ -81,19 +93,6 @@ def wave_components(
     angular_frequency = edges[:-1] + np.diff(edges) * rng.random(count)
     phase = 2.0 * np.pi * rng.random(count)
     return angular_frequency, np.sqrt(2.0 * variance) * np.exp(1j * phase)
-
-
-_HEADING = 0
-"""Index of the heading in (heading, pitch, roll)."""
-
-# Number of times for which the wave components are computed at once, to limit the memory of long runs. A product with
-# fewer rows is padded to this number, because the last bits of a product may depend on the number of its rows.
-_ROWS_AT_ONCE = 4096
-
-_IMU = "sensor_msgs/msg/Imu"
-
-RECORDING_MARGIN_S = 1.0
-"""Time from the begin of a recording to simulated time zero, so that time offsets stay within the recording, s."""
 
 
 class Carrier(Protocol):

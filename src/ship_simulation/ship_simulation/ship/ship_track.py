@@ -19,6 +19,8 @@ _EARTH_RADIUS_M = 6_371_000.0
 # Minimum cosine of the latitude. It limits the longitude error near the poles, where this error is irrelevant.
 _LEAST_COSINE = 1e-3
 
+_UNKNOWN = "gravity.unknown"
+
 
 @dataclass(frozen=True)
 class ShipTrack:
@@ -106,9 +108,6 @@ def simulate_fixes(scenario: Scenario, track: ShipTrack, stretch: Stretch, draws
         height_m=place.height_m + error_m[:, 2],
         covariance_m2=np.diag(np.full(3, place.sigma_m**2 + place.slow_sigma_m**2)),
     )
-
-
-_UNKNOWN = "gravity.unknown"
 
 
 class Deflection:

@@ -25,6 +25,18 @@ from ship_stars.camera.camera import Distortion, StarCamera
 _SURVEYED_FOCAL_SIGMA = 2e-4
 """Relative standard deviation of a focal length whose sigma is not given, as documented at the parameter."""
 
+_WAVES, _LENGTH = 200, 1.5
+"""Number of waves, and correlation length in half sides of the detector."""
+
+_TILE_PX = 512
+"""Period with which the pixel-spatial errors repeat, px; the stars do not reveal the repetition."""
+
+# Candidates are selected once for all exposures of a block of this length, s.
+_BLOCK_S = 2
+# Margin for the motion of a star from its J2000.0 position to its apparent one: aberration, refraction, two centuries
+# of proper motion, and the Earth's rotation within a block.
+_MARGIN = np.deg2rad(0.5)
+
 
 @dataclass(frozen=True)
 class TrueOptics:
@@ -69,13 +81,6 @@ def draw_optics(rng: np.random.Generator, detector: Detector, name: str) -> True
     return TrueOptics(true, np.stack([forward_c, np.cross(right_c, forward_c), right_c], axis=-1))
 
 
-_WAVES, _LENGTH = 200, 1.5
-"""Number of waves, and correlation length in half sides of the detector."""
-
-_TILE_PX = 512
-"""Period with which the pixel-spatial errors repeat, px; the stars do not reveal the repetition."""
-
-
 class DetectorErrors:
     """The errors of one detector, drawn once.
 
@@ -112,12 +117,6 @@ class DetectorErrors:
     def drop_before(self, before_s: float) -> None:
         """Do nothing: the errors of a detector do not depend on time."""
 
-
-# Candidates are selected once for all exposures of a block of this length, s.
-_BLOCK_S = 2
-# Margin for the motion of a star from its J2000.0 position to its apparent one: aberration, refraction, two centuries
-# of proper motion, and the Earth's rotation within a block.
-_MARGIN = np.deg2rad(0.5)
 
 Rows = NDArray[np.int64]
 

@@ -40,23 +40,8 @@ def draw_parallelism(camera_id: str, config: StarTelescope, seed: int) -> FloatA
     return config.parallelism + config.parallelism_sigma * errors
 
 
-def simulate_mount_stars(
-    camera_id: str,
-    config: StarTelescope,
-    parallelism: FloatArray,
-    scene: Scene,
-    sky: TrueSky,
-    stretch: Stretch,
-    draws: Draws,
-) -> StarSightings:
-    """Return the exposures of a camera in a stretch; ``parallelism`` is from :func:`draw_parallelism`."""
-    motion = _motion(config, parallelism, scene, stretch)
-    sightings, _ = simulate_sightings(_source(camera_id), config, motion, sky, draws)
-    return sightings
-
-
 def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretch: Stretch) -> DeviceExposures:
-    """Return the attitude of a camera: R_camera(t) = R_main(t) R(azimuth, elevation, roll)^T."""
+    """Return the exposures of a camera in a stretch: R_camera(t) = R_main(t) R(azimuth, elevation, roll)^T."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
     times = exposure_times(config.exposure_s)
@@ -140,7 +125,9 @@ def simulate_theodolite(
         images=simulate_images(config.telescope, scene, stretch, draws),
         targets=simulate_targets(config.main_detector, draw_targets(scenario, draws), scene, stretch, draws),
         stars={
-            key: simulate_mount_stars(key, camera, parallelism[key], scene, sky, stretch, draws)
+            key: simulate_sightings(
+                _source(key), camera, _motion(camera, parallelism[key], scene, stretch), sky, draws
+            )[0]
             for key, camera in scenario.telescopes.items()
             if sky is not None
         },

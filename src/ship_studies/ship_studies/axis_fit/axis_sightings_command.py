@@ -17,7 +17,7 @@ import numpy as np
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
+from ship_bags.mcap.bag_reader import ProgressWrapper, read_bag, with_bag_progress
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force_option, check_file, write_csv
 from ship_bags.topic_names import add_bag_name_options
@@ -30,9 +30,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
 from ship_node.messages.inputs_outputs import OutputMessage
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.outputs import NullSink
-from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun
-from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.replay import match_inputs
+from ship_replay.offline.replay_run import process_records
 from ship_studies.axis_fit.sightings import (
     COLUMNS,
     LABEL_COLUMN,
@@ -51,6 +50,9 @@ from theodolite_calib.samples.sighting import Sighting
 # The axis errors are the unknowns of the fit, not errors of a sighting.
 _FITTED_BLOCK = "axes"
 _SHIP = "ship.attitude"
+_LEAST_LIGHTS = 2
+# Errors whose effects are all below this (arcsec) are omitted.
+_LEAST_EFFECT_ARCSEC = 0.01
 
 
 def correlated_effects(
@@ -91,11 +93,6 @@ def correlated_effects(
     return effects
 
 
-_LEAST_LIGHTS = 2
-# Errors whose effects are all below this (arcsec) are omitted.
-_LEAST_EFFECT_ARCSEC = 0.01
-
-
 @dataclass(frozen=True)
 class AxisSighting:
     """Sighting of one exposure, which is one row of the table.
@@ -133,7 +130,8 @@ class AxisSightings:
     def write(self, path: Path) -> None:
         """Write the selected rows as CSV, in order of time, without correlated errors of negligible effect."""
         stamps = self.selected_stamps
-        correlated_errors = [key for key in self._correlated_errors() if self._has_effect(key, stamps)]
+        keys = dict.fromkeys(key for row in self.rows.values() for key in row.correlated_effects)
+        correlated_errors = [key for key in keys if self._has_effect(key, stamps)]
         names = [correlated_column(side, *key) for key in correlated_errors for side in (0, 1)]
         # Angles in degrees and times need more decimals than a table in arcseconds.
         write_csv(
@@ -157,9 +155,6 @@ class AxisSightings:
             self.unused_count += 1
         else:
             self.rows[time_ns] = row
-
-    def _correlated_errors(self) -> list[tuple[str, float]]:
-        return list(dict.fromkeys(key for row in self.rows.values() for key in row.correlated_effects))
 
     def _has_effect(self, key: tuple[str, float], stamps: list[int]) -> bool:
         effects = [
@@ -201,11 +196,8 @@ def axis_sightings(
 
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, (DecisionRecorder,), RosbagsFactory(), config_path, namespace)
-        names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
-        run = ReplayRun(chain, NullSink(), ReplaySummary(), ())
-        for record in progress(bag.records(names), bag):
-            run.process_message(names[record.topic], record)
-        run.finish()
+        names = match_inputs(bag, chain, namespace)
+        process_records(chain, progress(bag.records(names), bag), names, NullSink())
     if not found.rows:
         others = f"{found.unused_count} others"
         raise BadInput(f"no exposure of two lights was used ({others}): axes cannot be fitted", file=bag_path)

@@ -39,6 +39,11 @@ _PRIOR_LIMIT_RAD = float(PRIOR_SIGMAS[-1])
 """Prior standard deviation of a small error, rad; a combination with larger changes is unobservable."""
 _ROUNDING = 1e-15
 
+_MIN_LOG_LIKELIHOOD_GAIN = 10.0
+"""Minimum gain in log-likelihood for which another reading is reported: the reading is then 20 000 times as likely."""
+_LEAST_COSINE = 1e-3
+"""Minimum cosine of the elevation, used near the zenith where it is a divisor."""
+
 
 @dataclass(frozen=True)
 class NearDependency:
@@ -121,12 +126,6 @@ def _combinations(fit: AxisFit) -> tuple[FloatArray, FloatArray]:
     _, singular, vectors = np.linalg.svd(design / lengths, full_matrices=False)
     singular = np.maximum(singular, _ROUNDING * singular[0])
     return singular[0] / singular, fit.scale * vectors / singular[:, None] / lengths
-
-
-_MIN_LOG_LIKELIHOOD_GAIN = 10.0
-"""Minimum gain in log-likelihood for which another reading is reported: the reading is then 20 000 times as likely."""
-_LEAST_COSINE = 1e-3
-"""Minimum cosine of the elevation, used near the zenith where it is a divisor."""
 
 
 def table_warnings(sightings: Sightings, fixed: Mapping[str, float]) -> list[str]:

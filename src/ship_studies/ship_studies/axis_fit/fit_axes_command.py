@@ -51,8 +51,22 @@ MEANINGS = {
     "flexure": "bending of the tube, times cos E",
 }
 
+FORMAT = "theodolite axis errors"
+VERSION = 1
+CALIBRATION = "calibration.yaml"
+OUTPUT_NAMES = (
+    *("axes.yaml", "axes.csv", "correlation.csv", "residuals.csv"),
+    *("residuals.png", "over_angles.png", "sky.png", "terms.png"),
+    CALIBRATION,
+)
+"""Names of all files written."""
+
+_RESIDUALS = ("before", "after", "left_out")
 _WIDE_GAP = np.pi / 2.0
 """Gap in azimuth above which the tilt of the vertical axis is poorly determined, rad."""
+
+_MAX_SCATTER = np.deg2rad(1.0)
+"""Maximum scatter of the sightings about their fit, rad; a larger scatter shows other units or other content."""
 
 
 def summary(fit: AxisFit, sightings: Sightings, table_warnings: list[str]) -> str:
@@ -95,7 +109,7 @@ def _first_row(sightings: Sightings) -> str:
 
 def _terms(fit: AxisFit) -> Iterator[str]:
     yield f"{'term':8}  {'value':>9} {'sigma':>9}   [arcsec]"
-    sigmas = dict(zip(fit.fitted, fit.sigmas / ARCSEC, strict=True))
+    sigmas = _sigmas_arcsec(fit)
     for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
         known = f"{sigmas.get(name, 0.0):9.2f}" if fit.sigmas_known else f"{'unknown':>9}"
         sigma = known if name in sigmas else f"{'fixed':>9}"
@@ -142,7 +156,8 @@ def _observability_lines(fit: AxisFit) -> Iterator[str]:
     for first, second, correlation in correlated_pairs(fit):
         yield f"correlated: {first} and {second}, {correlation:+.3f}"
     for combination in near_dependencies(fit):
-        runs = changes_text(combination.names, np.array(combination.changes))
+        pairs = zip(combination.names, combination.changes, strict=True)
+        runs = ", ".join(f"{name} {change / ARCSEC:+.3g}" for name, change in pairs)
         yield (
             f"poorly separated: {', '.join(combination.names)}: {runs} arcsec together (1 sigma) change these "
             f"sightings by only {combination.effect / ARCSEC:.2g} arcsec"
@@ -154,24 +169,14 @@ def _observability_lines(fit: AxisFit) -> Iterator[str]:
         yield f"not observable: {what}; kept near 0. Fix terms, or add sightings where their effects differ"
 
 
-def changes_text(names: tuple[str, ...], changes: FloatArray) -> str:
-    """Return a text of errors with their joint changes: ``c +14.9, I -12.2``."""
-    return ", ".join(f"{name} {value / ARCSEC:+.3g}" for name, value in zip(names, changes, strict=True))
-
-
-FORMAT = "theodolite axis errors"
-VERSION = 1
-
-_RESIDUALS = ("before", "after", "left_out")
-
-
 def fit_tables(fit: AxisFit, sightings: Sightings) -> dict[str, Table]:
     """Return header and rows of each CSV table."""
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
     directions = ("observation", "true_azimuth_deg", "true_elevation_deg")
+    correlation = ((name, *row) for name, row in zip(fit.fitted, fit.correlation, strict=True))
     return {
         "axes.csv": (("term", "value_arcsec", "sigma_arcsec", "fitted"), _term_rows(fit)),
-        "correlation.csv": (("term", *fit.fitted), _correlation_rows(fit)),
+        "correlation.csv": (("term", *fit.fitted), correlation),
         "residuals.csv": ((*directions, *names, "after_arcsec", "weight", "outlier"), _residual_rows(fit, sightings)),
     }
 
@@ -220,11 +225,6 @@ def _sigmas_arcsec(fit: AxisFit) -> dict[str, float]:
     return dict(zip(fit.fitted, (fit.sigmas / ARCSEC).tolist(), strict=True))
 
 
-def _correlation_rows(fit: AxisFit) -> Iterator[tuple[Any, ...]]:
-    for name, row in zip(fit.fitted, fit.correlation, strict=True):
-        yield name, *row
-
-
 def _residual_rows(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[Any, ...]]:
     azimuth, elevation = np.rad2deg(azimuth_and_elevation(sightings.direction_d))
     residuals = np.concatenate([fit.before, fit.residuals, fit.leave_one_out], axis=1) / ARCSEC
@@ -232,18 +232,6 @@ def _residual_rows(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[Any, ..
     for number, label in enumerate(sightings.labels):
         outlier = "yes" if fit.outliers[number] else "no"
         yield label, azimuth[number], elevation[number], *residuals[number], size[number], fit.weights[number], outlier
-
-
-_MAX_SCATTER = np.deg2rad(1.0)
-"""Maximum scatter of the sightings about their fit, rad; a larger scatter shows other units or other content."""
-
-CALIBRATION = "calibration.yaml"
-OUTPUT_NAMES = (
-    *("axes.yaml", "axes.csv", "correlation.csv", "residuals.csv"),
-    *("residuals.png", "over_angles.png", "sky.png", "terms.png"),
-    CALIBRATION,
-)
-"""Names of all files written."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -126,7 +126,8 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
             scale = _scale(residuals, used_degrees)
         weights = _weights(residuals, scale)
         unknowns = np.concatenate([vector[free], shared])
-        gradient = _gradient(design, weights, residuals) / scale**2 - problem.information @ unknowns
+        by_residuals = design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
+        gradient = by_residuals / scale**2 - problem.information @ unknowns
         root = _root_of_inverse(np.sqrt(weights)[:, None, None] * design / scale, problem.information)
         change = root @ (root.T @ gradient)
         vector[free] += change[:terms]
@@ -193,11 +194,6 @@ def _scale(residuals: FloatArray, used_degrees: float) -> float:
 def _weights(residuals: FloatArray, scale: float) -> FloatArray:
     size = sizes(residuals)
     return np.where(size > HUBER_K * scale, HUBER_K * scale / np.maximum(size, scale), 1.0)
-
-
-def _gradient(design: FloatArray, weights: FloatArray, residuals: FloatArray) -> FloatArray:
-    gradient: FloatArray = design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
-    return gradient
 
 
 def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: float, used_degrees: float) -> AxisFit:

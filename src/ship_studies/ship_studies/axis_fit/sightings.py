@@ -44,6 +44,26 @@ _MIN_EFFECT_RAD = 0.1 * ARCSEC
 So small an effect cannot be separated from the sightings' own errors.
 """
 
+COLUMNS = {
+    "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",
+    "encoder_elevation_deg": "elevation encoder, up positive; over 90 where the telescope is plunged",
+    "azimuth_offset_deg": "true azimuth minus encoder, not multiplied by cos E",
+    "elevation_offset_deg": "true elevation minus encoder",
+}
+"""Required columns, with their meaning."""
+
+LABEL_COLUMN = "observation"
+"""Column with the user's own numbers, optional; without this column the rows are numbered from 1."""
+
+TIME_COLUMN = "time_s"
+"""Column with the time of the sighting, UTC as POSIX time, required only for errors correlated in time."""
+
+GROUP_COLUMNS = ("group", "group_sigma_arcsec")
+
+_SIDES = ("slow_right_arcsec", "slow_up_arcsec")
+_ELEVATIONS_DEG = (-90.0, 270.0)
+_YAML_KEY = "sightings"
+
 
 @dataclass(frozen=True)
 class SharedError:
@@ -58,22 +78,6 @@ class SharedError:
     name: str
     time_s: float
     effect: FloatArray
-
-
-def correlated_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
-    """Return the effects of independent errors of variance 1 on the sightings, shape (count, 2, q), rad.
-
-    Args:
-        errors: common errors of the sightings.
-        time_s: times of the sightings, s, shape (count,); needed only for errors correlated in time.
-        count: number of sightings.
-    """
-    columns = [error.effect.reshape(2 * count, 1) for error in errors if np.isinf(error.time_s)]
-    time_correlated = sorted((error for error in errors if not np.isinf(error.time_s)), key=lambda error: error.time_s)
-    if time_correlated:
-        assert time_s is not None
-        columns.append(_root(_covariance(time_correlated, time_s)))
-    return np.hstack([np.zeros((2 * count, 0)), *columns]).reshape(count, 2, -1)
 
 
 def _covariance(time_correlated: list[SharedError], time_s: FloatArray) -> FloatArray:
@@ -121,7 +125,13 @@ class Sightings:
 
     def correlated_map(self) -> FloatArray:
         """Return the effects of independent errors of variance 1 on the sightings, shape (n, 2, q), rad."""
-        return correlated_map(self.correlated_errors, self.time_s, len(self.labels))
+        errors, count = sorted(self.correlated_errors, key=lambda error: error.time_s), len(self.labels)
+        columns = [error.effect.reshape(2 * count, 1) for error in errors if np.isinf(error.time_s)]
+        time_correlated = [error for error in errors if not np.isinf(error.time_s)]
+        if time_correlated:
+            assert self.time_s is not None
+            columns.append(_root(_covariance(time_correlated, self.time_s)))
+        return np.hstack([np.zeros((2 * count, 0)), *columns]).reshape(count, 2, -1)
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
         """Return true direction minus reading in azimuth and elevation, on the face of the reading, (n,), rad."""
@@ -205,27 +215,6 @@ def azimuth_and_elevation(direction_d: FloatArray) -> tuple[FloatArray, FloatArr
     """Return azimuth in [0, 2 pi) and elevation of unit vectors, shape (n,), rad."""
     azimuth = np.arctan2(direction_d[..., 2], direction_d[..., 0]) % (2.0 * np.pi)
     return azimuth, np.arctan2(direction_d[..., 1], np.hypot(direction_d[..., 0], direction_d[..., 2]))
-
-
-COLUMNS = {
-    "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",
-    "encoder_elevation_deg": "elevation encoder, up positive; over 90 where the telescope is plunged",
-    "azimuth_offset_deg": "true azimuth minus encoder, not multiplied by cos E",
-    "elevation_offset_deg": "true elevation minus encoder",
-}
-"""Required columns, with their meaning."""
-
-LABEL_COLUMN = "observation"
-"""Column with the user's own numbers, optional; without this column the rows are numbered from 1."""
-
-TIME_COLUMN = "time_s"
-"""Column with the time of the sighting, UTC as POSIX time, required only for errors correlated in time."""
-
-GROUP_COLUMNS = ("group", "group_sigma_arcsec")
-
-_SIDES = ("slow_right_arcsec", "slow_up_arcsec")
-_ELEVATIONS_DEG = (-90.0, 270.0)
-_YAML_KEY = "sightings"
 
 
 class _Place(NamedTuple):

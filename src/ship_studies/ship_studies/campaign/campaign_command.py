@@ -109,7 +109,6 @@ def _run_missing_items(items: Sequence[Item], folder: ResultFolder, maker: Maker
 
 
 def _print_summary(results: Sequence[ItemResult], folder: Path) -> int:
-    """Print the summary of the campaign; return the exit code."""
     from ship_studies.campaign.page import pooled_table, pools_by_parameters
 
     pooled = pools_by_parameters(results)

@@ -23,6 +23,19 @@ from ship_studies.campaign.results import ItemResult
 
 MAX_WORST_ITEMS = 10
 
+SECTIONS = (
+    ("made", "Items"),
+    ("errors", "Errors by parameter set"),
+    ("statuses", "Statuses and rejections"),
+    ("sources", "Errors by bag or scenario"),
+    ("worst", "Worst items"),
+    ("failed", "Failed items"),
+    ("provenance", "Hashes and versions"),
+)
+"""Ids and titles of the sections, in order."""
+
+_STATUSES = ("VALID", "COASTING", "DEGRADED", "INVALID")
+
 
 @dataclass(frozen=True)
 class PooledChannel:
@@ -86,26 +99,17 @@ class Pool:
     refused: int
 
 
-@dataclass(frozen=True)
-class WorstItem:
-    """An item with its worst channel, whose ratio of RMS error to sigma is the largest."""
-
-    item: Item
-    label: str
-    channel: str
-    rms_arcsec: float
-    sigma_arcsec: float
-    ratio: float
-
-
 def pools(results: Sequence[ItemResult], name: Callable[[Item], str]) -> list[Pool]:
     """Return one pool for each name, with all items of this name, sorted by name."""
     by_name = sorted(results, key=lambda each: (name(each[0]), each[0].sort_key))
     return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
 
 
-def worst_items(results: Sequence[ItemResult]) -> list[WorstItem]:
-    """Return up to ten items with the largest ratios of RMS to predicted sigma, the worst first."""
+def worst_items(results: Sequence[ItemResult]) -> list[tuple[Item, str, str, float, float, float]]:
+    """Return up to ten items with the largest ratios of RMS error to predicted sigma, the worst first.
+
+    Each item has label and name of its worst channel, and this channel's RMS error and sigma, arcsec, and their ratio.
+    """
     worst = []
     for item, result in results:
         ratios = [
@@ -117,12 +121,9 @@ def worst_items(results: Sequence[ItemResult]) -> list[WorstItem]:
         if ratios:
             ratio, label, channel = max(ratios)
             values = result["errors"][label]
-            worst.append(
-                WorstItem(
-                    item, label, channel, values[f"{channel}.rms_arcsec"], values[f"{channel}.sigma_arcsec"], ratio
-                )
-            )
-    return sorted(worst, key=lambda each: (-each.ratio, each.item.sort_key))[:MAX_WORST_ITEMS]
+            sizes_arcsec = values[f"{channel}.rms_arcsec"], values[f"{channel}.sigma_arcsec"]
+            worst.append((item, label, channel, *sizes_arcsec, ratio))
+    return sorted(worst, key=lambda each: (-each[-1], each[0].sort_key))[:MAX_WORST_ITEMS]
 
 
 def _pool(name: str, item_results: list[ItemResult]) -> Pool:
@@ -177,20 +178,6 @@ def _root_mean_square(values: Iterable[float | None], weights: Sequence[float]) 
     return math.sqrt(sum(squares) / math.fsum(weights))
 
 
-SECTIONS = (
-    ("made", "Items"),
-    ("errors", "Errors by parameter set"),
-    ("statuses", "Statuses and rejections"),
-    ("sources", "Errors by bag or scenario"),
-    ("worst", "Worst items"),
-    ("failed", "Failed items"),
-    ("provenance", "Hashes and versions"),
-)
-"""Ids and titles of the sections, in order."""
-
-_STATUSES = ("VALID", "COASTING", "DEGRADED", "INVALID")
-
-
 def page(results: Sequence[ItemResult]) -> str:
     """Return the campaign as a single HTML file; the same results give the same text."""
     in_order = sorted(results, key=lambda each: each[0].sort_key)
@@ -216,8 +203,8 @@ def page(results: Sequence[ItemResult]) -> str:
             for first, (topic, shares) in zip(chain([True], repeat(False)), pool.shares.items(), strict=False)
         ],
         worst=[
-            (each.item.name, each.label, each.channel, *map(number, (each.rms_arcsec, each.sigma_arcsec, each.ratio)))
-            for each in worst_items(in_order)
+            (item.name, label, channel, *map(number, numbers))
+            for item, label, channel, *numbers in worst_items(in_order)
         ],
         code=items[0].code,
         skip_s=items[0].skip_s,

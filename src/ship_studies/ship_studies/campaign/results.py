@@ -19,7 +19,7 @@ from ship_bags.output_files import check_folder, csv_text, write_atomically
 from ship_bags.topic_names import TopicNames, topic_names
 from ship_geometry.input_error import InputError
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
-from ship_replay.evaluation.statistics import AttitudeErrors
+from ship_replay.evaluation.statistics import AttitudeErrors, json_values
 from ship_replay.offline.digests import code_sha256
 from ship_replay.offline.replay import ADAPTERS, replay
 from ship_replay.offline.replay_summary import ReplaySummary
@@ -37,6 +37,8 @@ Result = dict[str, Any]
 - ``statuses``: topic → status → number of outputs;
 - ``refused``: topic → reason → number of messages not used.
 """
+
+TABLE, PAGE = "table.csv", "campaign.html"
 
 
 def run_item(item: Item, folder: Path) -> Result:
@@ -85,7 +87,7 @@ def _as_result(evaluation: Evaluation, summary: ReplaySummary) -> Result:
     return {
         "error": None,
         "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
-        "values": _json_values(evaluation.quantities()),
+        "values": json_values(evaluation.quantities()),
         "statuses": {
             topic: dict(sorted(history.counts.items())) for topic, history in sorted(summary.status_histories.items())
         },
@@ -97,15 +99,8 @@ def _statistics(errors: AttitudeErrors) -> dict[str, Any]:
     nees = errors.nees[np.isfinite(errors.nees)]
     values = errors.statistics() | {"nees_mean": float(np.mean(nees)) if len(nees) else math.nan}
     counts = {"nees_count": float(len(nees)), "nees_independent": errors.independent_count()}
-    return {"channels": list(errors.channels), **_json_values(values | counts)}
+    return {"channels": list(errors.channels), **json_values(values | counts)}
 
-
-def _json_values(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return values for JSON, with None in place of NaN and infinity."""
-    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
-
-
-TABLE, PAGE = "table.csv", "campaign.html"
 
 ItemResult = tuple[Item, Result]
 

@@ -28,6 +28,9 @@ MAX_WORKER_FAILURES = 3
 
 Make = Callable[[Item, Path], Result]
 
+_ONE_AT_A_TIME = threading.Lock()
+"""Lock by which a worker runs one item at a time; parallel threads of one interpreter would not be faster."""
+
 
 def run_in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tuple[Item, Result]]:
     """Yield each item with its result on completion.
@@ -123,10 +126,6 @@ class _Worker:
 def _serve(make: Make, item: Item, folder: Path, connection: Connection) -> None:
     start_worker_process()
     connection.send_bytes(json.dumps(make(item, folder)).encode())
-
-
-_ONE_AT_A_TIME = threading.Lock()
-"""Lock by which a worker runs one item at a time; parallel threads of one interpreter would not be faster."""
 
 
 def run_in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tuple[Item, Result]]:

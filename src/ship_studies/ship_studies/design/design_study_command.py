@@ -17,6 +17,8 @@ TABLES = ("places.csv", "error_budget.csv", "sweeps.csv")
 FIGURES = ("field", "sweeps")
 _DEFAULT_TITLE = "two lights as in [W18]"
 
+_SIGMAS = ("azimuth_cos_elevation_arcsec", "elevation_arcsec", "on_sky_arcsec")
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point."""
@@ -79,9 +81,6 @@ def _summary(computed: DesignStudy) -> list[str]:
     if not computed.meets_requirement:
         lines.append(f"required {computed.config.required_arcsec:g} arcsec on the sky: not met")
     return lines
-
-
-_SIGMAS = ("azimuth_cos_elevation_arcsec", "elevation_arcsec", "on_sky_arcsec")
 
 
 def study_tables(study: DesignStudy) -> dict[str, Table]:

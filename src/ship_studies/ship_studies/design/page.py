@@ -25,6 +25,9 @@ _FINE, _COARSE, _WIDE = (1.0, 2.0, 5.0), (1.0, 3.0), 100.0
 _HIGHEST = 8.0
 """Largest upper end of the error axis, as a multiple of the given design's error."""
 
+_WORTH_MOVING = 0.05
+"""Relative gain of accuracy below which the advised positions are reported as a small improvement."""
+
 
 def study_figures(study: DesignStudy) -> Iterator[tuple[str, Figure]]:
     """Yield name and figure of every figure of the study."""
@@ -91,10 +94,6 @@ def _draw_sweep(axes: Axes, sweep: Sweep, study: DesignStudy) -> None:
         axis.set_major_locator(LogLocator(subs=_FINE if high < _WIDE * low else _COARSE))
         axis.set_major_formatter(words)
         axis.set_minor_formatter(NullFormatter())
-
-
-_WORTH_MOVING = 0.05
-"""Relative gain of accuracy below which the advised positions are reported as a small improvement."""
 
 
 def page_text(study: DesignStudy, figures: Mapping[str, Path], title: str) -> str:

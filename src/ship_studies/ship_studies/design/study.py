@@ -27,6 +27,8 @@ BEST_STEP = 4
 _FACTORS = np.geomspace(0.2, 5.0, SWEEP_COUNT)
 _SURVEY_M = np.geomspace(1e-3, 0.2, SWEEP_COUNT)
 
+_UNKNOWN = np.full((3, 3), np.nan)
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -124,9 +126,6 @@ def compute_study(config: DesignStudyConfig) -> DesignStudy:
         places_deg=np.array([angles_deg for angles_deg, _ in places]),
         distances_m=np.array([distances_m for _, distances_m in places]),
     )
-
-
-_UNKNOWN = np.full((3, 3), np.nan)
 
 
 def _total(columns: Iterable[FloatArray]) -> FloatArray:

@@ -29,7 +29,7 @@ from scipy.optimize import minimize
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.rotations import FloatArray
 from ship_studies.ins_noise.processes import FittableInsModel, SuiteParameter
-from ship_studies.ins_noise.star_record import EpochFilter, StarRecord, log_likelihoods
+from ship_studies.ins_noise.star_record import EpochFilter, StarRecord
 
 _GRID = 2001
 _POWER = 0.25
@@ -38,6 +38,40 @@ _POWER = 0.25
 With this exponent, the ratio of RMS error to sigma is nearest to 1 in simulated records of 1 to 200 correlation times.
 The mean of the logarithm has a sigma that is too large by a fifth, due to a long tail towards long times.
 """
+
+_FIRST_EPOCHS = 300
+_GRADIENT_STEP, _CURVATURE_STEP = 1e-4, 0.02
+_LEAST_GAIN = 0.01
+"""Gain in log likelihood per step below which a search ends. One sigma off the maximum, the loss is 0.5."""
+
+_MAX_BATCH = 12
+"""Maximum number of parameter sets computed together; more sets need more memory and are hardly faster."""
+
+_UNKNOWN_LOG_SIGMA = 10.0
+"""Sigma of the logarithm of a parameter that a record does not determine."""
+
+_SECOND_START_FACTOR = 0.03
+"""Factor on the configured correlation times at the start of a second search, as one search may stop near a saddle."""
+
+_STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
+"""Distances from the maximum, in sigmas from the curvature, at which a correlation time's likelihood is computed."""
+
+_WIDEST_STEP = 1.0
+"""Upper limit of the sigma that is multiplied by :data:`_STEPS`; a larger sigma does not describe the likelihood."""
+
+SHARES = (2, 4, 8, 16)
+"""Numbers of intervals in a record: longer horizons are too rare to test, and much shorter horizons are not outages."""
+
+_MAX_INTERVAL_RATIO = 1.25
+"""Maximum ratio of the length of an interval to the horizon; an interval is excluded if stars return later."""
+
+_CHECKED_SHARE = 0.125
+"""Share of an interval at its end whose stars determine the prediction error."""
+
+_MAX_CHECKED_EPOCHS = 50
+"""Maximum number of epochs that determine a prediction error; more epochs do not improve the comparison."""
+
+_PARTS = {"tilt": [0, 2], "heading": [1]}
 
 
 def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: float) -> tuple[float, float]:
@@ -68,27 +102,6 @@ def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: flo
     mean = float(np.sum(weights * powers))
     variance = float(np.sum(weights * (powers - mean) ** 2))
     return middle - np.log(mean) / _POWER, variance / (_POWER * mean) ** 2
-
-
-_FIRST_EPOCHS = 300
-_GRADIENT_STEP, _CURVATURE_STEP = 1e-4, 0.02
-_LEAST_GAIN = 0.01
-"""Gain in log likelihood per step below which a search ends. One sigma off the maximum, the loss is 0.5."""
-
-_MAX_BATCH = 12
-"""Maximum number of parameter sets computed together; more sets need more memory and are hardly faster."""
-
-_UNKNOWN_LOG_SIGMA = 10.0
-"""Sigma of the logarithm of a parameter that a record does not determine."""
-
-_SECOND_START_FACTOR = 0.03
-"""Factor on the configured correlation times at the start of a second search, as one search may stop near a saddle."""
-
-_STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
-"""Distances from the maximum, in sigmas from the curvature, at which a correlation time's likelihood is computed."""
-
-_WIDEST_STEP = 1.0
-"""Upper limit of the sigma that is multiplied by :data:`_STEPS`; a larger sigma does not describe the likelihood."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +163,7 @@ def _use_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray)
         steps = min(float(np.sqrt(variance)), _WIDEST_STEP) * np.concatenate([-_STEPS[::-1], [0.0], _STEPS])
         logs = np.unique(np.clip(best[row] + steps, *search.bounds[row]))
         points = np.clip(best + (logs - best[row])[:, None] * along, *search.bounds.T)
-        mean, own_variance = mean_log_time(logs, -search.costs(points), search.duration_s)
+        mean, own_variance = mean_log_time(logs, -search.costs(points), search.record.duration_s)
         point += (mean - best[row]) * along
         covariance = covariance + (own_variance - variance) * np.outer(along, along)
     return point, covariance
@@ -162,7 +175,7 @@ def _is_time(model: FittableInsModel) -> NDArray[np.bool_]:
 
 class _Search:
     def __init__(self, record: StarRecord, model: FittableInsModel) -> None:
-        self._record, self.model = record, model
+        self.record, self.model = record, model
         self.bounds = np.log([(parameter.least, parameter.most) for parameter in model.parameters])
 
     def cost(self, point: FloatArray) -> float:
@@ -205,34 +218,14 @@ class _Search:
         covariance[np.ix_(free, free)] = inverse
         return covariance
 
-    @property
-    def duration_s(self) -> float:
-        """Length of the record, s."""
-        return self._record.duration_s
-
     def costs(self, points: FloatArray) -> FloatArray:
         """Return minus the log likelihood at N sets of logarithms of parameters, shape (N,)."""
         found = []
         for begin in range(0, len(points), _MAX_BATCH):
             values = np.exp(points[begin : begin + _MAX_BATCH])
-            steps = self.model.steps(values, self._record.times_s)
-            found.append(-log_likelihoods(self._record, steps))
+            steps = self.model.steps(values, self.record.times_s)
+            found.append(-EpochFilter(self.record, steps).log_likelihoods())
         return np.concatenate(found)
-
-
-SHARES = (2, 4, 8, 16)
-"""Numbers of intervals in a record: longer horizons are too rare to test, and much shorter horizons are not outages."""
-
-_MAX_INTERVAL_RATIO = 1.25
-"""Maximum ratio of the length of an interval to the horizon; an interval is excluded if stars return later."""
-
-_CHECKED_SHARE = 0.125
-"""Share of an interval at its end whose stars determine the prediction error."""
-
-_MAX_CHECKED_EPOCHS = 50
-"""Maximum number of epochs that determine a prediction error; more epochs do not improve the comparison."""
-
-_PARTS = {"tilt": [0, 2], "heading": [1]}
 
 
 class PredictionError(NamedTuple):

@@ -35,6 +35,9 @@ _EXPECTED_REFUSED = 0.01
 _VAGUE = 0.3
 _HOUR_S = 3600.0
 
+_SIGMAS = 3.290526731491891
+"""Number of sigmas of a two-sided 99.9 % interval."""
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -170,10 +173,6 @@ def identify(session: NoiseSession) -> Identification:
     )
     outages = {one.model.name: outage_checks(record, one) for one in fitted}
     return Identification(session, record, fitted, outages)
-
-
-_SIGMAS = 3.290526731491891
-"""Number of sigmas of a two-sided 99.9 % interval."""
 
 
 def parameter_file_text(identification: Identification) -> str:

@@ -138,25 +138,26 @@ class SchulerModel:
 
     def __init__(self, ins: InsConfig, here: LocalVertical) -> None:
         schuler = ins.schuler
+        drift, bias = schuler.gyro_drift_sigma_deg_per_h, schuler.accelerometer_bias_sigma_m_per_s2
+        velocity_walk = schuler.velocity_walk_m_per_s_per_sqrt_h
         found = (
-            ("tilt_sigma_arcsec", ins.tilt_sigma_arcsec, 1e3),
-            ("heading_sigma_arcsec", ins.heading_sigma_arcsec, 1e4),
-            ("schuler.velocity_sigma_m_per_s", schuler.velocity_sigma_m_per_s, 100.0),
-            ("schuler.gyro_drift_sigma_deg_per_h", schuler.gyro_drift_sigma_deg_per_h, 100.0),
-            ("schuler.angle_walk_deg_per_sqrt_h", schuler.angle_walk_deg_per_sqrt_h, 10.0),
-            ("schuler.accelerometer_bias_sigma_m_per_s2", schuler.accelerometer_bias_sigma_m_per_s2, 1.0),
-            ("schuler.velocity_walk_m_per_s_per_sqrt_h", schuler.velocity_walk_m_per_s_per_sqrt_h, 100.0),
+            ("tilt_sigma_arcsec", "arcsec", ins.tilt_sigma_arcsec, 1e3),
+            ("heading_sigma_arcsec", "arcsec", ins.heading_sigma_arcsec, 1e4),
+            ("schuler.velocity_sigma_m_per_s", "m/s", schuler.velocity_sigma_m_per_s, 100.0),
+            ("schuler.gyro_drift_sigma_deg_per_h", "deg/h", drift, 100.0),
+            ("schuler.angle_walk_deg_per_sqrt_h", "deg/sqrt(h)", schuler.angle_walk_deg_per_sqrt_h, 10.0),
+            ("schuler.accelerometer_bias_sigma_m_per_s2", "m/s2", bias, 1.0),
+            ("schuler.velocity_walk_m_per_s_per_sqrt_h", "m/s/sqrt(h)", velocity_walk, 100.0),
         )
         white = _white(ins)
         self.parameters: tuple[Parameter, ...] = (
-            *(Parameter(name, max(start, 1e-6 * most), 1e-8 * most, most) for name, start, most in found),
+            *(Parameter(name, max(start, 1e-6 * most), 1e-8 * most, most) for name, _, start, most in found),
             white,
         )
         unit = np.eye(len(self.parameters))
-        names = [name for name, _, _ in found]
         self.suite_parameters: tuple[SuiteParameter, ...] = (
             SuiteParameter("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
-            *(SuiteParameter(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
+            *(SuiteParameter(name, words, 0.0, unit[row]) for row, (name, words, _, _) in enumerate(found)),
         )
         self.configured_values = {
             "schuler.position_sigma_m": schuler.position_sigma_m,
@@ -246,20 +247,6 @@ def _densities(config: SchulerConfig) -> list[float]:
 
 def _white(ins: InsConfig) -> Parameter:
     return Parameter("white_sigma_arcsec", max(ins.white_sigma_arcsec, 0.1), 1e-3, 1e4)
-
-
-_UNITS = {
-    "_arcsec": "arcsec",
-    "_m_per_s": "m/s",
-    "_deg_per_h": "deg/h",
-    "_deg_per_sqrt_h": "deg/sqrt(h)",
-    "_m_per_s2": "m/s2",
-    "_m_per_s_per_sqrt_h": "m/s/sqrt(h)",
-}
-
-
-def _unit(name: str) -> str:
-    return next(unit for ending, unit in _UNITS.items() if name.endswith(ending))
 
 
 def candidate_models(ins: InsConfig, here: LocalVertical | None) -> Sequence[FittableInsModel]:

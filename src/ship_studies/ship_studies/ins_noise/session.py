@@ -16,14 +16,14 @@ import numpy as np
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.attitude_output import INS
-from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.deflection import UNKNOWN, GravityConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_reader import ProgressWrapper, read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters.ship_devices import GAUSS_MARKOV
@@ -33,9 +33,8 @@ from ship_node.messages.inputs_outputs import OutputMessage
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.outputs import NullSink
-from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun
-from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.replay import match_inputs
+from ship_replay.offline.replay_run import process_records
 from ship_stars.attitude_samples import AttitudeDecision
 
 _SIGMA_FACTOR = 3.0
@@ -74,12 +73,8 @@ class StarComparisons:
     accepted: dict[tuple[str, int], StarInnovation] = field(default_factory=dict)
     rejected: set[tuple[str, int]] = field(default_factory=set)
 
-    def add_decisions(self, core: ShipAttitudeCore, decisions: Iterable[AttitudeDecision]) -> None:
-        """Add the decisions of a node; a revised decision replaces the earlier one."""
-        for decision in decisions:
-            self._add_decision(core, decision)
-
-    def _add_decision(self, core: ShipAttitudeCore, decision: AttitudeDecision) -> None:
+    def add_decision(self, core: ShipAttitudeCore, decision: AttitudeDecision) -> None:
+        """Add a decision of a node; a revised decision replaces the earlier one."""
         measurement = decision.measurement
         key = measurement.source, measurement.time_ns
         self.accepted.pop(key, None)
@@ -172,7 +167,8 @@ def run_session(
                 yield feed
 
         def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-            comparisons.add_decisions(self.core, outcome.decisions)
+            for decision in outcome.decisions:
+                comparisons.add_decision(self.core, decision)
             return []
 
     with read_bag(bag_path) as bag:
@@ -183,14 +179,9 @@ def run_session(
             text = f"the configuration has no star_sensors of {ShipAttitudeAdapter.node_name}: the error of"
             raise BadInput(f"{text} the INS is not observable", file=bag.path)
         adapter = adapters[0]
-        names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
-        summary = ReplaySummary()
-        run = ReplayRun(chain, NullSink(), summary, ())
-        for record in progress(bag.records(names), bag):
-            run.process_message(names[record.topic], record)
-        run.finish()
-        unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
-        problems = [*left_out, *bag.problems, *unread]
+        names = match_inputs(bag, chain, namespace)
+        summary = process_records(chain, progress(bag.records(names), bag), names, NullSink())
+        problems = [*left_out, *bag.problems, *summary.unread_lines()]
         if not comparisons.accepted:
             counts = f"{len(comparisons.rejected)} received, all rejected" if comparisons.rejected else "none received"
             raise BadInput(f"no star measurement was used ({counts}): the INS error is not observable", file=bag.path)
@@ -204,19 +195,14 @@ def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
     modelled, whether it is relevant or not.
     """
     gravity = config.gravity if config.gravity.is_modelled else GravityConfig(deflection=UNKNOWN)
-    return replace(
-        config, ins=_with_wider_sigmas(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=()
-    )
-
-
-def _with_wider_sigmas(ins: InsConfig) -> InsConfig:
-    return replace(
-        ins,
+    ins = replace(
+        config.ins,
         model=GAUSS_MARKOV,
-        tilt_sigma_arcsec=_SIGMA_FACTOR * ins.tilt_sigma_arcsec,
-        heading_sigma_arcsec=_SIGMA_FACTOR * ins.heading_sigma_arcsec,
-        white_sigma_arcsec=_SIGMA_FACTOR * ins.white_sigma_arcsec,
+        tilt_sigma_arcsec=_SIGMA_FACTOR * config.ins.tilt_sigma_arcsec,
+        heading_sigma_arcsec=_SIGMA_FACTOR * config.ins.heading_sigma_arcsec,
+        white_sigma_arcsec=_SIGMA_FACTOR * config.ins.white_sigma_arcsec,
     )
+    return replace(config, ins=ins, gravity=gravity, references={}, alignment_file="", sources_off=())
 
 
 def mean_location(pairs: Iterable[StarInnovation]) -> LocalVertical | None:

@@ -345,11 +345,6 @@ class EpochFilter:
         return StateEstimate(estimate.mean + after[:, rows] @ (vector - matrix @ estimate.mean[rows]), after)
 
 
-def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
-    """Return the log likelihood of each parameter set, shape (k,)."""
-    return EpochFilter(record, steps).log_likelihoods()
-
-
 def _with_time_varying(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return start, transitions and noise of the process and the record's time-varying states, in filter order."""
     time_varying = record.time_varying

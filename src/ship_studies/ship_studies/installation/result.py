@@ -62,14 +62,9 @@ class JointRotation:
     shares: FloatArray
 
     @property
-    def ratio(self) -> float:
-        """Sigma after the session divided by the prior sigma."""
-        return self.sigma / self.sigma_before
-
-    @property
     def observability(self) -> str:
         """Observability: yes, partly or no."""
-        return observability(self.ratio)
+        return observability(self.sigma / self.sigma_before)
 
 
 def combinations(

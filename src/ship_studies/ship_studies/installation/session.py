@@ -14,10 +14,10 @@ import numpy as np
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.alignment import current_alignment
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, read_bag
+from ship_bags.mcap.bag_reader import Bag, ProgressWrapper, read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
@@ -27,9 +27,8 @@ from ship_node.adapters.adapter import Adapter
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.outputs import DecodingSink
-from ship_replay.offline.replay import ProgressWrapper, match_inputs
-from ship_replay.offline.replay_run import ReplayRun
-from ship_replay.offline.replay_summary import ReplaySummary
+from ship_replay.offline.replay import match_inputs
+from ship_replay.offline.replay_run import process_records
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word
@@ -54,11 +53,6 @@ class InputCount:
     def improbable(self) -> int:
         """Number of messages rejected as improbable."""
         return min(self.rejected_count, sum(self.reasons.get(reason, 0) for reason in _IMPROBABLE))
-
-    @property
-    def reasons_text(self) -> str:
-        """Reasons with their counts, as text."""
-        return ", ".join(f"{reason} {count}" for reason, count in self.reasons.items()) or "no message received"
 
 
 @dataclass(frozen=True)
@@ -112,19 +106,15 @@ def run_session(
         adapter = _ship_adapter(bag, chain)
         config = adapter.core.config
         _check_installations(bag, config)
-        names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+        names = match_inputs(bag, chain, namespace)
         _check_star_topics(bag, config, {*names.values(), *(topic.topic for topic in chain.outputs)})
-        history, summary = AlignmentHistory(), ReplaySummary()
-        run = ReplayRun(chain, history, summary, ())
-        for record in progress(bag.records(names), bag):
-            run.process_message(names[record.topic], record)
-        run.finish()
+        history = AlignmentHistory()
+        summary = process_records(chain, progress(bag.records(names), bag), names, history)
         last_ns = bag.last_time_ns or 0
         last = current_alignment(adapter.core.filter, adapter.core.config, adapter.core.state)
         history.add(last_ns, last.names, last.values, last.covariance)
         counts = input_counts(adapter, last_ns)
         _check_used(bag, adapter.core, counts)
-        unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         return Session(
             name=bag_path.name,
             config=config,
@@ -133,7 +123,7 @@ def run_session(
             times_s=history.times_s,
             history=history.installation_history(),
             duration_s=(last_ns - (bag.start_ns or 0)) / NS_PER_S,
-            problems=[*left_out, *bag.problems, *unread],
+            problems=[*left_out, *bag.problems, *summary.unread_lines()],
         )
 
 
@@ -144,17 +134,10 @@ def session_config(config: ShipAttitudeConfig, prior_sigma_arcsec: float | None)
     """
     stars = config.star_sensors
     if prior_sigma_arcsec is not None:
-        stars = {id_: _with_sigma(star, prior_sigma_arcsec) for id_, star in stars.items()}
+        names = (f"installation_sigma_{axis}_arcsec" for axis in ("forward", "up", "right"))
+        sigmas: dict[str, Any] = dict.fromkeys(names, prior_sigma_arcsec)
+        stars = {id_: replace(star, **sigmas) for id_, star in stars.items()}
     return replace(config, star_sensors=stars, alignment_file="")
-
-
-def _with_sigma(star: StarSensorConfig, sigma_arcsec: float) -> StarSensorConfig:
-    return replace(
-        star,
-        installation_sigma_forward_arcsec=sigma_arcsec,
-        installation_sigma_up_arcsec=sigma_arcsec,
-        installation_sigma_right_arcsec=sigma_arcsec,
-    )
 
 
 def _node_of_session(prior_sigma_arcsec: float | None) -> type[Adapter]:
@@ -209,7 +192,8 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
         count = counts[source]
         if device.is_star and source not in core.state.last_used_ns:
             hint = ": its installation error exceeds its sigma: use --prior-sigma" if count.improbable else ""
-            raise BadInput(f"no message of {source} was used: {count.reasons_text}{hint}", file=bag.path)
+            reasons = ", ".join(f"{reason} {number}" for reason, number in count.reasons.items())
+            raise BadInput(f"no message of {source} was used: {reasons or 'no message received'}{hint}", file=bag.path)
 
 
 @dataclass

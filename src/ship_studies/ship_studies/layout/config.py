@@ -46,24 +46,30 @@ def _error(default: float, *, doc: str) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LayoutSensor:
-    """One star sensor: mounting angles and errors about its own axes (forward is the boresight)."""
+class SensorPlacement:
+    """Mounting angles of a sensor."""
 
     azimuth_deg: float = _angle(doc="boresight from the bow, clockwise seen from above")
     elevation_deg: float = parameter(
         doc="boresight above the deck", unit="deg", minimum=MIN_ELEVATION_DEG, maximum=90.0
     )
     roll_deg: float = _angle(0.0, doc="roll about the boresight, right side down")
+
+    def angles(self) -> FloatArray:
+        """Return azimuth, elevation, roll in the deck, shape (3,), rad."""
+        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutSensor(SensorPlacement):
+    """One star sensor: mounting angles and errors about its own axes (forward is the boresight)."""
+
     sigma_forward_arcsec: float = _sigma(100.0, doc="noise about the boresight", minimum=_MIN_SIGMA_ARCSEC)
     sigma_up_arcsec: float = _sigma(3.0, doc="noise about the up axis", minimum=_MIN_SIGMA_ARCSEC)
     sigma_right_arcsec: float = _sigma(3.0, doc="noise about the right axis", minimum=_MIN_SIGMA_ARCSEC)
     installation_sigma_forward_arcsec: float = _sigma(20.0, doc="installation error about the boresight")
     installation_sigma_up_arcsec: float = _sigma(1.0, doc="installation error about the up axis")
     installation_sigma_right_arcsec: float = _sigma(1.0, doc="installation error about the right axis")
-
-    def angles(self) -> FloatArray:
-        """Return azimuth, elevation, roll in the deck, shape (3,), rad."""
-        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
 
     def noise_sigmas(self) -> FloatArray:
         """Return the noise about (forward, up, right), shape (3,), rad."""
@@ -166,21 +172,6 @@ class HorizonClearance:
     clearance_deg: float = parameter(
         0.0, doc="minimum elevation of the field above the horizon", unit="deg", minimum=0.0, maximum=45.0
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorPlacement:
-    """Mounting angles of a sensor in another layout."""
-
-    azimuth_deg: float = _angle(doc="boresight from the bow, clockwise seen from above")
-    elevation_deg: float = parameter(
-        doc="boresight above the deck", unit="deg", minimum=MIN_ELEVATION_DEG, maximum=90.0
-    )
-    roll_deg: float = _angle(0.0, doc="roll about the boresight, right side down")
-
-    def angles(self) -> FloatArray:
-        """Return azimuth, elevation, roll in the deck, shape (3,), rad."""
-        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
 
 
 @dataclass(frozen=True, kw_only=True)

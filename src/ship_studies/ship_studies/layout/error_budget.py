@@ -22,7 +22,7 @@ from ship_geometry.frames import (
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_studies.layout.config import MIN_ELEVATION_DEG, LayoutStudyConfig
-from ship_studies.layout.installation_model import JointAttitude, combine_attitudes
+from ship_studies.layout.installation_model import JointAttitude, combine_attitudes, rotations
 
 _AXES = ("forward", "up", "right")
 _COMMON = (
@@ -32,8 +32,16 @@ _COMMON = (
     ("refraction", "refraction"),
 )
 """The errors that sensors share, as text and as parameter, in the order of ``Layout.common_sigmas``."""
+_COMMON_ERRORS = {"tilt": ("horizon", [0, 2]), "heading": ("clock", [1]), "refraction": ("refraction", [3])}
+"""Parameter of a common error → its kind, and its indices in ``Layout.common_sigmas``."""
 _HEADING = 0.0
 """Heading of the ship, rad: no error depends on it."""
+
+MAX_ERROR_ARCSEC = 36_000.0
+"""Largest error of a study, arcseconds; an error that is allowed to exceed this value may have any size."""
+_MIN_NOISE_ARCSEC = 0.001
+"""Minimum noise of a sensor, arcseconds: the covariance of zero noise is singular."""
+_HALVINGS = 40
 
 
 @dataclass(frozen=True)
@@ -143,8 +151,7 @@ class Layout:
         return [source for source in sources if source.sigma_arcsec > 0.0]
 
     def _rotations_ns(self, angles: FloatArray) -> FloatArray:
-        rotation_nd = rotation_from_angles(*self.ship_angles)
-        return rotation_nd @ rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
+        return rotation_from_angles(*self.ship_angles) @ rotations(angles)
 
     def _combined_attitude(self, angles: FloatArray) -> tuple[JointAttitude, FloatArray, FloatArray]:
         """Return joint attitude, rotations "horizon from sensor" (..., N, 3, 3), common effects (..., N, 3, 4)."""
@@ -186,10 +193,6 @@ class ErrorMap:
     elevations_deg: FloatArray
     sigmas_arcsec: FloatArray
 
-    def total_arcsec(self) -> FloatArray:
-        """Return the root sum of squares of the three sigmas, shape (e, a)."""
-        return total_arcsec(self.sigmas_arcsec)
-
 
 def error_map(layout: Layout, number: int, step_deg: float = 2.5) -> ErrorMap:
     """Return the map of one sensor of a layout."""
@@ -205,17 +208,6 @@ def total_arcsec(sigmas_arcsec: FloatArray) -> FloatArray:
     """Return the figure of merit of a layout: root sum of squares of heading, pitch and roll."""
     total: FloatArray = np.sqrt(np.sum(sigmas_arcsec**2, axis=-1))
     return total
-
-
-MAX_ERROR_ARCSEC = 36_000.0
-"""Largest error of a study, arcseconds; an error that is allowed to exceed this value may have any size."""
-_MIN_NOISE_ARCSEC = 0.001
-"""Minimum noise of a sensor, arcseconds: the covariance of zero noise is singular."""
-_HALVINGS = 40
-
-_ERROR_AXES = ("forward", "up", "right")
-_COMMON_INDICES = {"tilt": [0, 2], "heading": [1], "refraction": [3]}
-_KINDS_OF_COMMON = {"tilt": "horizon", "heading": "clock", "refraction": "refraction"}
 
 
 @dataclass(frozen=True)
@@ -301,14 +293,13 @@ class _Error:
 
 def _errors(layout: Layout) -> Iterator[_Error]:
     for number, name in enumerate(layout.names):
-        for axis, axis_name in enumerate(_ERROR_AXES):
+        for axis, axis_name in enumerate(_AXES):
             key = f"sensors.{name}.sigma_{axis_name}_arcsec"
             yield _Error(key, "star noise", "noise_sigmas", (number, axis), _MIN_NOISE_ARCSEC)
-        for axis, axis_name in enumerate(_ERROR_AXES):
+        for axis, axis_name in enumerate(_AXES):
             key = f"sensors.{name}.installation_sigma_{axis_name}_arcsec"
             yield _Error(key, "installation", "installation_sigmas", (number, axis), 0.0)
-    for name, indices in _COMMON_INDICES.items():
-        kind = _KINDS_OF_COMMON[name]
+    for name, (kind, indices) in _COMMON_ERRORS.items():
         yield _Error(f"common.{name}_sigma_arcsec", kind, "common_sigmas", (indices,), 0.0)
 
 

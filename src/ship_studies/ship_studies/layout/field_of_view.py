@@ -15,8 +15,20 @@ from ship_geometry.rotations import FloatArray
 from ship_stars.sky.catalogue import hipparcos
 from ship_stars.sky.deck_masks import DeckMasks, deck_masks, field_directions
 from ship_studies.layout.config import LayoutStudyConfig, Optics
+from ship_studies.layout.installation_model import rotations
 
 _NO_MASKS = DeckMasks((), ())
+
+MIN_STARS = 2
+"""Least number of stars that give an attitude."""
+
+PERCENTILES = (1, 5, 10, 50)
+"""Percentiles over the sky of the reported star counts."""
+
+_DIRECTIONS = 1000
+_SEED = 20020401
+_BATCH_SIZE = 100
+_MEAN_DISTANCE = 0.3825
 
 
 @dataclass(frozen=True)
@@ -63,7 +75,7 @@ class Obstructions:
     def is_clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
         reached: NDArray[np.bool_] = np.any(
-            self.masks.masks_in_field(_rotations(angles), self.half_fields[number]), axis=0
+            self.masks.masks_in_field(rotations(angles), self.half_fields[number]), axis=0
         )
         return ~reached
 
@@ -74,29 +86,13 @@ class Obstructions:
             number: number of the sensor.
             angles: installation angles, shape (n, 3), rad.
         """
-        field_d = field_directions(self.half_fields[number]) @ np.swapaxes(_rotations(angles), -1, -2)
+        field_d = field_directions(self.half_fields[number]) @ np.swapaxes(rotations(angles), -1, -2)
         lowest: FloatArray = np.arcsin(np.min(field_d @ self.up_d.T, axis=(-2, -1)).clip(-1.0, 1.0))
         return lowest - self.clearance
 
     def is_unobstructed(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if a field is clear of masks and horizon, for installation angles (n, 3), rad; shape (n,)."""
         return self.is_clear(number, angles) & (self.horizon_margin(number, angles) >= 0.0)
-
-
-def _rotations(angles: FloatArray) -> FloatArray:
-    return rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
-
-
-MIN_STARS = 2
-"""Least number of stars that give an attitude."""
-
-PERCENTILES = (1, 5, 10, 50)
-"""Percentiles over the sky of the reported star counts."""
-
-_DIRECTIONS = 1000
-_SEED = 20020401
-_BATCH_SIZE = 100
-_MEAN_DISTANCE = 0.3825
 
 
 @dataclass(frozen=True)

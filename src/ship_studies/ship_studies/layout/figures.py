@@ -29,6 +29,30 @@ _ADMISSIBLE, _TOO_NEAR, _MASK = "#a6dcc4", "#d9d9d9", "0.35"
 _USES = (0.5, 0.7, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
 _MAX_USE = 3.0
 
+_ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
+_FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
+_MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
+# Ratio of the largest to the smallest value of a panel above which fewer lines are drawn.
+_STEEP_RATIO = 25.0
+
+_MERGE_DISTANCE = 0.15
+"""Distance of arrow tips below which their numbers share one place, in radii of the plan."""
+_NUMBER_OFFSET = 0.2
+"""Distance from a tip to its number, in lengths of the arrow."""
+
+_SYMBOLS = ("dK", "dψ", "dθ")
+_READING_TITLES = {InstallationConvention.PHYSICAL: "physical convention", InstallationConvention.PAPER: "as in [Z14]"}
+# Wide pale curves lie below narrow dark curves, so that coinciding curves are both visible. Blue: ahead or astern;
+# orange: abeam.
+_CURVE_STYLES = {
+    0.0: ("#8fbfe6", "-", 5.0),
+    90.0: ("#fbb982", "-", 5.0),
+    180.0: ("#08306b", "--", 1.8),
+    270.0: ("#a63603", ":", 2.2),
+}
+_ONLY_COLOUR = "#0b3c6f"
+_MARGIN = 0.08
+
 
 def admissible_figure(study: LayoutStudy, required: RequirementResult) -> Figure:
     """Return the figure of each sensor's admissible directions, other sensors as given, with masks and horizon."""
@@ -132,13 +156,6 @@ def mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
         axes.plot(others[:, 0], others[:, 1], "o", ms=10, color=BEST, label="other sensors", **look)
 
 
-_ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
-_FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
-_MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
-# Ratio of the largest to the smallest value of a panel above which fewer lines are drawn.
-_STEEP_RATIO = 25.0
-
-
 def study_figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
     """Yield name and figure of every figure of the study."""
     yield "layout", plan_figure(study.layout, study.best)
@@ -155,12 +172,6 @@ def sweep_figures(curves: list[Curve]) -> Iterator[tuple[str, Figure]]:
     """Yield name and figure of the six figures of [Z14], each in both conventions, from the curves of all figures."""
     for sweep in SWEEPS:
         yield f"figure_{sweep.number}", _sweep_figure(sweep, [curve for curve in curves if curve.sweep is sweep])
-
-
-_MERGE_DISTANCE = 0.15
-"""Distance of arrow tips below which their numbers share one place, in radii of the plan."""
-_NUMBER_OFFSET = 0.2
-"""Distance from a tip to its number, in lengths of the arrow."""
 
 
 def plan_figure(given: Layout, best: Layout) -> Figure:
@@ -266,7 +277,7 @@ def _arcsec_ticks(axes: Axes) -> None:
 
 def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
     layout = study.layout
-    panels = [*np.moveaxis(moved.sigmas_arcsec, -1, 0), moved.total_arcsec()]
+    panels = [*np.moveaxis(moved.sigmas_arcsec, -1, 0), total_arcsec(moved.sigmas_arcsec)]
     low, high = np.nanmin(panels), np.nanmax(panels)
     levels = np.geomspace(low * 0.999, max(high, low * 1.05) * 1.001, 25)
     figure, grid = plt.subplots(2, 2, figsize=(11, 6.6), sharex=True, sharey=True, layout="constrained")
@@ -301,19 +312,6 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
 
 
 # -- the six figures of [Z14] ---------------------------------------------------------------------------------
-
-_SYMBOLS = ("dK", "dψ", "dθ")
-_READING_TITLES = {InstallationConvention.PHYSICAL: "physical convention", InstallationConvention.PAPER: "as in [Z14]"}
-# Wide pale curves lie below narrow dark curves, so that coinciding curves are both visible. Blue: ahead or astern;
-# orange: abeam.
-_CURVE_STYLES = {
-    0.0: ("#8fbfe6", "-", 5.0),
-    90.0: ("#fbb982", "-", 5.0),
-    180.0: ("#08306b", "--", 1.8),
-    270.0: ("#a63603", ":", 2.2),
-}
-_ONLY_COLOUR = "#0b3c6f"
-_MARGIN = 0.08
 
 
 def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:

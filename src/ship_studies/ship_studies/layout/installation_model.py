@@ -27,6 +27,17 @@ from ship_studies.layout.config import OperatingPoint
 SHIP_ANGLES = ("heading", "pitch", "roll")
 """Names of the ship's angles, in the order of every array of their errors."""
 
+CURVE_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
+"""Installation azimuths A0 of the curves of each figure."""
+
+STAR_ROLL_ONLY = np.array([0.0, 0.0, 1.0])
+
+# Indices into (As, Es, roll_s, A0, E0, roll_0).
+_STAR_AZIMUTH, _STAR_ELEVATION, _AZIMUTH, _ELEVATION, _ROLL = 0, 1, 3, 4, 5
+
+SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
+"""Error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
+
 
 class InstallationConvention(enum.Enum):
     """Convention of the rotation R(A0, E0, roll_0)."""
@@ -56,12 +67,6 @@ class ErrorModel:
         star = (self.star @ np.asarray(star_errors)[..., None])[..., 0]
         return star + (self.installation @ np.asarray(installation_errors)[..., None])[..., 0]
 
-    def covariance(self, star_covariance: FloatArray, installation_covariance: FloatArray) -> FloatArray:
-        """Return the covariance of heading, pitch, roll, shape (..., 3, 3): J Sigma J^T, with independent errors."""
-        return _propagate_covariance(self.star, star_covariance) + _propagate_covariance(
-            self.installation, installation_covariance
-        )
-
 
 def linearise(
     star_angles: FloatArray,
@@ -78,13 +83,13 @@ def linearise(
     star, installation = np.broadcast_arrays(
         np.asarray(star_angles, dtype=float), np.asarray(installation_angles, dtype=float)
     )
-    rotation_ns = _rotation(star)
+    rotation_ns = rotations(star)
     ship_angles = angles_from_rotation(ship_rotation(star, installation, convention))
     to_ship_angles = angle_errors_from_rotation_vector(ship_angles[..., 0], ship_angles[..., 1])
     installation_vectors = _rotation_vector_jacobian(installation)
     if convention is InstallationConvention.PHYSICAL:
         # exp(d_s) R_s (exp(d_0) R_0)^T = exp(d_s - R_ship d_0) R_ship
-        rotation_nd = rotation_ns @ np.swapaxes(_rotation(installation), -1, -2)
+        rotation_nd = rotation_ns @ np.swapaxes(rotations(installation), -1, -2)
         moved = -rotation_nd @ installation_vectors
     else:
         # exp(d_s) R_s exp(d_0) R_0 = exp(d_s + R_s d_0) R_s R_0
@@ -96,10 +101,10 @@ def ship_rotation(
     star_angles: FloatArray, installation_angles: FloatArray, convention: InstallationConvention
 ) -> FloatArray:
     """Return the rotation "horizon from deck" computed from a sensor's horizon attitude, shape (..., 3, 3)."""
-    installation = _rotation(np.asarray(installation_angles, dtype=float))
+    installation = rotations(np.asarray(installation_angles, dtype=float))
     if convention is InstallationConvention.PHYSICAL:
         installation = np.swapaxes(installation, -1, -2)
-    return _rotation(np.asarray(star_angles, dtype=float)) @ installation
+    return rotations(np.asarray(star_angles, dtype=float)) @ installation
 
 
 @dataclass(frozen=True)
@@ -137,9 +142,8 @@ def combine_attitudes(
     stacked[..., each, :, each, :] = np.moveaxis(covariances, -3, 0)
     joint = stacked.reshape(*leading, 3 * count, 3 * count)
     if common_effects is not None and common_covariance is not None:
-        joint = joint + _propagate_covariance(
-            common_effects.reshape(*leading, 3 * count, common_effects.shape[-1]), common_covariance
-        )
+        effects = common_effects.reshape(*leading, 3 * count, common_effects.shape[-1])
+        joint = joint + effects @ common_covariance @ np.swapaxes(effects, -1, -2)
     same_attitude = np.broadcast_to(np.tile(np.eye(3), (count, 1)), (*leading, 3 * count, 3))
     weights = np.linalg.solve(joint, same_attitude)
     covariance = np.linalg.inv(weights.reshape(*leading, count, 3, 3).sum(axis=-3))
@@ -147,25 +151,13 @@ def combine_attitudes(
     return JointAttitude(covariance, np.moveaxis(gains, -2, -3))
 
 
-def _rotation(angles: FloatArray) -> FloatArray:
+def rotations(angles: FloatArray) -> FloatArray:
+    """Return the rotations by azimuth, elevation, roll, shape (..., 3) → (..., 3, 3)."""
     return rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
 
 
 def _rotation_vector_jacobian(angles: FloatArray) -> FloatArray:
     return rotation_vector_from_angle_errors(angles[..., 0], angles[..., 1])
-
-
-def _propagate_covariance(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
-    return matrix @ covariance @ np.swapaxes(matrix, -1, -2)
-
-
-CURVE_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
-"""Installation azimuths A0 of the curves of each figure."""
-
-STAR_ROLL_ONLY = np.array([0.0, 0.0, 1.0])
-
-# Indices into (As, Es, roll_s, A0, E0, roll_0).
-_STAR_AZIMUTH, _STAR_ELEVATION, _AZIMUTH, _ELEVATION, _ROLL = 0, 1, 3, 4, 5
 
 
 @dataclass(frozen=True)
@@ -246,10 +238,6 @@ def point_angles_deg(point: OperatingPoint, azimuth_deg: float) -> FloatArray:
     """Return (As, Es, roll_s, A0, E0, roll_0) of the operating point, shape (6,)."""
     star = [point.star_azimuth_deg, point.star_elevation_deg, point.star_roll_deg]
     return np.array([*star, azimuth_deg, point.elevation_deg, point.roll_deg])
-
-
-SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
-"""Error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
 
 
 def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, convention: InstallationConvention) -> FloatArray:

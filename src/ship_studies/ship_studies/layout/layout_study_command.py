@@ -28,6 +28,24 @@ from ship_studies.layout.study import LayoutStudy, compute_study
 PAGE = "layout_study.html"
 _DEFAULT_TITLE = "two sensors as in [Z14]"
 
+_ERRORS = ("heading_arcsec", "pitch_arcsec", "roll_arcsec")
+_SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
+
+TABLES = (
+    *("layout.csv", "error_budget.csv", "error_map.csv", "azimuth_scan.csv"),
+    *("sources_at_operating_point.csv", "figures_1_to_6.csv"),
+)
+"""Names of the tables of every study."""
+OPTICS_TABLE = "optics.csv"
+"""Name of the table of a study with optics."""
+
+_OPTICS = (
+    *("sensor", "field_width_deg", "field_height_deg", "star_sigma_arcsec", "mean_stars"),
+    *(f"stars_{percent}_percent" for percent in PERCENTILES),
+    *(f"sigma_{axis}_arcsec" for axis in ("forward", "up", "right")),
+    *(f"liebe_{axis}_arcsec" for axis in ("forward", "up", "right")),
+)
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
@@ -127,18 +145,6 @@ def _summary(computed: LayoutStudy) -> list[str]:
     return lines
 
 
-_ERRORS = ("heading_arcsec", "pitch_arcsec", "roll_arcsec")
-_SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
-
-TABLES = (
-    *("layout.csv", "error_budget.csv", "error_map.csv", "azimuth_scan.csv"),
-    *("sources_at_operating_point.csv", "figures_1_to_6.csv"),
-)
-"""Names of the tables of every study."""
-OPTICS_TABLE = "optics.csv"
-"""Name of the table of a study with optics."""
-
-
 def study_tables(study: LayoutStudy) -> dict[str, Table]:
     """Return header and rows of each CSV table."""
     direction = ("azimuth_deg", "elevation_deg")
@@ -174,14 +180,6 @@ def _layouts(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     yield "recommended", "joint", "", "", *study.best_arcsec, total_arcsec(study.best_arcsec)
 
 
-_OPTICS = (
-    *("sensor", "field_width_deg", "field_height_deg", "star_sigma_arcsec", "mean_stars"),
-    *(f"stars_{percent}_percent" for percent in PERCENTILES),
-    *(f"sigma_{axis}_arcsec" for axis in ("forward", "up", "right")),
-    *(f"liebe_{axis}_arcsec" for axis in ("forward", "up", "right")),
-)
-
-
 def _optics(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     for name, found in study.optics.items():
         stars = (float(found.stars.mean()), *found.star_count_percentiles().values())
@@ -195,7 +193,7 @@ def _budget(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
 
 def _maps(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     for moved in study.maps:
-        totals = moved.total_arcsec()
+        totals = total_arcsec(moved.sigmas_arcsec)
         for row, elevation_deg in enumerate(moved.elevations_deg):
             for column, azimuth_deg in enumerate(moved.azimuths_deg):
                 sigmas = moved.sigmas_arcsec[row, column]

@@ -25,6 +25,14 @@ from ship_studies.layout.requirement import RequirementResult
 from ship_studies.layout.requirement_text import binding_error_text, limits_text, nearest_miss_text, placements_text
 from ship_studies.layout.study import AzimuthScan, LayoutStudy
 
+_READING_NAMES = {
+    InstallationConvention.PHYSICAL: "physical: R(A0, E0, γ0) rotates the sensor's axes into the deck's",
+    InstallationConvention.PAPER: "as computed in [Z14]: R(A0, E0, γ0) rotates the deck's axes into the sensor's",
+}
+
+_WORTH_MOVING = 0.1
+"""Relative reduction of the total error below which moving the sensors is not worthwhile."""
+
 
 def requirement_values(required: RequirementResult) -> dict[str, Any]:
     """Return the values for the section of the page."""
@@ -78,12 +86,6 @@ def _alone_text(alone_arcsec: float) -> str:
     if np.isnan(alone_arcsec):
         return "not achievable even at 0″"
     return "any size" if np.isinf(alone_arcsec) else decimal_text(alone_arcsec)
-
-
-_READING_NAMES = {
-    InstallationConvention.PHYSICAL: "physical: R(A0, E0, γ0) rotates the sensor's axes into the deck's",
-    InstallationConvention.PAPER: "as computed in [Z14]: R(A0, E0, γ0) rotates the deck's axes into the sensor's",
-}
 
 
 def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> str:
@@ -173,9 +175,6 @@ def _sources(study: LayoutStudy, reading: InstallationConvention) -> list[list[A
 
 
 # -- texts, with every number computed from the layout ---------------------------------------------------------
-
-_WORTH_MOVING = 0.1
-"""Relative reduction of the total error below which moving the sensors is not worthwhile."""
 
 
 def _result(study: LayoutStudy) -> str:
