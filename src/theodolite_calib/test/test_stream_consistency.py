@@ -11,7 +11,7 @@ from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.filter.fault_detection import isolate_drift_fault, isolate_step_fault
 from theodolite_calib.filter.subfilters import ENCODER, SHIP, TELESCOPE
 from theodolite_calib.samples.samples import EncoderSample, ShipSample
-from theodolite_calib.samples.stream_steps import has_ship_drifted, stream_consistency
+from theodolite_calib.samples.stream_consistency import has_ship_drifted, stream_consistency
 
 PERIOD_NS = 50_000_000
 SINCE_NS, END_NS = 10 * 10**9, 10_600_000_000

@@ -23,7 +23,7 @@ _DETECTABLE_SHIFT_ARCSEC = 13.0
 
 _DETECTABLE_SLIP_SIGMAS = 13.0
 """Minimum encoder slip, in sigmas of a reading, that is detected from the readings themselves
-(:mod:`theodolite_calib.samples.stream_steps`)."""
+(:mod:`theodolite_calib.samples.encoder_check`)."""
 
 _INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
 """Drift rates of INS, star sensor and encoder azimuth, arcsec/min; a slower drift is detected before the error of an

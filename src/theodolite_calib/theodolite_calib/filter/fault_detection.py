@@ -47,7 +47,7 @@ from theodolite_calib.filter.subfilters import (
     AxisSubfilters,
     SubfilterInnovations,
 )
-from theodolite_calib.samples.stream_steps import StreamConsistency
+from theodolite_calib.samples.stream_consistency import StreamConsistency
 from theodolite_calib.samples.tracks import BaselineJump
 
 _SAME_JUMP_NS = SECOND_NS

@@ -39,7 +39,7 @@ from theodolite_calib.filter.subfilters import (
 )
 from theodolite_calib.samples.samples import Exposure, ExposureDecision
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.samples.stream_steps import StreamConsistency
+from theodolite_calib.samples.stream_consistency import StreamConsistency
 from theodolite_calib.samples.tracks import BaselineJump
 
 

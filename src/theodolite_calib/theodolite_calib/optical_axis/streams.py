@@ -36,7 +36,7 @@ from theodolite_calib.samples.samples import (
     ShipSample,
 )
 from theodolite_calib.samples.sighting import SightingAssembler
-from theodolite_calib.samples.stream_steps import StreamConsistency
+from theodolite_calib.samples.stream_consistency import StreamConsistency
 from theodolite_calib.samples.tracks import MeasuredTracks
 
 _STATED_STEP_SIGMAS = 5.0

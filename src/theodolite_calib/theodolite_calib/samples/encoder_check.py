@@ -1,15 +1,21 @@
 """Check of the encoders: reject implausible readings, accept a persistent jump, and mark readings as unconfirmed.
 
-A theodolite at rest repeats its readings for hours, and so does a theodolite with stuck encoders. Beacons show the
-difference: the encoders are stuck if the telescope has rotated in the deck. Readings that stop during a motion are
-unconfirmed. A reading is rejected if it would need more acceleration than the mount has. A few such readings that are
-consistent with one another are a slip of the encoders. After a smaller step
-(:mod:`theodolite_calib.samples.stream_steps`) readings are unconfirmed until beacons confirm them. The step is a slip
-if the mount could not have moved and stopped between two readings.
+Theodolites at rest and theodolites with stuck encoders repeat their readings. The encoders are stuck if, by the
+beacons, the telescope has rotated in the deck. Readings that stop during a motion are unconfirmed. A reading is
+rejected if it would need more acceleration than the mount has. A few such readings that are consistent with one another
+are a slip of the encoders.
+
+For smaller steps, each reading is predicted by a cubic through the readings before it, which a moving mount follows. A
+prediction error far outside its estimated noise is a pending step, which the error of the next reading resolves. If
+both errors are equal, the encoders have slipped, or the mount has moved and stopped between two readings. If the second
+error is larger, a motion has begun or ended. If the second error is small, one reading was wrong. The step is a slip if
+the mount could not have moved and stopped in time. Otherwise readings are unconfirmed until beacons confirm them.
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +23,7 @@ import numpy as np
 from ship_estimation.fault_detection.detector import UnconfirmedStep
 from ship_estimation.plausibility.motion_check import MotionReference
 from ship_estimation.plausibility.value_checks import (
+    ROUNDING_SPREAD,
     JumpCheck,
     JumpDecision,
     PredictionBound,
@@ -26,27 +33,44 @@ from ship_estimation.plausibility.value_checks import (
     vector_length,
 )
 from ship_estimation.rejection_rules import Reason, Rejection
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.sample_track import VectorTrack
+from ship_kernels import compiled_tracks
 from theodolite_calib.samples.samples import EncoderSample
-from theodolite_calib.samples.stream_steps import EncoderStep, EncoderStepDetector, wrap_angles
 
-_BEACONS = "lights"
-"""Name of the beacons as a motion reference."""
 _MOTION_SIGMAS = 5.0
 """Minimum change between two readings that counts as a motion, in standard deviations of a reading."""
-_MAX_INTERVAL_S = 1.0
-"""Maximum interval between readings that are compared, s."""
+_MAX_INTERVAL_NS = SECOND_NS
+"""Maximum interval between readings that are compared, ns."""
 _LARGEST_ELEVATION = 3.0 * np.pi
 """Largest elevation reading, rad, one and a half turns; azimuth readings are used modulo a turn."""
 _UNIT_READINGS = 20
-"""Number of consecutive readings beyond the largest elevation after which the unit counts as wrong; the same number
-within the limit ends this state."""
+"""Number of consecutive readings beyond the largest elevation that show a wrong unit, or within it that end this."""
+
+_FIT_READINGS = 12
+"""Maximum number of readings in the fit of a cubic."""
+_MIN_READINGS = 7
+"""Minimum number of readings in the fit of a cubic."""
+_DETECTION_SIGMAS = 6.5
+"""Threshold of a pending step in standard deviations; at fifty readings a second at most one false step in some hours
+exceeds it."""
+_LOWER_BOUND_SIGMAS = 3.0
+_NOISE_READINGS = 200
+"""Number of readings over which the noise is averaged."""
+_WARM_UP_READINGS = 50
+"""Number of readings after which the noise is known; no step is detected before."""
+_MAX_NOISE_RATIO = 3.0
+"""Limit to which prediction errors are reduced in the noise estimate, in multiples of the noise."""
+_MIN_PERSISTENCE, _MAX_PERSISTENCE = 0.5, 1.25
+"""Least and greatest ratio of the second prediction error to the first for a step. If a motion has begun, the ratio is
+at least 1.5."""
+_FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
 class EncoderJump:
-    """Permanent slip of the encoders, after which the reading for each direction of the axis differs.
+    """Permanent slip of the encoders.
 
     Attributes:
         time_ns: time just before the first reading after the slip.
@@ -71,6 +95,21 @@ class CheckedReading(NamedTuple):
     jump: EncoderJump | None = None
 
 
+class _Step(NamedTuple):
+    """Step of the encoders, which a motion of the mount may also have caused.
+
+    Attributes:
+        jump: the step, as a slip of the encoders.
+        lower_bound_rad: lower bound of the larger component, three standard deviations below the smaller of the two
+            prediction errors, rad.
+        interval_s: interval between the readings before and after the step.
+    """
+
+    jump: EncoderJump
+    lower_bound_rad: float
+    interval_s: float
+
+
 class EncoderCheck:
     """Check of the encoder readings of one run, in the order of their stamps.
 
@@ -80,23 +119,19 @@ class EncoderCheck:
     """
 
     def __init__(self, sigma_rad: float, max_acceleration: float) -> None:
-        self._stuck_check, self._jump_check, self._prediction_bound = (
-            StuckCheck(),
-            JumpCheck(),
-            PredictionBound(sigma_rad),
-        )
+        self._stuck_check, self._jump_check = StuckCheck(), JumpCheck()
+        self._prediction_bound, self._step_detector = PredictionBound(sigma_rad), _StepDetector()
         # Two readings predict the next reading: the last two accepted readings, or the last two of all readings.
         # Without rejections both pairs are equal.
         self._last_accepted: tuple[EncoderSample, ...] = ()
         self._last_readings: tuple[EncoderSample, ...] = ()
-        self._last: tuple[EncoderSample, FloatArray] | None = None
         self._newest_ns: int | None = None
+        self._last: tuple[EncoderSample, FloatArray] | None = None
         self._wrong_unit, self._opposite_count = False, 0
         self._unchanged_since_ns: int | None = None
         self._halted_since_ns: int | None = None
         self._unconfirmed_jump: UnconfirmedStep | None = None
-        self._step_detector = EncoderStepDetector()
-        self._unconfirmed_step: tuple[int, float] | None = None
+        self._unconfirmed_step_ns, self._unconfirmed_step_rad = 0, 0.0
         self._motion_references: dict[str, MotionReference] = {}
         self.reconfigure(sigma_rad, max_acceleration)
 
@@ -112,10 +147,9 @@ class EncoderCheck:
             return self._unconfirmed_jump.text
         if self._halted_since_ns is not None:
             return "the encoders stopped during a motion: at rest, or stuck"
-        if self._unconfirmed_step is not None:
-            return (
-                f"the encoders have stepped by {self._unconfirmed_step[1] / ARCSEC:.0f}″, not yet confirmed by a light"
-            )
+        if self._unconfirmed_step_rad:
+            step_arcsec = self._unconfirmed_step_rad / ARCSEC
+            return f"the encoders have stepped by {step_arcsec:.0f}″, not yet confirmed by a light"
         if self._step_detector.pending_step_rad:
             return "the encoder readings are not as predicted: the mount moved, or an encoder slipped"
         return ""
@@ -123,9 +157,7 @@ class EncoderCheck:
     @property
     def unconfirmed_sigma_rad(self) -> float:
         """Standard deviation about each axis of unconfirmed readings, in addition to their noise, rad."""
-        return math.hypot(
-            self._step_detector.pending_step_rad, 0.0 if self._unconfirmed_step is None else self._unconfirmed_step[1]
-        )
+        return math.hypot(self._step_detector.pending_step_rad, self._unconfirmed_step_rad)
 
     def check(
         self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Rejection | None = None
@@ -169,7 +201,7 @@ class EncoderCheck:
         """Record the telescope's attitude in the deck from beacons, shape (3, 3), with sigma about its worst axis."""
         # Rotations before the readings stopped do not count.
         if self._unchanged_since_ns is not None and time_ns >= self._unchanged_since_ns:
-            self._motion_references[_BEACONS] = MotionReference(time_ns, telescope_dt, sigma_rad)
+            self._motion_references["lights"] = MotionReference(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the readings at a time."""
@@ -181,8 +213,8 @@ class EncoderCheck:
 
     def set_encoder_offset_from_beacons(self, time_ns: int) -> None:
         """Record that beacons have determined the encoders' offset, which includes all earlier steps."""
-        if self._unconfirmed_step is not None and time_ns > self._unconfirmed_step[0]:
-            self._unconfirmed_step = None
+        if time_ns > self._unconfirmed_step_ns:
+            self._unconfirmed_step_rad = 0.0
 
     def _units_rejection(self, sample: EncoderSample, counts: bool) -> Rejection | None:
         """Return the rejection of a reading that cannot be in radians; None otherwise.
@@ -227,27 +259,28 @@ class EncoderCheck:
             self._prediction_bound.learn(match.difference)
         return CheckedReading()
 
-    def _check_step(self, step: EncoderStep) -> CheckedReading:
+    def _check_step(self, step: _Step) -> CheckedReading:
         """Check the reading that proves a step."""
-        step_rad = vector_length(step.step)
+        time_ns, step_rad = step.jump.time_ns, vector_length(step.jump.jump)
         # The mount goes from rest to rest, half of the way with maximum acceleration and half of it braking.
         reached_rad = 0.25 * self._max_acceleration * step.interval_s**2
         if not step.lower_bound_rad > reached_rad:
-            before_rad = 0.0 if self._unconfirmed_step is None else self._unconfirmed_step[1]
-            self._unconfirmed_step = step.time_ns, math.hypot(before_rad, step_rad)
+            self._unconfirmed_step_ns = time_ns
+            self._unconfirmed_step_rad = math.hypot(self._unconfirmed_step_rad, step_rad)
             return CheckedReading()
-        self._unconfirmed_jump = UnconfirmedStep(step.time_ns, "the encoders have jumped", "lights")
+        self._unconfirmed_jump = UnconfirmedStep(time_ns, "the encoders have jumped", "lights")
         text = f"step of {step_rad / ARCSEC:.0f}″: the mount can reach {reached_rad / ARCSEC:.0f}″"
-        return CheckedReading(Rejection(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
+        return CheckedReading(Rejection(Reason.GATE, text), step.jump)
 
     def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> PredictionMatch | None:
         """Compare a reading with the prediction from two readings before it; None if these are missing or too old."""
         if len(before) < 2:
             return None
         first, second = before
-        turned_s, seconds = (second.time_ns - first.time_ns) * 1e-9, (sample.time_ns - second.time_ns) * 1e-9
-        if max(turned_s, seconds) > _MAX_INTERVAL_S:
+        turned_ns, interval_ns = second.time_ns - first.time_ns, sample.time_ns - second.time_ns
+        if max(turned_ns, interval_ns) > _MAX_INTERVAL_NS:
             return None
+        turned_s, seconds = turned_ns * 1e-9, interval_ns * 1e-9
         extrapolation = seconds / turned_s * wrap_angles(second.vector - first.vector)
         difference = wrap_angles(sample.vector - second.vector - extrapolation)
         step = step_by_motion(turned_s, seconds, self._max_acceleration, self._stuck_check.coarseness_rad)
@@ -270,14 +303,9 @@ class EncoderCheck:
 
 def _readings_before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
     """Return the last two readings before a time, or fewer."""
-    found: tuple[EncoderSample, ...] = ()
-    while len(found) < 2:
-        sample = track.last_before(time_ns - 1)
-        if sample is None:
-            break
-        found = (sample, *found)
-        time_ns = sample.time_ns
-    return found
+    second = track.last_before(time_ns - 1)
+    first = None if second is None else track.last_before(second.time_ns - 1)
+    return tuple(sample for sample in (first, second) if sample is not None)
 
 
 def _extrapolate_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
@@ -293,3 +321,120 @@ def _gate_rejection(match: PredictionMatch) -> Rejection:
     offset, bound = vector_length(match.difference) / ARCSEC, match.bound_rad / ARCSEC
     text = f"{offset:.0f}″ from the predicted reading: the mount can reach {bound:.0f}″"
     return Rejection(Reason.GATE, text)
+
+
+class _PredictionError(NamedTuple):
+    """Prediction error of a reading relative to the cubic.
+
+    Attributes:
+        time_ns: stamp of the reading.
+        angles: the reading, without jumps of a full turn, rad, shape (2,).
+        error: error of azimuth and elevation, rad, shape (2,).
+        gain: sigma of each component per sigma of a reading.
+        sigma_rad: standard deviation of each component due to noise, rad.
+        bound_rad: bound of the error without a step, rad.
+    """
+
+    time_ns: int
+    angles: FloatArray
+    error: FloatArray
+    gain: float
+    sigma_rad: float
+    bound_rad: float
+
+
+class _StepDetector:
+    """Step detector for the readings of one run, in the order of their stamps."""
+
+    def __init__(self) -> None:
+        self._previous: deque[tuple[int, FloatArray]] = deque(maxlen=_FIT_READINGS)
+        self._pending_step: _PredictionError | None = None
+        self._variance, self._count = 0.0, 0
+
+    @property
+    def pending_step_rad(self) -> float:
+        """Prediction error of the last reading if it is a pending step, rad; else 0."""
+        return 0.0 if self._pending_step is None else math.hypot(*self._pending_step.error)
+
+    def restart(self) -> None:
+        """Restart the prediction with the next reading; the noise estimate is kept."""
+        self._previous.clear()
+        self._pending_step = None
+
+    def observe(self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float) -> _Step | None:
+        """Add the next reading; return the pending step if this reading confirms it, else None.
+
+        ``coarseness_rad`` is the resolution of the readings; 0 if no reading repeats the one before.
+        """
+        if self._previous:
+            before_ns, before = self._previous[-1]
+            if time_ns - before_ns > _MAX_INTERVAL_NS:
+                self.restart()
+            angles = before + wrap_angles(angles - before)
+        prediction_error = self._prediction_error(time_ns, angles, sigma_rad, coarseness_rad)
+        first, self._pending_step = self._pending_step, None
+        if first is not None:
+            assert prediction_error is not None  # predicted from the same readings as the first error
+            return self._resolve_step(first, prediction_error)
+        if prediction_error is not None:
+            azimuth, elevation = map(abs, prediction_error.error.tolist())
+            is_within_bound = azimuth <= prediction_error.bound_rad and elevation <= prediction_error.bound_rad
+            if self._count >= _WARM_UP_READINGS and not is_within_bound:
+                self._pending_step = prediction_error
+                return None
+            self._update_noise(prediction_error)
+        self._previous.append((time_ns, angles))
+        return None
+
+    def _prediction_error(
+        self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float
+    ) -> _PredictionError | None:
+        """Return the prediction error of a reading; None if there are too few readings before it."""
+        if len(self._previous) < _MIN_READINGS:
+            return None
+        weights, gain = _weights_at_zero(tuple([before_ns - time_ns for before_ns, _ in self._previous]))
+        predicted = weights @ np.array([before.tolist() for _, before in self._previous])
+        noise_rad = max(sigma_rad, math.sqrt(self._variance))
+        bound_rad = gain * (_DETECTION_SIGMAS * noise_rad + ROUNDING_SPREAD * math.sqrt(0.5) * coarseness_rad)
+        return _PredictionError(time_ns, angles, angles - predicted, gain, gain * noise_rad, bound_rad)
+
+    def _resolve_step(self, first: _PredictionError, second: _PredictionError) -> _Step | None:
+        """Resolve a pending step at the first reading by the next reading."""
+        axis = int(np.argmax(np.abs(first.error)))
+        ratio, before_ns = second.error[axis] / first.error[axis], self._previous[-1][0]
+        if ratio > _MIN_PERSISTENCE:
+            # The readings before the change do not predict the readings after it.
+            self._previous.clear()
+            self._previous.append((first.time_ns, first.angles))
+        self._previous.append((second.time_ns, second.angles))
+        if not _MIN_PERSISTENCE < ratio < _MAX_PERSISTENCE:
+            return None
+        smaller_rad = min(abs(first.error[axis]), abs(second.error[axis]))
+        lower_bound_rad = smaller_rad - _LOWER_BOUND_SIGMAS * first.sigma_rad
+        jump = EncoderJump(first.time_ns - 1, first.error, first.sigma_rad)
+        return _Step(jump, lower_bound_rad, interval_s=(first.time_ns - before_ns) / SECOND_NS)
+
+    def _update_noise(self, found: _PredictionError) -> None:
+        """Update the estimated noise of a reading, each axis, with a prediction error."""
+        self._count = min(self._count + 1, _NOISE_READINGS)
+        one = 0.5 * float(found.error @ found.error) / found.gain**2
+        if self._count > _WARM_UP_READINGS:
+            one = min(one, _MAX_NOISE_RATIO**2 * self._variance)
+        self._variance += (one - self._variance) / self._count
+
+
+@lru_cache(maxsize=64)
+def _weights_at_zero(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
+    """Return the weights of earlier values in the least-squares prediction at zero, and the gain of its error.
+
+    The gain is the standard deviation of value minus prediction per standard deviation of a value.
+    """
+    seconds = np.array(since_ns) / SECOND_NS
+    weights = compiled_tracks.weights_at_zero(seconds / np.max(np.abs(seconds)))
+    return weights, math.sqrt(1.0 + weights @ weights)
+
+
+def wrap_angles(angles: FloatArray) -> FloatArray:
+    """Return angles wrapped to at most half a turn, rad."""
+    wrapped: FloatArray = angles - _FULL_TURN * np.rint(angles / _FULL_TURN)
+    return wrapped

@@ -28,7 +28,7 @@ from ship_geometry.tracks.sample_track import SampleTrack, VectorTrack
 from ship_kernels import compiled_tracks
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.samples import AnyExposure, BaselineSample, EncoderSample, Exposure, ShipSample
-from theodolite_calib.samples.stream_steps import StreamConsistency, has_ship_drifted, stream_consistency
+from theodolite_calib.samples.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
 
 _MAX_SOLUTIONS, _MIN_BEFORE_STEP = 14, 5
 """Maximum number of solutions in the fit, and minimum number of solutions before a step."""
